@@ -1,0 +1,156 @@
+"""The numbers of the robot and of its low-level controller; nowhere else is there one.
+
+Those of the robot are the paper's (Sec. 3). The paper prints no gains, so ours stand here, each with
+its reason.
+"""
+
+from dataclasses import dataclass, fields
+from math import isfinite
+
+from stepgap.step import Quantity, StepSpace
+
+
+def require(condition: bool, name: str, value: float, rule: str) -> None:
+    """Raises ValueError `name = value, but it must RULE` unless the condition holds."""
+    if not condition:
+        raise ValueError(f"{name} = {value}, but it must {rule}")
+
+
+@dataclass(frozen=True)
+class RobotParameters:
+    """Boom-mounted hopper with a four-bar leg (Sec. 3), SI units.
+
+    Attributes:
+        top_length: Length of a top link ℓ₁ [m].
+        bottom_length: Length of a bottom link ℓ₂ [m].
+        foot_length: Protrusion of the foot beyond the joint of the bottom links ℓ₃ [m].
+        top_mass: Mass of a top link m₁ [kg].
+        bottom_mass: Mass of a bottom link m₂ [kg].
+        top_inertia: Inertia of a top link about its centre of mass I₁ [kg·m²].
+        bottom_inertia: Inertia of a bottom link about its centre of mass I₂ [kg·m²].
+        top_com: Distance of a top link's centre of mass from the hip c₁ [m].
+        bottom_com: Distance of a bottom link's centre of mass from its knee c₂ [m].
+        body_mass: Mass carried at the hip M, without the links [kg].
+        boom_inertia_vertical: Boom inertia against vertical motion of the hip I_x [kg·m²].
+        boom_inertia_horizontal: Boom inertia against horizontal motion of the hip I_z [kg·m²].
+        boom_length: From the boom's pivot to the hip R [m].
+        gravity: Downward acceleration g [m/s²].
+        torque_limit: Largest torque of one motor [N·m]. Not in the paper: above the 30 N·m that the
+            reference needs, so that it cuts only what goes wrong.
+    """
+
+    top_length: float = 0.11
+    bottom_length: float = 0.2
+    foot_length: float = 0.045
+    top_mass: float = 0.043
+    bottom_mass: float = 0.047
+    top_inertia: float = 0.0001
+    bottom_inertia: float = 0.00025
+    top_com: float = 0.0485
+    bottom_com: float = 0.1054
+    body_mass: float = 1.466
+    boom_inertia_vertical: float = 5.0
+    boom_inertia_horizontal: float = 5.0
+    boom_length: float = 1.854
+    gravity: float = 9.81
+    torque_limit: float = 40.0
+
+    def __post_init__(self) -> None:
+        non_negative = {"foot_length", "boom_inertia_vertical", "boom_inertia_horizontal"}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            require(isfinite(value), field.name, value, "be finite")
+            if field.name in non_negative:
+                require(value >= 0, field.name, value, "not be negative")
+            else:
+                require(value > 0, field.name, value, "be positive")
+        require(
+            self.bottom_length > self.top_length,
+            "bottom_length",
+            self.bottom_length,
+            f"exceed top_length = {self.top_length}: the four-bar closes at every angle only then",
+        )
+
+    @property
+    def stretched_length(self) -> float:
+        """Leg length ℓ at full stretch [m]; the leg is singular there."""
+        return self.top_length + self.bottom_length
+
+    @property
+    def folded_length(self) -> float:
+        """Leg length ℓ with the top links folded upward [m]; the shortest there is."""
+        return self.bottom_length - self.top_length
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Set-points and gains of the joint controller (Sec. 4.1), SI units.
+
+    Attributes:
+        stiffness: Virtual leg spring K₂ [N/m]. Compresses the leg by about 8 cm from a 0.6 m apex.
+        rest_length: Rest length of the virtual spring ℓ₀ [m]; below the stretched 0.31 m with room
+            for the command forces.
+        landing_length: Leg length in flight ℓ_des [m]. Shorter than ℓ₀: the spring lands preloaded,
+            which more than pays for the energy lost in the model's impact; the command then holds an
+            apex with fy ≈ −10 N, which leaves most of its upward range to the losses of a real robot.
+        speed_gain: Landing angle per speed error K₁ [rad·s/m]; about half a stance's sweep of the
+            leg per speed, so that a hop neither speeds up nor brakes.
+        speed_setpoint: Speed at which the leg lands vertically ẋ_des [m/s]. Fixed, or the map would
+            have a fifth input; at zero the command holds every speed of the reference with
+            |fx| < 5 N, so that its largest stairs are within one step's bounds.
+        position_gain: Leg angles in flight K_p [N·m/rad], on α₁ and on α₂.
+        damping_gain: Leg angle rates in flight K_d [N·m·s/rad].
+    """
+
+    stiffness: float = 2500.0
+    rest_length: float = 0.285
+    landing_length: float = 0.26
+    speed_gain: float = 0.2
+    speed_setpoint: float = 0.0
+    position_gain: float = 40.0
+    damping_gain: float = 0.8
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            require(isfinite(value), field.name, value, "be finite")
+            if field.name != "speed_setpoint":
+                require(value > 0, field.name, value, "be positive")
+
+    def check(self, robot: RobotParameters) -> None:
+        """Raises ValueError where a length lies outside what the robot's leg can take."""
+        for name in ("rest_length", "landing_length"):
+            value = getattr(self, name)
+            require(
+                robot.folded_length < value < robot.stretched_length,
+                name,
+                value,
+                f"lie between the folded leg {robot.folded_length:g} m and the stretched leg {robot.stretched_length:g} m",
+            )
+
+
+@dataclass(frozen=True)
+class CommandBounds:
+    """Bounds of the step command: forces added after mid-stance (Sec. 4.2), [N].
+
+    Within these every apex of the reference hops (0–0.4 m/s, 0.52–0.64 m).
+    """
+
+    fx_lower: float = -15.0
+    fx_upper: float = 15.0
+    fy_lower: float = -20.0
+    fy_upper: float = 20.0
+
+    def space(self) -> StepSpace:
+        """State [speed, height] and command [fx, fy] of the hopper (Eq. 10).
+
+        Raises:
+            ValueError: A bound is not finite, or a pair is reversed.
+        """
+        return StepSpace(
+            state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64)),
+            command=(
+                Quantity("fx", "N", self.fx_lower, self.fx_upper),
+                Quantity("fy", "N", self.fy_lower, self.fy_upper),
+            ),
+        )

@@ -1,0 +1,1 @@
+"""Integration of motion that impacts interrupt; knows no robot."""

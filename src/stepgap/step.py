@@ -1,0 +1,221 @@
+"""The vocabulary: what a step is, what predicts one, and what is recorded of one.
+
+A *step* runs from one apex to the next. Everything above this module speaks of steps through
+`StepSpace` (names, units, ranges), `StepMap` (predicts) and `StepRecord` (happened).
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+"""Floating-point array, SI units."""
+
+Codes = NDArray[np.int64]
+"""Array of `Reason` values."""
+
+
+class Reason(IntEnum):
+    """How a step ended; the name in lower case is the `status` of a recorded step."""
+
+    OK = 0
+    FELL = 1
+    NO_TAKE_OFF = 2
+    FULL_STRETCH = 3
+    FOOT_SCUFFED = 4
+    NO_APEX = 5
+    INVALID = 6
+    STOPPED = 7
+
+    @property
+    def status(self) -> str:
+        """Lower-case word used in files and messages."""
+        return self.name.lower()
+
+
+ADVICE = {
+    Reason.FELL: "the body came too low or the leg too far over; "
+    "ask for a slower or higher apex, or a smaller horizontal force",
+    Reason.NO_TAKE_OFF: "the leg did not push the body off the ground; raise the vertical force or the leg stiffness",
+    Reason.FULL_STRETCH: "the leg reached full stretch, where the foot force is undefined; "
+    "lower the vertical force or shorten the spring's rest length",
+    Reason.FOOT_SCUFFED: "the foot touched the ground outside stance; ask for a higher apex or land with a shorter leg",
+    Reason.NO_APEX: "no next apex within the time limit; check gains and forces",
+    Reason.INVALID: "state and command must be finite numbers",
+    Reason.STOPPED: "a safety limit of the joints was met; check gains, forces and the limits themselves",
+}
+"""What to try when a step ends with a `Reason` other than OK."""
+
+
+class StepFailed(Exception):
+    """A single step has no next apex.
+
+    Attributes:
+        reason: Why.
+        advice: What to try.
+    """
+
+    def __init__(self, reason: Reason):
+        self.reason = reason
+        self.advice = ADVICE[reason]
+        super().__init__(f"{reason.status}: {self.advice}")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One coordinate of a state or command.
+
+    Attributes:
+        name: Column name in files, for example `speed`.
+        unit: SI unit, for example `m/s`.
+        lower: Lower end of the range of use; for a command, a hard bound.
+        upper: Upper end of the range of use; for a command, a hard bound.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.lower) and np.isfinite(self.upper)):
+            raise ValueError(f"bounds of {self.name} must be finite, not [{self.lower}, {self.upper}]")
+        if not self.lower < self.upper:
+            raise ValueError(f"bounds of {self.name} are reversed: lower {self.lower} is not below upper {self.upper}")
+
+
+@dataclass(frozen=True)
+class StepSpace:
+    """Names, units and ranges of the state and the command of a step.
+
+    Attributes:
+        state: The n coordinates of the apex state.
+        command: The m coordinates of the step command.
+    """
+
+    state: tuple[Quantity, ...]
+    command: tuple[Quantity, ...]
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the state coordinates."""
+        return tuple(quantity.name for quantity in self.state)
+
+    @property
+    def command_names(self) -> tuple[str, ...]:
+        """Names of the command coordinates."""
+        return tuple(quantity.name for quantity in self.command)
+
+    @property
+    def state_scale(self) -> Array:
+        """Half the range of use of each state coordinate; shape (n,)."""
+        return np.array([(quantity.upper - quantity.lower) / 2 for quantity in self.state])
+
+    @property
+    def command_scale(self) -> Array:
+        """Half the range of each command coordinate; shape (m,)."""
+        return np.array([(quantity.upper - quantity.lower) / 2 for quantity in self.command])
+
+    @property
+    def command_lower(self) -> Array:
+        """Lower command bounds; shape (m,)."""
+        return np.array([quantity.lower for quantity in self.command])
+
+    @property
+    def command_upper(self) -> Array:
+        """Upper command bounds; shape (m,)."""
+        return np.array([quantity.upper for quantity in self.command])
+
+    @property
+    def command_centre(self) -> Array:
+        """Middle of the command bounds; shape (m,)."""
+        return (self.command_lower + self.command_upper) / 2
+
+
+class Outcome(NamedTuple):
+    """What a `StepMap` says of one or many steps.
+
+    Attributes:
+        next_state: State at the next apex, NaN where the step fails; shape (…, n).
+        reason: `Reason` value of each step; shape (…).
+    """
+
+    next_state: Array
+    reason: Codes
+
+
+class StepMap(ABC):
+    """Predicts the next apex state from the state and the command (Eq. 9).
+
+    A subclass gives `space`, `evaluate` and `jacobian`; state (…, n) and command (…, m) broadcast
+    over their leading axes.
+    """
+
+    @property
+    @abstractmethod
+    def space(self) -> StepSpace:
+        """Names, units and ranges."""
+
+    @abstractmethod
+    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
+        """Next states and reason codes; never raises for a step that fails."""
+
+    @abstractmethod
+    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
+
+    def __call__(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """Next state; shape (…, n).
+
+        Raises:
+            StepFailed: The arguments are one step and it fails. In a batch such a step gives NaN.
+        """
+        next_state, reason = self.evaluate(state, command)
+        if next_state.ndim == 1 and reason != Reason.OK:
+            raise StepFailed(Reason(int(reason)))
+        return next_state
+
+
+def difference_jacobian(step_map: StepMap, state: ArrayLike, command: ArrayLike, relative_step: float = 1e-4) -> Array:
+    """Central differences of a `StepMap`; shape (…, n, n + m).
+
+    Args:
+        step_map: The map to differentiate.
+        state: Shape (…, n).
+        command: Shape (…, m).
+        relative_step: Step as a fraction of each coordinate's half range.
+    """
+    state, command = np.asarray(state, float), np.asarray(command, float)
+    n, m = state.shape[-1], command.shape[-1]
+    leading = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
+    point = np.concatenate(
+        [np.broadcast_to(state, (*leading, n)), np.broadcast_to(command, (*leading, m))], axis=-1
+    )
+    step = relative_step * np.concatenate([step_map.space.state_scale, step_map.space.command_scale])
+    offset = np.diag(step)
+    points = np.stack([point[..., None, :] + offset, point[..., None, :] - offset])
+    ahead, behind = step_map.evaluate(points[..., :n], points[..., n:]).next_state
+    return np.swapaxes((ahead - behind) / (2 * step[:, None]), -1, -2)
+
+
+@dataclass(frozen=True, eq=False)
+class StepRecord:
+    """One step that was executed.
+
+    Attributes:
+        state: State at the apex it started from, as measured; shape (n,).
+        command: Command asked for; shape (m,).
+        applied: Command the joints received after every limit; shape (m,). Learning uses this one.
+        next_state: State at the next apex, as measured; NaN if there was none; shape (n,).
+        reason: How it ended.
+    """
+
+    state: Array
+    command: Array
+    applied: Array
+    next_state: Array
+    reason: Reason
