@@ -1,0 +1,43 @@
+"""A plant that is a `StepMap` with noise: fast tests, and experiments without a rig."""
+
+import numpy as np
+
+from stepgap.plants.plant import Plant
+from stepgap.step import Array, Reason, StepMap, StepRecord, StepSpace
+
+
+class ModelPlant(Plant):
+    """Executes steps by evaluating a map and adding noise.
+
+    Args:
+        step_map: What the plant really does.
+        start_state: State at the first apex; shape (n,).
+        noise: Standard deviation of what is added to every next state; shape (n,).
+        rng: Draws the noise.
+    """
+
+    def __init__(self, step_map: StepMap, start_state: Array, noise: Array, rng: np.random.Generator):
+        self._map, self._start, self._noise, self._rng = step_map, np.asarray(start_state, float), noise, rng
+        self._state = self._start
+
+    @property
+    def space(self) -> StepSpace:
+        """That of the map."""
+        return self._map.space
+
+    def start(self) -> Array:
+        """Goes to the start state."""
+        self._state = self._start
+        return self._state
+
+    def take_step(self, command: Array) -> StepRecord:
+        """Evaluates the map at the command, limited to its bounds."""
+        applied = np.clip(command, self.space.command_lower, self.space.command_upper)
+        next_state, code = self._map.evaluate(self._state, applied)
+        next_state = next_state + self._rng.normal(0.0, self._noise)
+        record = StepRecord(self._state, np.asarray(command, float), applied, next_state, Reason(int(code)))
+        self._state = next_state
+        return record
+
+    def stop(self) -> None:
+        """Nothing to be stopped."""

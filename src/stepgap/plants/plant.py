@@ -1,0 +1,40 @@
+"""The seam to whatever executes a step."""
+
+from abc import ABC, abstractmethod
+from typing import Self
+
+from stepgap.step import Array, StepRecord, StepSpace
+
+
+class Plant(ABC):
+    """Executes steps, one deployment at a time.
+
+    `with plant:` brings it to life and in every case stops it; inside, `start` gives the first apex
+    and `take_step` runs from the present apex to the next.
+    """
+
+    @property
+    @abstractmethod
+    def space(self) -> StepSpace:
+        """Names, units and ranges of what it takes and gives."""
+
+    @abstractmethod
+    def start(self) -> Array:
+        """Releases the robot and returns the state at its first apex; shape (n,)."""
+
+    @abstractmethod
+    def take_step(self, command: Array) -> StepRecord:
+        """Executes one step with the command; shape (m,).
+
+        A fall is a record whose reason is not OK, after which the deployment is over.
+        """
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Brings the robot to rest without torque; may be called twice."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.stop()

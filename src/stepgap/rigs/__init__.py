@@ -1,0 +1,1 @@
+"""What moves: sensor counts in, torques out. `Rig` is the seam; the twin and the EtherCAT drives implement it."""

@@ -1,0 +1,161 @@
+"""Every way in which the twin differs from the physics model, in one place."""
+
+from dataclasses import dataclass, fields
+from math import inf, isfinite, isnan, pi
+from typing import Self
+
+POSITIVE = frozenset(
+    {
+        "body_mass_scale",
+        "leg_mass_scale",
+        "leg_inertia_scale",
+        "boom_inertia_scale",
+        "boom_stiffness",
+        "ground_stiffness",
+        "ground_friction",
+        "torque_scale",
+        "torque_limit",
+        "motor_counts",
+        "boom_counts_horizontal",
+        "boom_counts_vertical",
+        "takeoff_length",
+    }
+)
+SIGNED = frozenset({"body_com_offset", "boom_pivot_height", "ground_slope"})
+MAY_BE_INFINITE = frozenset(
+    {
+        "boom_stiffness",
+        "ground_stiffness",
+        "ground_friction",
+        "torque_limit",
+        "motor_counts",
+        "boom_counts_horizontal",
+        "boom_counts_vertical",
+        "takeoff_length",
+    }
+)
+
+
+@dataclass(frozen=True)
+class RealityGap:
+    """Differences of the twin from the physics model, SI units.
+
+    The defaults are a plausible real machine; `RealityGap.none()` is the model itself: planar, rigid
+    and exact. Scales multiply the number in `RobotParameters`, so 1 is no gap.
+
+    Attributes:
+        body_mass_scale: On the body mass M; no gap 1.
+        leg_mass_scale: On the link masses m₁, m₂; no gap 1.
+        leg_inertia_scale: On the link inertias I₁, I₂; no gap 1.
+        body_com_offset: Body's centre of mass ahead of the hip [m]; no gap 0. The body cannot turn
+            against the boom, so this acts only through the boom's turning: not at all in the plane,
+            slightly on the arc.
+        boom_inertia_scale: On the boom inertias I_x, I_z; no gap 1.
+        boom_arc: The hip moves on a sphere about the boom's pivot and the leg tilts with the boom, so
+            that the foot scrubs sideways; no gap False, a plane.
+        boom_pivot_height: Height of the boom's pivot above the mean ground [m]. Known to the
+            controller; in the plane it only converts between height and pitch counts.
+        boom_stiffness: Of the boom's tip against the boom's root, vertically and horizontally [N/m].
+            The encoders sit at the root and do not see the deflection; no gap inf.
+        boom_damping_ratio: Of that deflection with the carried mass; no effect on a rigid boom.
+        ground_stiffness: Load per penetration [N/m]; no gap inf, an inelastic impact.
+        ground_damping_ratio: Of the robot's whole mass on that ground; no effect on rigid ground.
+        ground_friction: Coulomb coefficient; no gap inf, the foot never slips.
+        ground_roughness: Standard deviation of a smooth random height profile around the circle [m];
+            no gap 0.
+        ground_slope: Tilt of the floor under the boom [rad]: height R tan(slope) sin ψ at yaw ψ; no gap 0.
+        joint_friction: Coulomb friction in each of the four leg joints [N·m]; no gap 0.
+        joint_damping: Viscous friction in each of the four leg joints [N·m·s/rad]; no gap 0.
+        rotor_inertia: Of each motor's rotor [kg·m²]; no gap 0. A hollow 92 mm rotor of 0.2–0.3 kg,
+            as of a T-motor U10 Plus, has about 2e-4 to 4e-4.
+        torque_scale: Torque delivered per torque applied; no gap 1.
+        torque_noise: Standard deviation of the torque noise, drawn anew at every tick [N·m]; no gap 0.
+        torque_lag: Time constant of the current loop, a first-order lag [s]; no gap 0.
+        torque_limit: What the drives give at most [N·m], besides the robot's own limit; no gap inf.
+        delay: From writing a torque to its start in the drive [s], rounded to whole physics
+            steps; no gap 0.
+        motor_counts: Counts a turn of the motor encoders; no gap inf, exact.
+        boom_counts_horizontal: Counts a turn of the yaw encoder; no gap inf, exact.
+        boom_counts_vertical: Counts a turn of the pitch encoder; no gap inf, exact.
+        touchdown_force: Contact force that counts as touchdown [N]; changes the layout, not the
+            motion; no gap 0.
+        takeoff_length: Leg length that counts as take-off [m]; changes the layout, not the motion;
+            no gap inf, where only the contact force tells.
+    """
+
+    body_mass_scale: float = 1.03
+    leg_mass_scale: float = 1.05
+    leg_inertia_scale: float = 1.1
+    body_com_offset: float = 0.01
+    boom_inertia_scale: float = 1.04
+    boom_arc: bool = True
+    boom_pivot_height: float = 0.4
+    boom_stiffness: float = 2e4
+    boom_damping_ratio: float = 0.1
+    ground_stiffness: float = 5e4
+    ground_damping_ratio: float = 0.1
+    ground_friction: float = 0.8
+    ground_roughness: float = 3e-4
+    ground_slope: float = 3e-4
+    joint_friction: float = 0.03
+    joint_damping: float = 0.002
+    rotor_inertia: float = 3e-4
+    torque_scale: float = 0.97
+    torque_noise: float = 0.1
+    torque_lag: float = 7e-4
+    torque_limit: float = 38.0
+    delay: float = 5e-4
+    motor_counts: float = 16384
+    boom_counts_horizontal: float = 5000
+    boom_counts_vertical: float = 16384
+    touchdown_force: float = 5.0
+    takeoff_length: float = 0.287
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if field.name != "boom_arc":
+                _check(field.name, getattr(self, field.name))
+        if not abs(self.ground_slope) < pi / 4:
+            raise ValueError(f"ground_slope = {self.ground_slope}, but it must lie within ±π/4 rad")
+
+    @classmethod
+    def none(cls) -> Self:
+        """The twin that is the physics model: planar, rigid, exact."""
+        return cls(
+            body_mass_scale=1,
+            leg_mass_scale=1,
+            leg_inertia_scale=1,
+            body_com_offset=0,
+            boom_inertia_scale=1,
+            boom_arc=False,
+            boom_stiffness=inf,
+            ground_stiffness=inf,
+            ground_friction=inf,
+            ground_roughness=0,
+            ground_slope=0,
+            joint_friction=0,
+            joint_damping=0,
+            rotor_inertia=0,
+            torque_scale=1,
+            torque_noise=0,
+            torque_lag=0,
+            torque_limit=inf,
+            delay=0,
+            motor_counts=inf,
+            boom_counts_horizontal=inf,
+            boom_counts_vertical=inf,
+            touchdown_force=0,
+            takeoff_length=inf,
+        )
+
+
+def _check(name: str, value: float) -> None:
+    """Raises ValueError naming field, value and rule."""
+    if isnan(value):
+        raise ValueError(f"{name} = {value}, but it must be a number")
+    if not isfinite(value) and not (name in MAY_BE_INFINITE and value > 0):
+        raise ValueError(f"{name} = {value}, but it must be finite")
+    if name in POSITIVE and not value > 0:
+        raise ValueError(f"{name} = {value}, but it must be positive")
+    if name not in POSITIVE | SIGNED and value < 0:
+        raise ValueError(f"{name} = {value}, but it must not be negative")
