@@ -96,8 +96,8 @@ class Gains:
         speed_gain: Landing angle per speed error K₁ [rad·s/m]; about half a stance's sweep of the
             leg per speed, so that a hop neither speeds up nor brakes.
         speed_setpoint: Speed at which the leg lands vertically ẋ_des [m/s]. Fixed, or the map would
-            have a fifth input; at zero the command holds every speed of the reference with
-            |fx| < 5 N, so that its largest stairs are within one step's bounds.
+            have a fifth input; with it the command holds the speeds of the reference with fx between
+            −8 and 0 N, and its largest stair down is just within one step's bounds.
         position_gain: Leg angles in flight K_p [N·m/rad], on α₁ and on α₂.
         damping_gain: Leg angle rates in flight K_d [N·m·s/rad].
     """
@@ -106,7 +106,7 @@ class Gains:
     rest_length: float = 0.285
     landing_length: float = 0.26
     speed_gain: float = 0.2
-    speed_setpoint: float = 0.0
+    speed_setpoint: float = 0.1
     position_gain: float = 40.0
     damping_gain: float = 0.8
 
@@ -141,12 +141,14 @@ class CommandBounds:
     fy_lower: float = -20.0
     fy_upper: float = 20.0
 
-    def space(self) -> StepSpace:
-        """State [speed, height] and command [fx, fy] of the hopper (Eq. 10).
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            require(isfinite(getattr(self, field.name)), field.name, getattr(self, field.name), "be finite")
+        require(self.fx_lower < self.fx_upper, "fx_lower", self.fx_lower, f"lie below fx_upper = {self.fx_upper}")
+        require(self.fy_lower < self.fy_upper, "fy_lower", self.fy_lower, f"lie below fy_upper = {self.fy_upper}")
 
-        Raises:
-            ValueError: A bound is not finite, or a pair is reversed.
-        """
+    def space(self) -> StepSpace:
+        """State [speed, height] and command [fx, fy] of the hopper (Eq. 10)."""
         return StepSpace(
             state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64)),
             command=(

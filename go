@@ -1,0 +1,138 @@
+#!/bin/sh
+# ./go COMMAND…   runs COMMAND in the environment that requirements.lock describes.
+#
+# The environment is .venv. It is made on the first run and brought up to date whenever requirements.lock
+# or pyproject.toml changed. .venv/made-from holds copies of what it was made from and is put there last:
+# without it a set-up was interrupted, and the next run starts afresh.
+set -eu
+
+root=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
+venv=$root/.venv
+pythons='python3.13 python3.12 python3.11 python3'
+
+say() {
+    for line in "$@"; do
+        printf 'go: %s\n' "$line" >&2
+    done
+}
+
+fail() {
+    say "$@"
+    exit 1
+}
+
+is_made_here() { # a finished environment, in the place where it was made, whose Python is still there
+    [ -x "$venv/bin/python" ] && [ -f "$venv/made-from/root" ] && [ "$(cat "$venv/made-from/root")" = "$root" ]
+}
+
+is_up_to_date() {
+    is_made_here || return
+    for file in requirements.lock pyproject.toml; do
+        [ "$(cat "$root/$file")" = "$(cat "$venv/made-from/$file")" ] || return
+    done
+}
+
+find_python() { # sets python to the first that is new enough and can make an environment
+    lacking=
+    for name in $pythons; do
+        python=$("$name" -I -c 'import sys; sys.version_info >= (3, 11) and print(sys.executable)' 2>/dev/null) || continue
+        [ -n "$python" ] || continue
+        if command -v uv >/dev/null || "$python" -I -c 'import venv, ensurepip' 2>/dev/null; then
+            return
+        fi
+        lacking=${lacking:-$name}
+    done
+    [ -z "$lacking" ] ||
+        fail "$lacking cannot make virtual environments: its modules venv and ensurepip are missing." \
+            "Debian, Ubuntu: apt install $lacking-venv. Elsewhere: install uv."
+    fail "Python 3.11 or newer is needed, and none of these is one: $pythons." \
+        "Debian, Ubuntu: apt install python3 python3-venv (Ubuntu 22.04: python3.11 python3.11-venv)." \
+        "Fedora: dnf install python3. macOS: brew install python."
+}
+
+under_lock() { # runs `go --set-up` while holding a lock on .venv.lock, which the kernel frees whatever happens
+    "$python" -I -c '
+import fcntl, os, sys
+root, python = sys.argv[1:]
+lock = os.open(root + "/.venv.lock", os.O_RDWR | os.O_CREAT)
+try:
+    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+except BlockingIOError:
+    print("go: waiting for the set-up that another ./go has begun", file=sys.stderr, flush=True)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+except OSError:
+    pass  # a file system without locks
+os.set_inheritable(lock, True)
+os.execl("/bin/sh", "sh", root + "/go", "--set-up", python)
+' "$root" "$python"
+}
+
+fetch_uv() { # with pip, in the version and with the hashes of the lock
+    sed -n '/^uv==/,/[^\\]$/p' made-from.new/requirements.lock >made-from.new/uv.txt
+    bin/python -m pip install -qq --retries 2 --disable-pip-version-check --no-deps --only-binary :all: --require-hashes \
+        --requirement made-from.new/uv.txt || fail_to_download
+}
+
+use_pip_mirror() { # uv does not read pip's settings
+    if [ -z "${UV_DEFAULT_INDEX:-}${UV_INDEX_URL:-}${UV_INDEX:-}" ]; then
+        mirror=${PIP_INDEX_URL:-$("$python" -m pip config get global.index-url 2>/dev/null || true)}
+        [ -z "$mirror" ] || export UV_DEFAULT_INDEX="$mirror"
+    fi
+}
+
+fail_to_download() {
+    fail "the packages could not be installed; the reason stands above. Set-up needs the network: is there one?" \
+        "Behind a proxy set HTTPS_PROXY, for a package mirror PIP_INDEX_URL. Then run it again."
+}
+
+set_up() { # python is the interpreter to make it with
+    if is_up_to_date; then
+        return # another run was faster
+    fi
+    if is_made_here; then
+        say "bringing .venv up to date with requirements.lock and pyproject.toml"
+        rm -rf "$venv/made-from.new"
+        mv "$venv/made-from" "$venv/made-from.new"
+    else
+        say "making .venv from requirements.lock with $python (once, up to a minute or two)"
+        rm -rf "$venv.old"
+        [ ! -e "$venv" ] || mv "$venv" "$venv.old"
+        rm -rf "$venv.old"
+        if command -v uv >/dev/null; then
+            uv venv --quiet --no-project --python "$python" "$venv" || fail "uv could not make .venv."
+        else
+            "$python" -m venv "$venv" || fail "$python could not make .venv. Debian, Ubuntu: apt install python3-venv"
+        fi
+        mkdir "$venv/made-from.new"
+    fi
+    cd "$venv"
+    cp "$root/requirements.lock" "$root/pyproject.toml" made-from.new
+    printf '%s\n' "$root" >made-from.new/root
+    uv=$(command -v uv || echo bin/uv)
+    [ -x "$uv" ] || fetch_uv
+    use_pip_mirror
+    "$uv" pip sync --quiet --python bin/python --require-hashes --no-build made-from.new/requirements.lock || fail_to_download
+    "$uv" pip install --quiet --python bin/python --offline --no-deps --no-build-isolation --editable "$root" ||
+        fail "the project itself could not be installed; the reason stands above."
+    mv made-from.new made-from
+}
+
+case ${1-} in
+'')
+    say "usage: ./go COMMAND…   for example: ./go pytest" "runs COMMAND in .venv, which it keeps as requirements.lock says"
+    exit 2
+    ;;
+--set-up)
+    python=$2
+    set_up
+    exit
+    ;;
+esac
+
+if ! is_up_to_date; then
+    find_python
+    under_lock
+fi
+unset PYTHONHOME
+export VIRTUAL_ENV="$venv" PATH="$venv/bin:$PATH"
+exec "$@"

@@ -1,0 +1,157 @@
+"""Which states repeat themselves, whether they are stable, and what one step can reach (Sec. 4.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepgap.control.step_controller import REACHED, StepController, as_vector, box_grid, solve
+from stepgap.step import Array, Codes, Reason, StepMap
+
+STATE_BOUND = 10.0
+"""How far from the middle of the range of use a free fixed point is sought, in half ranges."""
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPoint:
+    """A state, a command and what becomes of them: a limit cycle if the state is held.
+
+    Attributes:
+        state: X₀; shape (n,).
+        command: U₀; shape (m,).
+        next_state: map(X₀, U₀), equal to X₀ if held, else the closest to it; shape (n,).
+        held: Whether the state repeats itself.
+        distance: From `state` to `next_state` in half ranges, Euclidean.
+        multipliers: Eigenvalues of ∂next/∂state at the fixed command, the largest first; NaN where a failing step
+            nearby leaves no Jacobian. They are Floquet multipliers if the state is held. Shape (n,), complex.
+    """
+
+    state: Array
+    command: Array
+    next_state: Array
+    held: bool
+    distance: float
+    multipliers: NDArray[np.complex128]
+
+    @property
+    def stable(self) -> bool:
+        """Whether the state is held and small errors of it die out while the command stays the same."""
+        return self.held and bool((np.abs(self.multipliers) < 1).all())
+
+
+@dataclass(frozen=True, eq=False)
+class ReachableSet:
+    """What one step from one state can reach, on a grid over the command bounds.
+
+    Attributes:
+        commands: Shape (s, …, s, m), one axis for each command.
+        next_states: NaN where the step fails; shape (s, …, s, n).
+        reasons: `Reason` values; shape (s, …, s).
+    """
+
+    commands: Array
+    next_states: Array
+    reasons: Codes
+
+    @property
+    def boundary(self) -> Array:
+        """Next states along the border of the command bounds, counter-clockwise in the commands and not closed.
+
+        They enclose the reachable set where the map folds nowhere and no step fails; failing steps are NaN, which
+        interrupts a plotted line. Shape (4 (s - 1), n).
+
+        Raises:
+            ValueError: There are not two commands, so the border is no polygon.
+        """
+        return _border(self.next_states, self.reasons.ndim)
+
+    @property
+    def boundary_commands(self) -> Array:
+        """Commands of `boundary`; shape (4 (s - 1), 2)."""
+        return _border(self.commands, self.reasons.ndim)
+
+
+def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = None) -> FixedPoint:
+    """The command that holds a state, X₀ = map(X₀, U₀), or brings it back closest to itself.
+
+    Args:
+        step_map: The map.
+        target: The state X₀ to hold; shape (n,).
+        guess: Command to start from; shape (m,).
+
+    Raises:
+        StepFailed: From this state no command that was searched makes a step.
+    """
+    state = as_vector("target", target, len(step_map.space.state))
+    plan = StepController(step_map)(state, state, guess)
+    return FixedPoint(
+        state, plan.command, plan.predicted, plan.reached, plan.distance, multipliers(step_map, state, plan.command)
+    )
+
+
+def free_fixed_point(step_map: StepMap, command: ArrayLike, guess: ArrayLike | None = None) -> FixedPoint:
+    """The state that a constant command holds, X₀ = map(X₀, U₀); if none is found, the one that drifts least.
+
+    The state is sought in and well around its range of use, within `STATE_BOUND`.
+
+    Args:
+        step_map: The map.
+        command: The command U₀; shape (m,).
+        guess: State to start from; the middle of the range of use if none. Shape (n,).
+
+    Raises:
+        StepFailed: With this command no state that was searched makes a step.
+    """
+    space = step_map.space
+    n, scale = len(space.state), space.state_scale
+    command = as_vector("command", command, len(space.command))
+    centre = np.array([(quantity.lower + quantity.upper) / 2 for quantity in space.state])
+    start = np.zeros(n) if guess is None else (as_vector("guess", guess, n) - centre) / scale
+
+    def drift(point: Array) -> Array:
+        state = centre + scale * point
+        return (step_map.evaluate(state, command).next_state - state) / scale
+
+    def slope(point: Array) -> Array:
+        matrix = step_map.jacobian(centre + scale * point, command)[:, :n]
+        return matrix * scale / scale[:, None] - np.eye(n)
+
+    state = centre + scale * solve(drift, slope, start, bound=STATE_BOUND).point
+    next_state = step_map(state, command)
+    distance = float(np.linalg.norm((next_state - state) / scale))
+    return FixedPoint(state, command, next_state, distance <= REACHED, distance, multipliers(step_map, state, command))
+
+
+def multipliers(step_map: StepMap, state: ArrayLike, command: ArrayLike) -> NDArray[np.complex128]:
+    """Eigenvalues of ∂next/∂state at a fixed command, the largest first; shape (n,), NaN where there is no Jacobian."""
+    n = len(step_map.space.state)
+    matrix = step_map.jacobian(state, command)[:, :n]
+    if not np.isfinite(matrix).all():
+        return np.full(n, complex(np.nan, np.nan))
+    values = np.linalg.eigvals(matrix).astype(complex)
+    return values[np.argsort(-np.abs(values), kind="stable")]
+
+
+def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> ReachableSet:
+    """All next states from one state, over an even grid of the command bounds.
+
+    Args:
+        step_map: The map.
+        state: Shape (n,).
+        samples: Grid points for each command, at least 2.
+    """
+    if samples < 2:
+        raise ValueError(f"samples = {samples}, but it must be at least 2: both ends of each command")
+    space = step_map.space
+    state = as_vector("state", state, len(space.state))
+    points = space.command_centre + space.command_scale * box_grid(samples, len(space.command))
+    commands = np.clip(points, space.command_lower, space.command_upper)
+    next_states, reasons = step_map.evaluate(state, commands)
+    return ReachableSet(commands, np.where((reasons == Reason.OK)[..., None], next_states, np.nan), reasons)
+
+
+def _border(grid: Array, dimension: int) -> Array:
+    """Border of a grid (s, s, …) as one counter-clockwise walk (4 (s - 1), …)."""
+    if dimension != 2:
+        raise ValueError(f"the border is a polygon for two commands, not for {dimension}")
+    return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])

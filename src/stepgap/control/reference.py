@@ -1,0 +1,178 @@
+"""The desired state, step by step: what the robot is asked to do (Fig. 4)."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepgap.step import Array, Quantity, StepSpace
+
+Indices = NDArray[np.intp]
+"""Row numbers of `Reference.targets`, from 0."""
+
+SETTLING_STEPS = 4
+"""Steps after a change of the target that count as transient."""
+
+PAPER_STEPS = 227
+PAPER_START = (0.0, 0.55)
+PAPER_STAIR = (0.17, 0.2255, 0.281, 0.3365, 0.392)
+PAPER_FLOORS = (
+    (0.58, (20, 31, 43, 55, 67)),
+    (0.5963, (79, 91, 103, 115, 127)),
+    (0.6126, (139, 151, 163, 175, 187)),
+    (0.629, (199, 211, 223)),
+)
+"""Height of each floor [m] and the steps, counted from 1, at which its speeds of `PAPER_STAIR` [m/s] begin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """One target for every step of a deployment.
+
+    Attributes:
+        names: Names of the state coordinates; n of them.
+        targets: State wanted at the end of each step, read-only; shape (steps, n), SI units.
+    """
+
+    names: tuple[str, ...]
+    targets: Array
+
+    def __post_init__(self) -> None:
+        targets = np.array(self.targets, float)
+        if targets.ndim != 2 or targets.shape[0] == 0 or targets.shape[1] != len(self.names):
+            raise ValueError(f"targets have shape {targets.shape}; it must be (steps, {len(self.names)}), steps ≥ 1")
+        if not np.isfinite(targets).all():
+            row, column = np.argwhere(~np.isfinite(targets))[0]
+            raise ValueError(f"target of {self.names[column]} at step {row + 1} must be a finite number")
+        targets.flags.writeable = False
+        object.__setattr__(self, "targets", targets)
+
+    @classmethod
+    def from_segments(cls, names: Sequence[str], segments: Sequence[tuple[int, Sequence[float]]], steps: int) -> Self:
+        """A reference that is constant from segment to segment.
+
+        Args:
+            names: Names of the state coordinates; n of them.
+            segments: Step at which each segment starts, counted from 1, and its state, n numbers.
+            steps: How many steps in all.
+
+        Raises:
+            ValueError: The starts do not begin at step 1, do not increase, or lie beyond the last step.
+        """
+        starts = [start for start, _ in segments]
+        if not starts or starts[0] != 1:
+            raise ValueError(f"segments start at steps {starts}; the first must start at step 1")
+        lengths = np.diff([*starts, steps + 1])
+        if (lengths < 1).any():
+            raise ValueError(f"segments start at steps {starts}; they must increase and not exceed {steps} steps")
+        states = np.array([state for _, state in segments], float)
+        return cls(tuple(names), np.repeat(states, lengths, axis=0))
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def check(self, space: StepSpace) -> None:
+        """Raises ValueError unless the reference speaks of the state of `space`."""
+        if self.names != space.state_names:
+            raise ValueError(f"the reference is for {','.join(self.names)}, the map for {','.join(space.state_names)}")
+
+    @property
+    def changes(self) -> Indices:
+        """Steps whose target differs from that of the step before."""
+        return np.flatnonzero((np.diff(self.targets, axis=0) != 0).any(axis=1)) + 1
+
+    @property
+    def transient(self) -> Indices:
+        """The first `SETTLING_STEPS` steps from each change on, the changed step being the first."""
+        age = self._age()
+        return np.flatnonzero((age >= 0) & (age < SETTLING_STEPS))
+
+    @property
+    def steady(self) -> Indices:
+        """Steps at least `SETTLING_STEPS` after the latest change.
+
+        Those before the first change are left out with the start of the deployment, so a reference that never
+        changes has none.
+        """
+        return np.flatnonzero(self._age() >= SETTLING_STEPS)
+
+    def _age(self) -> Indices:
+        """Steps since the latest change, 0 at the change itself and -1 before the first; shape (steps,)."""
+        steps, changes = np.arange(len(self)), self.changes
+        count = np.searchsorted(changes, steps, side="right")
+        return np.where(count > 0, steps - np.append(0, changes)[count], -1)
+
+
+def paper_reference() -> Reference:
+    """The 227 targets of the paper's experiment (Fig. 4): four floors of apex height, on each a stair of speeds."""
+    segments = [(1, PAPER_START)]
+    for height, starts in PAPER_FLOORS:
+        segments += [(start, (speed, height)) for start, speed in zip(starts, PAPER_STAIR, strict=False)]
+    return Reference.from_segments(("speed", "height"), segments, PAPER_STEPS)
+
+
+def read_reference(path: str | Path, space: StepSpace) -> Reference:
+    """Reads a CSV file in the form that `parse_reference` takes.
+
+    Raises:
+        ValueError: The content is not a reference for `space`; the message names file, line and column.
+        OSError: The file cannot be read.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: this is not text; a reference is a CSV file in UTF-8") from error
+    return parse_reference(text, space, str(path))
+
+
+def parse_reference(text: str, space: StepSpace, source: str = "reference") -> Reference:
+    """A reference from CSV text: a header of state names in any order, then one row per step, SI units.
+
+    Args:
+        text: The content.
+        space: Whose state coordinates the columns are.
+        source: What to call the text in messages, usually its file name.
+
+    Raises:
+        ValueError: Naming the source, line and column, and what would be right.
+    """
+    names = space.state_names
+    rows = csv.reader(StringIO(text))
+    header = [cell.strip() for cell in next(rows, [])]
+    if sorted(header) != sorted(names):
+        raise ValueError(
+            f"{source}, line 1: the header is {','.join(header)!r}; it must be {','.join(names)!r}, separated by commas"
+        )
+    quantities = [space.state[names.index(name)] for name in header]
+    targets = []
+    for row in rows:
+        if not any(cell.strip() for cell in row):
+            continue
+        place = f"{source}, line {rows.line_num}"
+        if len(row) != len(header):
+            wanted = f"{len(header)}, one for each of {','.join(header)}"
+            raise ValueError(f"{place}: {len(row)} values; it must have {wanted}")
+        targets.append([_number(cell, quantity, place) for cell, quantity in zip(row, quantities, strict=True)])
+    if not targets:
+        raise ValueError(f"{source}, line 2: there is no step; it must have at least one row below the header")
+    return Reference(names, np.array(targets)[:, [header.index(name) for name in names]])
+
+
+def _number(cell: str, quantity: Quantity, place: str) -> float:
+    """The finite number in a cell."""
+    try:
+        value = float(cell)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        example = (quantity.lower + quantity.upper) / 2
+        raise ValueError(
+            f"{place}, column {quantity.name!r}: {cell.strip()!r}; "
+            f"it must be a finite number in {quantity.unit}, for example {example:g}"
+        )
+    return value

@@ -1,0 +1,57 @@
+"""The nominal map plus what was learnt of its error: a `StepMap` again."""
+
+from dataclasses import dataclass
+from typing import final
+
+from numpy.typing import ArrayLike
+
+from stepgap.learning.residual import Residual, join_points
+from stepgap.step import Array, Outcome, StepMap, StepSpace
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CorrectedMap(StepMap):
+    """Nominal map plus residual (Eq. 13).
+
+    A step that fails on the nominal map fails here, for the same reason.
+
+    Attributes:
+        nominal: The map of the physics model. Not a corrected one: a residual is fitted to
+            actual − nominal on all steps, so corrections never stack.
+        residual: Model of actual − nominal, of the same sizes.
+    """
+
+    nominal: StepMap
+    residual: Residual
+
+    def __post_init__(self) -> None:
+        if isinstance(self.nominal, CorrectedMap):
+            raise ValueError("corrections do not stack; fit one residual to actual − nominal on all steps")
+        sizes = (len(self.space.state), len(self.space.command))
+        if self.residual.sizes != sizes:
+            raise ValueError(f"the residual has (state, command) sizes {self.residual.sizes}, the nominal map {sizes}")
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges of the nominal map."""
+        return self.nominal.space
+
+    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
+        """Next states and reason codes; never raises for a step that fails."""
+        next_state, reason = self.nominal.evaluate(state, command)
+        return Outcome(next_state + self.residual.mean(join_points(state, command)), reason)
+
+    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
+        return self.nominal.jacobian(state, command) + self.residual.mean_gradient(join_points(state, command))
+
+    def std(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:
+        """Standard deviation of the next state, which is the residual's; shape (…, n) [units of the state].
+
+        Args:
+            state: Shape (…, n).
+            command: Shape (…, m).
+            include_noise: False: of the map. True: of one measured step.
+        """
+        return self.residual.std(join_points(state, command), include_noise=include_noise)

@@ -1,0 +1,421 @@
+"""Gaussian process of one output: constant basis, radial Matérn-5/2 kernel, independent noise.
+
+The model of the paper's `fitrgp` call (Sec. 6): value = β + f(point) + noise, where f has covariance
+signal_std² k(r), k(r) = (1 + √5 r + 5r²/3) exp(−√5 r), and r is the distance of two points measured in
+`input_scale · length_scale`, one length scale per input. Equations marked RW are those of Rasmussen
+and Williams, Gaussian Processes for Machine Learning (2006).
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import get_lapack_funcs
+from scipy.optimize import minimize
+from scipy.spatial.distance import cdist, pdist, squareform
+
+from stepgap.step import Array
+
+COLD_STARTS = ((3.0, 0.5), (1.0, 0.1), (10.0, 0.1), (0.5, 1.0))
+"""Where a search begins: length scale of every input, noise over signal."""
+
+COLD_START_SIZE = 200
+"""Most points on which the cold starts compete; with more, only the winner goes on to all points."""
+
+LENGTH_SCALE_BOUNDS = (1e-2, 1e3)
+"""Search range in input scales; for `fit_like_fitrgp` in units of its initial value."""
+
+NOISE_RATIO_BOUNDS = (1e-4, 1e2)
+"""Search range of noise over signal; its lower end keeps duplicated points well conditioned."""
+
+KERNEL_BLOCK = 2**16
+"""Kernel values computed at a time, so that a large batch of queries stays in the cache."""
+
+_potrf, _potri, _trtrs = get_lapack_funcs(("potrf", "potri", "trtrs"), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class HyperParameters:
+    """What a fit chooses.
+
+    Attributes:
+        length_scale: Distance over which f changes, in input scales; shape (d,).
+        signal_std: Standard deviation of f around the constant basis [unit of the values].
+        noise_std: Standard deviation of the noise of one value [unit of the values].
+    """
+
+    length_scale: Array
+    signal_std: float
+    noise_std: float
+
+    def __post_init__(self) -> None:
+        _require(_positive(self.length_scale), "length_scale", "positive and finite")
+        _require(_positive(self.signal_std), "signal_std", "positive and finite")
+        _require(self.noise_std == 0 or _positive(self.noise_std), "noise_std", "non-negative and finite")
+
+
+class LeastSquares(NamedTuple):
+    """The constant basis fitted by generalised least squares, in units of the signal.
+
+    Attributes:
+        factor: Lower Cholesky factor of C = covariance of the values / signal_std², Fortran-contiguous; shape (N, N).
+        basis: factor⁻¹ 1; shape (N,).
+        coefficient: β = 1ᵀC⁻¹ values / 1ᵀC⁻¹1 [unit of the values].
+        weights: C⁻¹ (values − β); shape (N,).
+        misfit: (values − β)ᵀ C⁻¹ (values − β).
+    """
+
+    factor: Array
+    basis: Array
+    coefficient: float
+    weights: Array
+    misfit: float
+
+    def log_likelihood(self, signal: float) -> float:
+        """Logarithm of p(values), for a standard deviation of the signal, at this β (RW Eq. 2.30)."""
+        half_log_determinant = np.log(self.factor.diagonal()).sum() + len(self.weights) * math.log(signal)
+        constant = 0.5 * len(self.weights) * math.log(2 * math.pi)
+        return float(-0.5 * self.misfit / signal**2 - half_log_determinant - constant)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class GaussianProcess:
+    """A Gaussian process conditioned on data; made by `condition` or by one of the fits.
+
+    Queries have shape (…, d) and the units of `points`; one that is not finite gives NaN.
+
+    Attributes:
+        points: Inputs; shape (N, d).
+        values: Outputs; shape (N,).
+        input_scale: Fixed size of each input, in which its length scale is measured; shape (d,).
+        hyper_parameters: Length scales, signal and noise.
+        least_squares: The constant basis and the weights of the data at these hyper-parameters.
+    """
+
+    points: Array
+    values: Array
+    input_scale: Array
+    hyper_parameters: HyperParameters
+    least_squares: LeastSquares
+
+    @property
+    def coefficient(self) -> float:
+        """β, the mean far from all data [unit of the values]."""
+        return self.least_squares.coefficient
+
+    @property
+    def log_likelihood(self) -> float:
+        """Logarithm of p(values) at these hyper-parameters and this β (RW Eq. 2.30)."""
+        return self.least_squares.log_likelihood(self.hyper_parameters.signal_std)
+
+    def mean(self, point: ArrayLike) -> Array:
+        """Expected value; shape (…) [unit of the values] (RW Eq. 2.38)."""
+        weights = self.least_squares.weights
+        return self._blockwise(lambda query: self.coefficient + _kernel(self._distance(query)) @ weights, point)
+
+    def mean_gradient(self, point: ArrayLike) -> Array:
+        """∂mean/∂point; shape (…, d) [unit of the values per unit of each input]."""
+
+        def gradient(query: Array) -> Array:
+            pull = _kernel_descent(self._distance(query)) * self.least_squares.weights
+            return (pull @ self._data - pull.sum(axis=1, keepdims=True) * query) / self._reach
+
+        return self._blockwise(gradient, point)
+
+    def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+        """Plug-in standard deviation, which takes β for exact (RW Eq. 2.26); shape (…) [unit of the values].
+
+        Args:
+            point: Shape (…, d).
+            include_noise: False: of β + f. True: of a new noisy value, as MATLAB's `predict` gives it.
+        """
+        return self._std(lambda whitened: 1 - (whitened**2).sum(axis=0), point, include_noise)
+
+    def kriging_std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+        """Universal-kriging standard deviation: as `std`, with β only estimated (RW Eq. 2.42); shape (…).
+
+        Args:
+            point: Shape (…, d).
+            include_noise: False: of β + f. True: of a new noisy value.
+        """
+        basis = self.least_squares.basis
+
+        def variance(whitened: Array) -> Array:
+            return 1 - (whitened**2).sum(axis=0) + (1 - basis @ whitened) ** 2 / (basis @ basis)
+
+        return self._std(variance, point, include_noise)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Data and hyper-parameters as JSON-ready numbers; everything else follows from them."""
+        return {
+            "input_scale": self.input_scale.tolist(),
+            "points": self.points.tolist(),
+            "values": self.values.tolist(),
+            "length_scale": self.hyper_parameters.length_scale.tolist(),
+            "signal_std": self.hyper_parameters.signal_std,
+            "noise_std": self.hyper_parameters.noise_std,
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> "GaussianProcess":
+        """The process that `to_dict` saved.
+
+        Raises:
+            ValueError: A key is missing, or holds anything but finite numbers of the right size and sign.
+        """
+        hyper_parameters = HyperParameters(
+            length_scale=_numbers(data, "length_scale", "a list of numbers", 1),
+            signal_std=float(_numbers(data, "signal_std", "a number", 0)),
+            noise_std=float(_numbers(data, "noise_std", "a number", 0)),
+        )
+        points = _numbers(data, "points", "a list of equally long lists of numbers", 2)
+        values = _numbers(data, "values", "a list of numbers", 1)
+        input_scale = _numbers(data, "input_scale", "a list of numbers", 1)
+        return condition(points, values, input_scale, hyper_parameters)
+
+    @cached_property
+    def _reach(self) -> Array:
+        """Length scales in the units of the points; shape (d,)."""
+        return self.input_scale * self.hyper_parameters.length_scale
+
+    @cached_property
+    def _data(self) -> Array:
+        """Points in length scales; shape (N, d)."""
+        return self.points / self._reach
+
+    def _distance(self, query: Array) -> Array:
+        """√5 r between queries in length scales (Q, d) and the data; shape (Q, N)."""
+        return np.sqrt(5 * cdist(query, self._data, "sqeuclidean"))
+
+    def _std(self, variance: Callable[[Array], Array], point: ArrayLike, include_noise: bool) -> Array:
+        """Standard deviation, given the variance (Q,) that belongs to factor⁻¹ k (N, Q)."""
+
+        def latent(query: Array) -> Array:
+            whitened, _ = _trtrs(self.least_squares.factor, _kernel(self._distance(query)).T, lower=1)
+            return variance(whitened)
+
+        # Rounding can leave a variance slightly below zero at a point that was observed.
+        std = self.hyper_parameters.signal_std * np.sqrt(np.maximum(self._blockwise(latent, point), 0))
+        return np.hypot(std, self.hyper_parameters.noise_std) if include_noise else std
+
+    def _blockwise(self, evaluate: Callable[[Array], Array], point: ArrayLike) -> Array:
+        """Apply `evaluate` to blocks (Q, d) of queries in length scales; shape (…) or (…, d)."""
+        point = np.asarray(point, float)
+        query = np.where(np.isfinite(point), point, np.nan).reshape(-1, len(self._reach)) / self._reach
+        rows = max(1, KERNEL_BLOCK // len(self.values))
+        blocks = [evaluate(query[start : start + rows]) for start in range(0, max(1, len(query)), rows)]
+        result = np.concatenate(blocks) if len(blocks) > 1 else blocks[0]
+        return result.reshape(point.shape[:-1] + result.shape[1:])
+
+
+def condition(
+    points: ArrayLike, values: ArrayLike, input_scale: ArrayLike, hyper_parameters: HyperParameters
+) -> GaussianProcess:
+    """Gaussian process given the data, at fixed hyper-parameters.
+
+    Args:
+        points: Shape (N, d), N ≥ 1.
+        values: Shape (N,).
+        input_scale: Fixed size of each input, not taken from the data; shape (d,).
+        hyper_parameters: Where `noise_std` is too small for the points to be told apart in double
+            precision, the least variance that suffices is added to the noise.
+    """
+    points, values, input_scale = _checked(points, values, input_scale)
+    length_scale, signal = hyper_parameters.length_scale, hyper_parameters.signal_std
+    _require(
+        length_scale.shape == input_scale.shape, "length_scale", f"as many numbers as input_scale ({points.shape[1]})"
+    )
+    distance = np.sqrt(5 * pdist(points / (input_scale * length_scale), "sqeuclidean"))
+    least_squares = _least_squares(distance, hyper_parameters.noise_std / signal, values)
+    return GaussianProcess(points, values, input_scale, hyper_parameters, least_squares)
+
+
+def fit_gaussian_process(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> GaussianProcess:
+    """Most probable hyper-parameters under weak priors, one length scale per input.
+
+    A priori log(length scale) ~ N(log 3, 1) for each input and log(noise/signal) ~ N(log 0.5, 1), while
+    log(signal) and β are flat. Without these priors a fit to fewer than 50 points often takes noise for
+    signal. The search is deterministic: the same data give the same process. Where the values do not
+    vary (N = 1, say) nothing tells their spread: the standard deviations are then tiny but positive.
+
+    Args:
+        points: Shape (N, d), N ≥ 1.
+        values: Shape (N,).
+        input_scale: Fixed size of each input, not taken from the data; shape (d,).
+    """
+    points, values, input_scale = _checked(points, values, input_scale)
+    least_noise = _least_noise(values)
+    starts = [np.log([*[length_scale] * points.shape[1], ratio]) for length_scale, ratio in COLD_STARTS]
+    if len(values) > COLD_START_SIZE:
+        some = np.linspace(0, len(values) - 1, COLD_START_SIZE).astype(int)
+        differences = squared_differences(points[some] / input_scale)
+        starts = [_search(Evidence(differences, values[some], least_noise, with_prior=True), starts)]
+    evidence = Evidence(squared_differences(points / input_scale), values, least_noise, with_prior=True)
+    log_parameters = _search(evidence, starts)
+    hyper_parameters = HyperParameters(np.exp(log_parameters[:-1]), *evidence.signal_and_noise(log_parameters))
+    return condition(points, values, input_scale, hyper_parameters)
+
+
+def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
+    """Hyper-parameters as MATLAB's `fitrgp(…, 'constant', 'matern52')` chooses them, for comparison.
+
+    Maximum likelihood, one length scale for all inputs in their raw units, a single start from
+    fitrgp's initial values (the mean standard deviation of the inputs; noise equal to signal) and its
+    bound noise_std ≥ 0.01 · std(values). Its standard deviation is the plug-in one, `std`.
+
+    Args:
+        points: Shape (N, d), N ≥ 1.
+        values: Shape (N,).
+    """
+    points, values, raw_units = _checked(points, values, np.ones(np.shape(points)[-1:]))
+    spread, values_spread = (points.std(axis=0, ddof=1).mean(), values.std(ddof=1)) if len(values) > 1 else (0.0, 0.0)
+    initial = spread if spread > 0 else 1.0
+    differences = squared_differences(points / initial).sum(axis=0, keepdims=True)
+    least_noise = max(_least_noise(values), 0.01 * values_spread)
+    evidence = Evidence(differences, values, least_noise, with_prior=False)
+    log_parameters = _search(evidence, [np.zeros(2)])
+    length_scale = np.full(points.shape[1], initial * np.exp(log_parameters[0]))
+    hyper_parameters = HyperParameters(length_scale, *evidence.signal_and_noise(log_parameters))
+    return condition(points, values, raw_units, hyper_parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the data say of log parameters: log length scales and log(noise/signal).
+
+    The signal is not among them: for given parameters the most likely one has a closed form.
+
+    Attributes:
+        differences: Squared differences of every pair of points, input by input; shape (p, N(N−1)/2).
+            A single row, summed over the inputs, gives one common length scale.
+        values: Shape (N,).
+        least_noise: Lower bound of the noise's standard deviation.
+        with_prior: Whether the log prior is added to the log likelihood.
+    """
+
+    differences: Array
+    values: Array
+    least_noise: float
+    with_prior: bool
+
+    def loss(self, log_parameters: Array) -> tuple[float, Array]:
+        """Negative log posterior and its gradient (p + 1,) (RW Eqs. 5.8, 5.9)."""
+        distance, solved, signal = self._solve(log_parameters)
+        weights, scaled_weights = solved.weights, solved.weights / signal**2
+        inverse, _ = _potri(solved.factor, lower=1)
+        # potri fills the lower triangle in Fortran order: the upper one in C order, which squareform reads.
+        excess = squareform(np.outer(weights, scaled_weights) - inverse.T, checks=False)
+        by_length_scale = self.differences @ (excess * _kernel_descent(distance))
+        by_ratio = np.exp(2 * log_parameters[-1]) * (weights @ scaled_weights - np.trace(inverse))
+        # Zero except where the least noise binds, and the signal follows the ratio.
+        by_ratio += len(weights) - solved.misfit / signal**2
+        log_posterior = solved.log_likelihood(signal)
+        gradient = np.append(np.exp(-2 * log_parameters[:-1]) * by_length_scale, by_ratio)
+        if self.with_prior:
+            deviation = log_parameters - np.log([*[3.0] * len(self.differences), 0.5])
+            log_posterior -= 0.5 * float(deviation @ deviation)
+            gradient -= deviation
+        return -log_posterior, -gradient
+
+    def signal_and_noise(self, log_parameters: Array) -> tuple[float, float]:
+        """Most likely signal_std, and the noise_std that belongs to it."""
+        _, _, signal = self._solve(log_parameters)
+        return signal, signal * math.exp(log_parameters[-1])
+
+    def _solve(self, log_parameters: Array) -> tuple[Array, LeastSquares, float]:
+        """√5 r of every pair of points, the least squares with it, and the most likely signal_std."""
+        ratio = math.exp(log_parameters[-1])
+        distance = np.sqrt(5 * (np.exp(-2 * log_parameters[:-1]) @ self.differences))
+        solved = _least_squares(distance, ratio, self.values)
+        return distance, solved, max(math.sqrt(solved.misfit / len(self.values)), self.least_noise / ratio)
+
+
+def _search(evidence: Evidence, starts: Sequence[Array]) -> Array:
+    """Log parameters of the least loss that is reached from `starts`; shape (p + 1,)."""
+    bounds = np.log([*[LENGTH_SCALE_BOUNDS] * len(evidence.differences), NOISE_RATIO_BOUNDS])
+    # The loss counts nats: 1e-8 of some hundreds or thousands is far less than matters.
+    options = {"maxiter": 200, "ftol": 1e-8, "gtol": 1e-3}
+    ends = [
+        minimize(evidence.loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options) for start in starts
+    ]
+    return min(ends, key=lambda end: end.fun).x
+
+
+def _least_squares(distance: Array, ratio: float, values: Array) -> LeastSquares:
+    """Fit the basis, given √5 r of every pair of points (N(N−1)/2,) and noise over signal."""
+    factor = _factorise(_kernel(distance), ratio**2, len(values))
+    whitened, _ = _trtrs(factor, np.stack([np.ones(len(values)), values]).T, lower=1)
+    basis, whitened_values = whitened.T
+    coefficient = float(basis @ whitened_values / (basis @ basis))
+    innovation = whitened_values - coefficient * basis
+    weights, _ = _trtrs(factor, innovation, lower=1, trans=1)
+    return LeastSquares(factor, basis, coefficient, weights, float(innovation @ innovation))
+
+
+def _factorise(correlation: Array, noise: float, size: int) -> Array:
+    """Lower Cholesky factor (N, N) of what has `correlation` (N(N−1)/2,) off its diagonal, 1 + noise on it."""
+    covariance = squareform(correlation, checks=False)
+    for jitter in (0.0, 1e-12, 1e-10, 1e-8):
+        np.fill_diagonal(covariance, 1 + noise + jitter)
+        factor, failed = _potrf(covariance.T, lower=1)
+        if not failed and factor.diagonal().min() ** 2 > size * np.finfo(float).eps:
+            return factor
+    raise np.linalg.LinAlgError(f"the covariance of {size} points is singular")
+
+
+def _kernel(distance: Array) -> Array:
+    """Matérn-5/2, k as a function of √5 r (RW Eq. 4.17)."""
+    return (1 + distance + distance**2 / 3) * np.exp(-distance)
+
+
+def _kernel_descent(distance: Array) -> Array:
+    """−(dk/dr) / r as a function of √5 r; finite where two points meet."""
+    return 5 / 3 * (1 + distance) * np.exp(-distance)
+
+
+def squared_differences(points: Array) -> Array:
+    """Squared difference of every pair of points (N, d), input by input; shape (d, N(N−1)/2)."""
+    return np.array([pdist(column[:, None], "sqeuclidean") for column in points.T], float)
+
+
+def _least_noise(values: Array) -> float:
+    """A noise that matters to nobody, so that values which do not vary keep a positive one."""
+    return max(1e-6 * float(np.abs(values).max()), 1e-12)
+
+
+def _checked(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
+    """Own copies of the data, once their shapes and numbers are sound."""
+    points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
+    _require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
+    _require(_positive(input_scale), "input_scale", "positive and finite")
+    sized = points.ndim == 2 and len(points) > 0 and points.shape[1] == len(input_scale)
+    _require(sized, "points", f"of shape (N, {len(input_scale)}) with N ≥ 1, not {points.shape}")
+    _require(np.isfinite(points).all(), "points", "finite")
+    _require(values.shape == points.shape[:1], "values", f"of shape ({len(points)},), not {values.shape}")
+    _require(np.isfinite(values).all(), "values", "finite")
+    return points, values, input_scale
+
+
+def _numbers(data: Mapping[str, Any], key: str, what: str, dimensions: int) -> Array:
+    """The array of numbers saved under `key`."""
+    _require(key in data, key, f"{what}, but it is missing")
+    try:
+        array = np.asarray(data[key])
+    except ValueError as ragged:
+        raise ValueError(f"{key} must be {what}") from ragged
+    _require(array.dtype.kind in "if" and array.ndim == dimensions, key, what)
+    return array.astype(float)
+
+
+def _positive(array: ArrayLike) -> bool:
+    return bool(np.all(np.isfinite(array) & (np.asarray(array) > 0)))
+
+
+def _require(holds: object, name: str, what: str) -> None:
+    if not holds:
+        raise ValueError(f"{name} must be {what}")

@@ -1,0 +1,78 @@
+"""What a run shows on the terminal while it goes on."""
+
+from typing import Self
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
+
+from stepgap.learning.step_log import LoggedStep
+from stepgap.sim_to_real import Deployment, Observer
+from stepgap.step import Reason, StepSpace
+
+
+class Progress:
+    """A bar per deployment with its error so far on a terminal; elsewhere a plain line per deployment.
+
+    Args:
+        space: Names and units of the state.
+        steps: Steps of a deployment.
+        iterations: Redeployments at most.
+        quiet: Show nothing.
+    """
+
+    def __init__(self, space: StepSpace, steps: int, iterations: int, quiet: bool = False):
+        self._space, self._steps, self._iterations, self._quiet = space, steps, iterations, quiet
+        self._console = Console(stderr=True, highlight=False)
+        self._bars = Bars(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[error]}"),
+            console=self._console,
+            disable=quiet or not self._console.is_terminal,
+            transient=True,
+        )
+        self._task: TaskID | None = None
+        self._errors: list[np.ndarray] = []
+
+    @property
+    def observer(self) -> Observer:
+        """To be told of steps and deployments."""
+        return Observer(self._on_step, self._on_deployment)
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._bars.stop()
+
+    def _on_step(self, logged: LoggedStep) -> None:
+        if self._task is None:
+            description = f"deployment {logged.iteration} of {self._iterations}"
+            self._task = self._bars.add_task(description, total=self._steps, error="")
+            self._errors = []
+        if logged.record.reason == Reason.OK:
+            self._errors.append(logged.record.next_state - logged.target)
+        error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
+        self._bars.update(self._task, advance=1, error=error)
+
+    def _on_deployment(self, deployment: Deployment) -> None:
+        if self._task is not None:
+            self._bars.remove_task(self._task)
+            self._task = None
+        if not self._quiet:
+            falls = f", {deployment.falls} fall" if deployment.falls else ""
+            self._console.print(
+                f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "
+                f"{deployment.steps} steps{falls}, RMSE {self._describe(deployment.rmse)}"
+            )
+
+    def _describe(self, rmse: np.ndarray) -> str:
+        return ", ".join(
+            f"{quantity.name} {value:.4f} {quantity.unit}"
+            for quantity, value in zip(self._space.state, rmse, strict=True)
+        )

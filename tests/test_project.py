@@ -1,0 +1,104 @@
+"""What the files around the code promise: a lock that holds, no registry named, commands that exist."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+LOCK = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+SEARCH_PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+HOSTS = [".".join(parts) for parts in (("pypi", "org"), ("pythonhosted", "org"), ("npmjs", "org"), ("anaconda", "org"))]
+
+
+def tracked_texts() -> dict[str, str]:
+    """Every text file that git tracks or would track, by path."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listing = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    texts = {}
+    for name in filter(None, listing.split("\0")):
+        path = ROOT / name
+        content = path.read_bytes() if path.is_file() else b""
+        if b"\0" not in content[:8192]:
+            texts[name] = content.decode("utf-8", errors="replace")
+    return texts
+
+
+def locked() -> dict[str, str]:
+    """What the lock says of each package, by canonical name: `==VERSION ; MARKER` and its hashes."""
+    entries = re.split(r"^(?=[A-Za-z0-9])", LOCK, flags=re.MULTILINE)[1:]
+    return {canonicalize_name(re.split(r"[=\s]", entry)[0]): entry for entry in entries}
+
+
+def readme_commands() -> list[str]:
+    """The lines of README's code blocks that start with `./go`."""
+    blocks = re.findall(r"^```[^\n]*\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.M)
+    lines = [line.strip().removeprefix("$ ") for block in blocks for line in block.splitlines()]
+    return [line for line in lines if line.startswith("./go ")]
+
+
+def test_no_file_names_a_package_registry() -> None:
+    named = [f"{name}: {host}" for name, text in tracked_texts().items() for host in HOSTS if host in text]
+    assert not named, "a mirror must be able to stand in: write the package's name, not where it lies"
+
+
+def test_lock_names_no_place() -> None:
+    assert "://" not in LOCK
+    assert not re.search(r"^\s*--(?!hash=)", LOCK, re.MULTILINE), "no option but --hash"
+
+
+def test_lock_pins_and_hashes_every_package() -> None:
+    for name, entry in locked().items():
+        assert re.match(r"[A-Za-z0-9._-]+==[^\s;]+ ", entry), f"{name} is not pinned"
+        assert re.search(r"--hash=sha256:[0-9a-f]{64}\b", entry), f"{name} has no hash"
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    PYPROJECT["project"]["dependencies"]
+    + PYPROJECT["dependency-groups"]["dev"]
+    + PYPROJECT["build-system"]["requires"],
+)
+def test_lock_agrees_with_pyproject(wanted: str) -> None:
+    requirement = Requirement(wanted)
+    entry = locked().get(canonicalize_name(requirement.name))
+    assert entry is not None, "not locked; run .ci/lock"
+    version = entry.split("==")[1].split()[0]
+    assert requirement.specifier.contains(version, prereleases=True), f"{version} is locked; run .ci/lock"
+
+
+def test_go_without_a_command_says_how_to_use_it() -> None:
+    outcome = subprocess.run([ROOT / "go"], capture_output=True, text=True, check=False)
+    assert outcome.returncode == 2
+    assert "usage: ./go COMMAND" in outcome.stderr
+
+
+def test_readme_commands_exist() -> None:
+    commands = [shlex.split(line, comments=True)[1:] for line in readme_commands()]
+    assert commands, "README shows how to run something"
+    for program, *arguments in commands:
+        assert shutil.which(program, path=SEARCH_PATH), f"README runs {program}"
+        for argument in arguments:
+            if argument.endswith((".py", ".sh", ".toml")):
+                assert (ROOT / argument).exists(), f"README names {argument}"
+
+
+def test_readme_verbs_exist() -> None:
+    commands = [shlex.split(line, comments=True)[1:] for line in readme_commands()]
+    verbs = {command[1] for command in commands if command[0] == "stepgap" and command[1:] and command[1][0] != "-"}
+    for verb in sorted(verbs):
+        stepgap = shutil.which("stepgap", path=SEARCH_PATH) or "stepgap"
+        outcome = subprocess.run([stepgap, verb, "--help"], capture_output=True, text=True, check=False)
+        assert outcome.returncode == 0, f"README uses `stepgap {verb}`: {outcome.stderr}"
+        assert f"stepgap {verb}" in outcome.stdout, f"README uses `stepgap {verb}`, which its help does not know"
