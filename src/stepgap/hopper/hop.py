@@ -28,7 +28,8 @@ STATES, GUARDS = 8, 6
 CONTACT, RISING, FALLING_OVER, STRETCHING = 0, 1, 2, 3  # guards 4 and 5: saturation of either motor
 
 STRETCH_ANGLE = 0.02  # α₂ at which the leg counts as fully stretched [rad]
-LEAN_COSINE = 0.5  # cos α₁ at which the robot counts as fallen
+LEAN_ANGLE = 1.0  # |α₁| at which the robot counts as fallen [rad]
+FOLD_ANGLE = 2.5  # α₂ at which the leg has collapsed [rad]
 SCUFF_DEPTH = 1e-4  # how far the foot may dip below the ground as it leaves it [m]
 FLIGHT_LIMIT, STANCE_LIMIT = 2.0, 1.0  # longest phases [s]
 
@@ -81,6 +82,15 @@ class Stance(NamedTuple):
     force_y: float
 
 
+@compiled
+def uprightness(leg, height, alpha_1, alpha_2):
+    """Positive until the robot has fallen: hip low enough for a knee to touch, leg far over, or leg collapsed.
+
+    Hip height [m], leg angles [rad].
+    """
+    return min(height - leg.top, LEAN_ANGLE - abs(alpha_1), FOLD_ANGLE - alpha_2)
+
+
 @implements(rate, Flight)
 def _flight_rate(system, state, out):
     torque_1, torque_2 = flight_torque(system.law, state[2], state[3], state[6], state[7], state[4])
@@ -131,7 +141,7 @@ def _stance_guards(system, state, out):
 def _body_guards(system, state, torque_1, torque_2, out):
     limit = system.law.torque_limit
     out[RISING] = state[5]
-    out[FALLING_OVER] = min(state[1] - system.masses.leg.top, np.cos(state[2]) - LEAN_COSINE)
+    out[FALLING_OVER] = uprightness(system.masses.leg, state[1], state[2], state[3])
     out[STRETCHING] = state[3] - STRETCH_ANGLE
     out[4] = 1.0 - (torque_1 / limit) ** 2
     out[5] = 1.0 - (torque_2 / limit) ** 2

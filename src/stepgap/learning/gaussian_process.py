@@ -20,11 +20,8 @@ from scipy.spatial.distance import cdist, pdist, squareform
 
 from stepgap.step import Array
 
-COLD_STARTS = ((3.0, 0.5), (1.0, 0.1), (10.0, 0.1), (0.5, 1.0))
-"""Where a search begins: length scale of every input, noise over signal."""
-
 COLD_START_SIZE = 200
-"""Most points on which the cold starts compete; with more, only the winner goes on to all points."""
+"""Most points on which the cold starts compete; with more, only the winner goes on with all points."""
 
 LENGTH_SCALE_BOUNDS = (1e-2, 1e3)
 """Search range in input scales; for `fit_like_fitrgp` in units of its initial value."""
@@ -250,7 +247,7 @@ def fit_gaussian_process(points: ArrayLike, values: ArrayLike, input_scale: Arra
     """
     points, values, input_scale = _checked(points, values, input_scale)
     least_noise = _least_noise(values)
-    starts = [np.log([*[length_scale] * points.shape[1], ratio]) for length_scale, ratio in COLD_STARTS]
+    starts = cold_starts(points.shape[1])
     if len(values) > COLD_START_SIZE:
         some = np.linspace(0, len(values) - 1, COLD_START_SIZE).astype(int)
         differences = squared_differences(points[some] / input_scale)
@@ -333,6 +330,15 @@ class Evidence:
         distance = np.sqrt(5 * (np.exp(-2 * log_parameters[:-1]) @ self.differences))
         solved = _least_squares(distance, ratio, self.values)
         return distance, solved, max(math.sqrt(solved.misfit / len(self.values)), self.least_noise / ratio)
+
+
+def cold_starts(inputs: int) -> list[Array]:
+    """Log parameters from which a search begins: all inputs alike, then each one alone decisive; shapes (d + 1,).
+
+    The first alone ends up to 110 nats short of the best where one input is decisive and N ≤ 50.
+    """
+    length_scales = np.vstack([np.ones(inputs), np.where(np.eye(inputs) == 1, 0.5, 5.0)])
+    return [np.log([*start, 0.2]) for start in length_scales]
 
 
 def _search(evidence: Evidence, starts: Sequence[Array]) -> Array:

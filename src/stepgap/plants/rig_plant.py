@@ -1,12 +1,13 @@
 """The 1 kHz loop on a rig: read → estimate → phase → torque → limit → write."""
 
 from collections.abc import Callable
-from math import cos, isnan, sin, tau
+from math import isnan, sin, tau
 from typing import NamedTuple
 
 import numpy as np
 
 from stepgap.hopper.dynamics import leg_inertia, masses_of
+from stepgap.hopper.hop import uprightness
 from stepgap.hopper.joint_control import flight_torque, joint_law, stance_torque
 from stepgap.hopper.leg import foot, four_bar
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -15,11 +16,8 @@ from stepgap.plants.estimator import FlightFit, JointRates
 from stepgap.plants.phases import Phase, next_phase
 from stepgap.plants.plant import Plant
 from stepgap.plants.safety import Limited, SafetyLimits, check_torque
-from stepgap.rigs.rig import Reading, Rig
-from stepgap.step import Array, Reason, StepRecord, StepSpace
-
-LEAN_COSINE = 0.5
-"""cos α₁ at which the robot counts as fallen."""
+from stepgap.rigs.rig import Reading, Rig, RigFault
+from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
 
 LONGEST_STEP = 4.0
 """Longest time from apex to apex [s]."""
@@ -108,7 +106,7 @@ class RigPlant(Plant):
         bounds: CommandBounds,
         on_tick: Callable[[Tick], None] | None = None,
     ):
-        self._rig, self._robot, self._space, self._on_tick = rig, robot, bounds.space(), on_tick
+        self._rig, self._space, self._on_tick = rig, bounds.space(), on_tick
         self._law, self._masses, self._limits = joint_law(robot, gains), masses_of(robot), SafetyLimits.of(robot)
         self._state = np.full(2, np.nan)
         self._reset()
@@ -135,18 +133,18 @@ class RigPlant(Plant):
         self._rig.connect()
         self._reset()
         self._state = self._hop((0.0, 0.0))
+        if self._reason != Reason.OK:
+            raise RigFault(f"the first hop failed: {self._reason.status}: {ADVICE[self._reason]}")
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:
-        """Hops once; a fall or a safety stop is a record without a next state, and torque is off."""
+        """Hops once; a fall, a fault or a safety stop is a record without a next state, and torque is off."""
         asked = np.asarray(command, float)
         within = np.clip(asked, self._space.command_lower, self._space.command_upper)
         state = self._state
         if np.isnan(within).any():
-            self._reason, self._state = Reason.INVALID, np.full(2, np.nan)
-            self._rig.write(0.0, 0.0)
-        else:
-            self._state = self._hop((float(within[0]), float(within[1])))
+            self._reason = Reason.INVALID
+        self._state = self._hop((float(within[0]), float(within[1])))
         lost = np.array([self._lost_x, self._lost_y]) / max(1, self._push_ticks)
         return StepRecord(state, asked, within - lost, self._state, self._reason)
 
@@ -162,13 +160,16 @@ class RigPlant(Plant):
         left_ground = False
         while self._reason == Reason.OK:
             before = self._phase
-            self._tick(command)
+            try:
+                self._tick(command)
+            except RigFault:
+                self._reason = Reason.STOPPED
             left_ground = left_ground or before == Phase.PUSHING != self._phase
             if left_ground and self._phase == Phase.FALLING:
                 return self._apex()
             if self._time > deadline:
                 self._reason = Reason.NO_APEX if left_ground else Reason.NO_TAKE_OFF
-        self._rig.write(0.0, 0.0)
+        self._rig.close()
         return np.full(2, np.nan)
 
     def _apex(self) -> Array:
@@ -200,7 +201,7 @@ class RigPlant(Plant):
             self._count_loss(alpha_1, alpha_2, torque[0] - applied[0], torque[1] - applied[1])
         if checked.limited.stops:
             self._reason = Reason.STOPPED
-        elif y < self._robot.top_length or cos(alpha_1) < LEAN_COSINE:
+        elif uprightness(self._law.leg, y, alpha_1, alpha_2) < 0:
             self._reason = Reason.FELL
         if self._on_tick:
             self._on_tick(

@@ -4,10 +4,14 @@ MuJoCo's x points forward at yaw 0, y to the boom's pivot side, z up. On the arc
 origin; in the plane the hip starts over it. Angles of the leg turn forward, about −y.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
 from math import inf, isinf, pi, sin, sqrt, tan
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.twin.reality_gap import RealityGap
@@ -21,14 +25,15 @@ STICKING = 1e4
 HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """The stiffest impedance that MuJoCo allows."""
 
-RIGID_STIFFNESS = 4e6
-"""Of rigid ground [N/m], less where the physics step is long; stiffer, it would throw the light foot up."""
+RECOVERY_RATE = 2000.0
+"""Rate at which rigid ground undoes a penetration [1/s]: faster, it would throw the light foot up; slower, the foot
+would still be in it, and stick to it, at take-off."""
 
-RIGID_MASS = 1.0
-"""That joins the foot on rigid ground [kg]: it stops a foot of 50 g within two steps, and the load still presses
-the foot down more than the inaccuracy of a step can lift it."""
+RIGID_SHARE = 2.0
+"""Mass that joins the foot on rigid ground, in foot masses: enough that the load presses the foot down more than the
+inaccuracy of a step lifts it."""
 
-SLIP_RATE = 500.0
+SLIP_RATE = 2000.0
 """Rate at which friction brings a sliding foot to rest if it can [1/s]. MuJoCo's convex friction adds a normal force of
 friction coefficient × this × slip speed × the mass that joins the foot, so neither may be large."""
 
@@ -103,17 +108,22 @@ def build_model(robot: RobotParameters, gap: RealityGap, timestep: float, visual
     return model
 
 
-def export_xml(robot: RobotParameters, gap: RealityGap, timestep: float) -> str:
-    """The twin as MJCF, with shapes to look at and the contact as `build_model` sets it."""
+def export_xml(robot: RobotParameters, gap: RealityGap, timestep: float, start: NDArray[np.float64]) -> str:
+    """The twin as MJCF, with shapes to look at and the contact as `build_model` sets it.
+
+    Args:
+        robot: As `build_spec`.
+        gap: As `build_spec`.
+        timestep: As `build_spec`.
+        start: Coordinates of the pose that viewers offer as keyframe `start`; shape (nq,).
+    """
     spec = build_spec(robot, gap, timestep, visual=True)
+    spec.add_key(name="start", qpos=start)
     model = spec.compile()
     _set_contact(model, robot, gap)
     pair = spec.pairs[0]
-    pair.solref, pair.solimp, pair.solreffriction = (
-        model.pair_solref[0],
-        model.pair_solimp[0],
-        model.pair_solreffriction[0],
-    )
+    pair.solref, pair.solimp = model.pair_solref[0], model.pair_solimp[0]
+    pair.solreffriction = model.pair_solreffriction[0]
     spec.compile()
     return spec.to_xml()
 
@@ -217,7 +227,7 @@ def _add_hand(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
         lock.solref, lock.solimp = _deadbeat(timestep), np.array(HARD)
 
 
-def _deadbeat(timestep: float) -> np.ndarray:
+def _deadbeat(timestep: float) -> NDArray[np.float64]:
     """Spring and damper (negative: per unit mass) that undo an error of a constraint within one step."""
     return np.array([-1 / timestep**2, -1 / timestep])
 
@@ -250,10 +260,10 @@ def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap)
     """Sets the contact's spring and damper.
 
     MuJoCo's contact force is f = −(a + b v + k r)/R for penetration −r and acceleration a, with
-    R = w (1 − d)/d, impedance d and the constant inverse weight w of the foot; −solref is (k d, b d). So k/R is a stiffness
-    [N/m], b/R a damping [N·s/m] and 1/R a mass [kg] that joins the foot in contact. Soft ground
-    takes that mass as small as an explicit step of spring and damper allows; rigid ground stops the foot
-    within a step or two and gives way by micrometres. Along the ground both stop the foot in one step.
+    R = w (1 − d)/d, impedance d and the constant inverse weight w of the foot; −solref is (k d, b d).
+    So k/R is a stiffness [N/m], b/R a damping [N·s/m] and 1/R a mass [kg] that joins the foot in contact.
+    Soft ground takes that mass as small as an explicit step of spring and damper allows. Rigid ground
+    stops the foot within a few steps, without a bounce, and gives way by micrometres.
     """
     step = model.opt.timestep
     sticks = isinf(gap.ground_friction)
@@ -262,32 +272,30 @@ def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap)
         stiffness = gap.ground_stiffness
         damping = 2 * gap.ground_damping_ratio * sqrt(stiffness * carried_mass(robot, gap))
         mass = max(0.5 * (damping * step + stiffness * step**2) - foot_mass, 1e-3)
-    elif sticks:
-        mass = RIGID_MASS
-        stiffness, damping = min(RIGID_STIFFNESS, mass / (4 * step) ** 2), mass / step
     else:
-        stiffness, damping, mass = min(RIGID_STIFFNESS, 50 / step), foot_mass / step, 0.5 * foot_mass
+        mass = (RIGID_SHARE if sticks else 0.5) * foot_mass
+        damping = (mass + foot_mass) / step
+        stiffness = RECOVERY_RATE * damping
     weighted = mass * model.body_invweight0[model.geom("foot").bodyid[0], 0]
     impedance = weighted / (1 + weighted)
     model.pair_solimp[0] = [impedance, impedance, 0.001, 0.5, 2]
     model.pair_solref[0] = [-stiffness / mass * impedance, -damping / mass * impedance]
-    model.pair_solreffriction[0] = [-1, -impedance * (1 / step if sticks else SLIP_RATE)]
+    model.pair_solreffriction[0] = [-1, -impedance * (1 / step if sticks else min(SLIP_RATE, 0.5 / step))]
 
 
 def _add_shapes(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> None:
     """Boom, body and links to look at."""
     capsule, cylinder = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
-    unseen = {"contype": 0, "conaffinity": 0, "group": 1}
-    hopper = spec.body("hopper")
+    dark, blue, orange = (0.2, 0.2, 0.25, 1), (0.15, 0.45, 0.75, 1), (0.85, 0.4, 0.15, 1)
+
+    def add(body: str, kind: mujoco.mjtGeom, ends: list[float], radius: float, colour: tuple[float, ...]) -> None:
+        shape = spec.body(body).add_geom(type=kind, fromto=ends, size=[radius, 0, 0], rgba=colour, group=1)
+        shape.contype = shape.conaffinity = 0
+
     spec.worldbody.add_light(pos=(0, -1, 3), dir=(0, 0, -1))
-    hopper.add_geom(type=cylinder, fromto=[0, -0.03, 0, 0, 0.03, 0], size=[0.046, 0, 0], rgba=(0.2, 0.2, 0.25, 1), **unseen)
+    add("hopper", cylinder, [0, -0.03, 0, 0, 0.03, 0], 0.046, dark)
     if gap.boom_arc:
-        hopper.add_geom(
-            type=capsule, fromto=[0, 0, 0, 0, robot.boom_length, 0], size=[0.015, 0, 0], rgba=(0.3, 0.3, 0.3, 1), **unseen
-        )
-    for side, colour in (("front", (0.15, 0.45, 0.75, 1)), ("rear", (0.85, 0.4, 0.15, 1))):
-        foot = robot.foot_length if side == "rear" else 0
+        add("hopper", capsule, [0, 0, 0, 0, robot.boom_length, 0], 0.015, dark)
+    for side, colour, foot in (("front", blue, 0), ("rear", orange, robot.foot_length)):
         for part, length in (("top", robot.top_length), ("bottom", robot.bottom_length + foot)):
-            spec.body(f"{side}_{part}").add_geom(
-                type=capsule, fromto=[0, 0, 0, 0, 0, -length], size=[0.007, 0, 0], rgba=colour, **unseen
-            )
+            add(f"{side}_{part}", capsule, [0, 0, 0, 0, 0, -length], 0.007, colour)

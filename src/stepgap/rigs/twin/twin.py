@@ -1,8 +1,12 @@
 """The twin as a rig: what the sensors of the MuJoCo hopper say, and its motors."""
 
-from collections.abc import Iterator
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+from collections.abc import Iterator, MutableSequence
 from dataclasses import dataclass
 from math import acos, asin, atan2, ceil, cos, inf, isfinite, nan, pi, sin
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -21,6 +25,12 @@ LONGEST_STEP = 2.5e-4
 
 FEWEST_STEPS = 4
 """Fewest physics steps in a tick."""
+
+START_LENGTH = Gains().landing_length
+"""Leg length in which the twin is held [m]."""
+
+OVERSPEED = 400.0
+"""Motor speed at which the drives trip [rad/s], ten times that of a hop; MuJoCo would diverge not far beyond."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,17 +69,18 @@ class TrueState:
 class Twin(Rig):
     """The MuJoCo hopper: a robot apart from its physics model by a `RealityGap`.
 
-    It starts with the leg straight down at landing length, the hip held in the air for a while so that the controller can
-    take hold of the leg, and is then let go. Connecting again starts anew; the noise goes on.
+    It starts with the leg straight down at landing length and the hip held in the air for a while, so
+    that the controller can take hold of the leg, and is then let go. Connecting again starts anew; the noise goes on.
 
     Args:
         robot: What the physics model takes the robot to be.
         gap: How the twin differs from it.
-        rng: Draws the ground's profile at once and torque noise later, in blocks.
+        rng: Draws torque noise, in blocks, and before that the ground's profile if none is given.
         tick: Time from one read to the next [s].
         start_height: Height of the held hip [m].
         start_speed: Horizontal speed of the hip when let go [m/s].
         hold: Time for which the hip is held [s].
+        ground: The floor, where several twins are to hop on the same one.
 
     Raises:
         ValueError: An argument is out of range, or the foot would start in the ground.
@@ -84,6 +95,7 @@ class Twin(Rig):
         start_height: float = 0.55,
         start_speed: float = 0.0,
         hold: float = 0.3,
+        ground: GroundProfile | None = None,
     ):
         require(isfinite(tick) and tick > 0, "tick", tick, "be positive")
         require(isfinite(start_height), "start_height", start_height, "be finite")
@@ -93,7 +105,7 @@ class Twin(Rig):
         self._start_height, self._start_speed = start_height, start_speed
         self._hold_ticks = round(hold / tick)
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
-        self._ground = GroundProfile(gap, robot.boom_length, rng)
+        self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
         self._layout = RigLayout(
             tick=tick,
             boom_length=robot.boom_length,
@@ -118,17 +130,17 @@ class Twin(Rig):
         self._bind()
         self._noise = self._draw_noise()
         self._connected, self._fault, self._hold_left = False, "", 0
-        depth = Gains().landing_length + robot.foot_length
-        lowest = depth + max(self._ground.height(0.0), 0.0)
-        require(start_height > lowest, "start_height", start_height, f"exceed {lowest:.3f}, or the foot is in the ground")
+        lowest = START_LENGTH + robot.foot_length + max(self._ground.height(0.0), 0.0)
+        rule = f"exceed {lowest:.4g}, or the foot is in the ground"
+        require(start_height > lowest, "start_height", start_height, rule)
         self._vertical_coordinate(start_height)
 
     def _bind(self) -> None:
         """Views of MuJoCo's memory: reading a number through them costs 40 ns, through its interface 1 µs."""
         model, data = self._model, self._data
-        self._qpos, self._ctrl = memoryview(data.qpos), memoryview(data.ctrl)
-        self._applied_force, self._touch = memoryview(data.qfrc_applied), memoryview(data.sensordata)
-        self._foot, self._ground_position = memoryview(data.geom("foot").xpos), memoryview(data.mocap_pos[0])
+        self._qpos, self._qvel, self._ctrl = _view(data.qpos), _view(data.qvel), _view(data.ctrl)
+        self._applied_force, self._touch = _view(data.qfrc_applied), _view(data.sensordata)
+        self._foot, self._ground_position = _view(data.geom("foot").xpos), _view(data.mocap_pos[0])
         self._motor_1, self._motor_2 = (int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2))
 
     @property
@@ -140,13 +152,8 @@ class Twin(Rig):
         """Puts the robot into its starting pose, held, motors limp, and the clock to zero."""
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
-        alpha, beta = _leg_triangle(self._robot, Gains().landing_length)
-        for motor, side in ((1, 1), (2, -1)):
-            data.joint(f"motor_{motor}").qpos[0] = side * alpha
-            data.joint(f"knee_{motor}").qpos[0] = -side * (alpha + beta)
-        start = self._vertical_coordinate(self._start_height)
-        data.joint("boom_vertical").qpos[0] = start
-        model.eq("hold_boom_vertical").data[0] = start
+        data.qpos[:] = self._start_pose()
+        model.eq("hold_boom_vertical").data[0] = data.qpos[1]
         self._ground_position[2] = self._ground.height(0.0)
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
@@ -159,7 +166,7 @@ class Twin(Rig):
         """Sensor values at the present tick.
 
         Raises:
-            RigFault: Not connected, or the motion has left what can be measured.
+            RigFault: Not connected, the motion has left what can be measured, or a motor runs away.
         """
         if not self._connected:
             raise RigFault("the twin is not connected")
@@ -169,6 +176,8 @@ class Twin(Rig):
         yaw, pitch = yaw * self._yaw_scale, pitch * self._pitch_scale
         if not isfinite(motor_1 + motor_2 + yaw + pitch):
             raise self._trip("the motion is no longer within the boom's reach")
+        if max(abs(self._qvel[self._motor_1]), abs(self._qvel[self._motor_2])) > OVERSPEED:
+            raise self._trip(f"a motor turned faster than {OVERSPEED:g} rad/s")
         if gap.motor_counts < inf:
             motor_1, motor_2 = round(motor_1), round(motor_2)
         if gap.boom_counts_horizontal < inf:
@@ -215,7 +224,7 @@ class Twin(Rig):
         data.qpos[:], data.qvel[:] = self._data.qpos, self._data.qvel
         mujoco.mj_kinematics(model, data)
         elastic = self._gap.boom_stiffness < inf
-        deflection, deflection_rate = (data.qpos[2:4], data.qvel[2:4]) if elastic else (np.zeros(2), np.zeros(2))
+        deflection, deflection_rate = (data.qpos[2:4].copy(), data.qvel[2:4]) if elastic else (np.zeros(2), np.zeros(2))
         hip, hip_rate = data.qpos[:2] + deflection, data.qvel[:2] + deflection_rate
         if self._gap.boom_arc:
             radius, (yaw, pitch) = self._layout.boom_length, data.qpos[:2]
@@ -224,7 +233,7 @@ class Twin(Rig):
             turning = np.array([radius, radius * cos(pitch) - z * sin(pitch)])
             hip_rate = turning * data.qvel[:2] + deflection_rate * [1, cos(pitch)]
         motors = [self._motor_1, self._motor_2]
-        foot = data.geom("foot").xpos
+        foot = data.geom("foot").xpos.copy()
         gap = data.site("front_joint").xpos - data.site("rear_joint").xpos
         return TrueState(
             time=self._data.time,
@@ -242,8 +251,19 @@ class Twin(Rig):
         )
 
     def model_xml(self) -> str:
-        """The twin as MJCF with shapes to look at; any MuJoCo viewer opens it. The hip is free in it."""
-        return export_xml(self._robot, self._gap, self._model.opt.timestep)
+        """The twin as MJCF with shapes to look at, its hip free; any MuJoCo viewer opens it (keyframe `start`)."""
+        return export_xml(self._robot, self._gap, self._model.opt.timestep, self._start_pose())
+
+    def _start_pose(self) -> NDArray[np.float64]:
+        """MuJoCo's coordinates of the held robot: leg straight down at landing length."""
+        model = self._model
+        qpos = np.zeros(model.nq)
+        qpos[1] = self._vertical_coordinate(self._start_height)
+        alpha, beta = _leg_triangle(self._robot, START_LENGTH)
+        for motor, side in ((1, 1), (2, -1)):
+            qpos[model.joint(f"motor_{motor}").qposadr[0]] = side * alpha
+            qpos[model.joint(f"knee_{motor}").qposadr[0]] = -side * (alpha + beta)
+        return qpos
 
     def _let_go(self) -> None:
         self._data.eq_active[1:] = 0
@@ -285,6 +305,10 @@ class Twin(Rig):
         """Torque noise [N·m]; drawn in blocks, because single draws take a microsecond."""
         while True:
             yield from self._rng.normal(0, self._gap.torque_noise, 1024).tolist()
+
+
+def _view(array: NDArray[np.float64]) -> MutableSequence[float]:
+    return cast("MutableSequence[float]", memoryview(cast("Any", array)))
 
 
 def _finite(counts: float) -> float:

@@ -1,0 +1,69 @@
+"""StepGap closes the sim-to-real gap of a legged robot one step at a time.
+
+The flow, from the model to a robot that tracks:
+
+1. `ApexMap` predicts the next apex from this one and a step command (Eq. 10).
+2. `StepController` finds the command whose prediction is the target (Eq. 11).
+3. A `Plant` executes it: `RigPlant` runs the 1 kHz loop on a `Rig`, `Twin` stands in for the robot.
+4. Every step becomes a `StepRecord`; `fit_residual` learns actual − nominal from them (Eq. 12).
+5. `CorrectedMap` is nominal + residual (Eq. 13), again a `StepMap`, so 2 to 4 repeat with it.
+
+`stepgap.sim_to_real.run` is that loop, and the command line `stepgap run` calls it.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stepgap.control.limit_cycle import fixed_point as fixed_point
+    from stepgap.control.limit_cycle import reachable_set as reachable_set
+    from stepgap.control.reference import Reference as Reference
+    from stepgap.control.reference import paper_reference as paper_reference
+    from stepgap.control.step_controller import StepController as StepController
+    from stepgap.hopper.apex_map import ApexMap as ApexMap
+    from stepgap.hopper.parameters import CommandBounds as CommandBounds
+    from stepgap.hopper.parameters import Gains as Gains
+    from stepgap.hopper.parameters import RobotParameters as RobotParameters
+    from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
+    from stepgap.learning.residual import fit_residual as fit_residual
+    from stepgap.plants.model_plant import ModelPlant as ModelPlant
+    from stepgap.plants.plant import Plant as Plant
+    from stepgap.plants.rig_plant import RigPlant as RigPlant
+    from stepgap.rigs.rig import Rig as Rig
+    from stepgap.rigs.twin.reality_gap import RealityGap as RealityGap
+    from stepgap.rigs.twin.twin import Twin as Twin
+    from stepgap.step import StepFailed as StepFailed
+    from stepgap.step import StepMap as StepMap
+    from stepgap.step import StepRecord as StepRecord
+
+_HOMES = {
+    "ApexMap": "hopper.apex_map",
+    "CommandBounds": "hopper.parameters",
+    "CorrectedMap": "learning.corrected_map",
+    "Gains": "hopper.parameters",
+    "ModelPlant": "plants.model_plant",
+    "Plant": "plants.plant",
+    "RealityGap": "rigs.twin.reality_gap",
+    "Reference": "control.reference",
+    "Rig": "rigs.rig",
+    "RigPlant": "plants.rig_plant",
+    "RobotParameters": "hopper.parameters",
+    "StepController": "control.step_controller",
+    "StepFailed": "step",
+    "StepMap": "step",
+    "StepRecord": "step",
+    "Twin": "rigs.twin.twin",
+    "fit_residual": "learning.residual",
+    "fixed_point": "control.limit_cycle",
+    "paper_reference": "control.reference",
+    "reachable_set": "control.limit_cycle",
+}
+
+__all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name when it is first used, so that the command line starts quickly."""
+    if name not in _HOMES:
+        raise AttributeError(f"stepgap has no {name!r}; its public names are {', '.join(__all__)}")
+    return getattr(import_module(f"stepgap.{_HOMES[name]}"), name)

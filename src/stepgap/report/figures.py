@@ -1,0 +1,224 @@
+"""The figures of a run, each like one of the paper's Figs. 4 to 7.
+
+They are drawn without `pyplot`, so that nothing global changes and many may be drawn at once. They can be read without
+colour: by line style and marker.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from stepgap.learning.step_log import StepLog
+from stepgap.report import paper
+from stepgap.report.run_folder import RunRecord
+from stepgap.step import Array, Quantity, Reason
+
+WIDTH: Final = 9.0
+"""Of every figure [inches]."""
+
+BAND: Final = 1.96
+"""Standard deviations on either side that hold 95 % of a normal distribution."""
+
+MOST_VECTORS: Final = 2000
+"""Steps beyond which curves are drawn as pixels inside the vector graphic, so that it stays small."""
+
+MOST_CHANGES: Final = 60
+"""Changes of the target up to which each is marked."""
+
+# Colours after Okabe and Ito, told apart by colour-blind readers; dark ones in front of light ones.
+BLACK, BLUE, VERMILLION, SKY, GREY = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676"
+FIRST: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.3}
+LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
+
+
+def tracking_figure(record: RunRecord) -> Figure:
+    """Every state coordinate against the step number, first and last deployment, with the reference (Fig. 4)."""
+    first, last = record.shown[0], record.shown[-1]
+    figure, panels = _panels(len(record.space.state))
+    longest = max((record.steps.of_iteration(number) for number in {first, last}), key=len)
+    for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
+        fast = _pixels(longest)
+        panel.plot(
+            _numbers(longest),
+            longest.target[:, index],
+            color=BLACK,
+            lw=1,
+            drawstyle="steps-mid",
+            label="reference",
+            **fast,
+        )
+        _draw_tracking(panel, record.steps.of_iteration(first), index, _name(record, first), FIRST)
+        if last != first:
+            style = {**LAST, "marker": ".", "markersize": 4}
+            _draw_tracking(panel, record.steps.of_iteration(last), index, _name(record, last), style)
+        panel.set_ylabel(axis_label(quantity))
+    _finish(figure, panels, "Step")
+    return figure
+
+
+def error_figure(record: RunRecord) -> Figure:
+    """RMSE and MAE of every state coordinate by deployment, beside the MAE of the paper's hardware (Fig. 5)."""
+    figure, panels = _panels(len(record.space.state))
+    numbers = [deployment.iteration for deployment in record.deployments]
+    for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
+        for measure, look in (("rmse", "s-"), ("mae", "o--")):
+            values = [deployment.errors[measure][index] for deployment in record.deployments]
+            panel.plot(numbers, values, look, color=BLUE, label=f"{measure.upper()}, this run")
+        floor = record.repeatability[index]
+        if np.isfinite(floor):
+            panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="repeatability, this run")
+        if record.space.state_names == paper.STATE_NAMES:
+            values = paper.MAE_BY_ITERATION[quantity.name]
+            panel.plot(range(len(values)), values, "^:", color=VERMILLION, label="MAE, the paper's hardware")
+        panel.set_ylabel(f"Error of {axis_label(quantity, capital=False)}")
+        _log_scale(panel)
+        if not panel.lines:
+            _note(panel, "No deployment is finished yet.")
+    _finish(figure, panels, "Deployment (0: nominal map; later ones: corrected map)")
+    return figure
+
+
+def map_figure(record: RunRecord, index: int) -> Figure:
+    """Next state as the map predicted it and as it was, and how sure the map was (Figs. 6 and 7).
+
+    Args:
+        record: The run.
+        index: Which state coordinate.
+    """
+    figure, (upper, lower) = _panels(2)
+    quantity = record.space.state[index]
+    last = record.steps.of_iteration(record.shown[-1])
+    _draw_prediction(upper, last, index)
+    upper.set_ylabel(axis_label(quantity))
+    upper.set_title(f"(a) {_name(record, record.shown[-1])}", loc="left", fontsize="medium")
+    learnt = [number for number in record.shown if number > 0]
+    for number, style in zip(dict.fromkeys(learnt[:1] + learnt[-1:]), (FIRST, LAST), strict=False):
+        steps = record.steps.of_iteration(number)
+        lower.plot(_numbers(steps), steps.std[:, index], label=_name(record, number), **style, **_pixels(steps))
+    if not learnt:
+        _note(lower, "The nominal map gives no standard deviation.")
+    lower.set_ylim(0, 1.08 * max([float(np.max(line.get_ydata())) for line in lower.lines], default=0) or 1)
+    _mark_changes(lower, last)
+    lower.set_ylabel(f"Standard deviation{_unit(quantity)}")
+    lower.set_title("(b)", loc="left", fontsize="medium")
+    _finish(figure, [upper, lower], "Step", own_legends=True)
+    return figure
+
+
+def coverage(steps: StepLog, index: int) -> tuple[int, int]:
+    """How many next states lie within the 95 % band of their prediction, and of how many with a band."""
+    known = steps.completed()
+    error, std = np.abs(known.next_state - known.predicted)[:, index], known.std[:, index]
+    banded = np.isfinite(error) & (std > 0)
+    return int(np.count_nonzero(error[banded] <= BAND * std[banded])), int(np.count_nonzero(banded))
+
+
+def axis_label(quantity: Quantity, capital: bool = True) -> str:
+    """Name of a coordinate with its unit, if that is known."""
+    name = plain(quantity.name.replace("_", " "))
+    return f"{name[:1].upper() + name[1:] if capital else name}{_unit(quantity)}"
+
+
+def plain(text: str) -> str:
+    """The text as the figures' font can show it: one short line of Latin, Greek or Cyrillic, with no formulae."""
+    shown = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
+    return (shown if len(shown) <= 40 else f"{shown[:39]}…").replace("$", r"\$")
+
+
+def _unit(quantity: Quantity) -> str:
+    return f" [{plain(quantity.unit)}]" if quantity.unit else ""
+
+
+def _name(record: RunRecord, iteration: int) -> str:
+    """What legends call a deployment."""
+    kind = next((entry.residual for entry in record.deployments if entry.iteration == iteration), None)
+    kind = "none" if iteration == 0 else kind
+    words = {"none": "without GP", "gp": "with GP", "fitrgp": "with GP", None: "under way"}
+    return f"deployment {iteration}, {words.get(kind) or 'residual: ' + plain(str(kind))}"
+
+
+def _panels(count: int) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(WIDTH, 1.0 + 2.5 * count), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def _numbers(steps: StepLog) -> Array:
+    return np.array([logged.step for logged in steps], float)
+
+
+def _pixels(steps: StepLog) -> dict[str, Any]:
+    return {"rasterized": len(steps) > MOST_VECTORS}
+
+
+def _reached(steps: StepLog, index: int) -> Array:
+    """One coordinate of the next states, NaN where there was no apex; shape (N,)."""
+    whole = np.array([logged.record.reason == Reason.OK for logged in steps])
+    return np.where(whole, steps.next_state[:, index], np.nan)
+
+
+def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: dict[str, Any]) -> None:
+    numbers, reached = _numbers(steps), _reached(steps, index)
+    panel.plot(numbers, reached, label=name, **style, **_pixels(steps))
+    fell = np.isnan(reached)
+    if fell.any():
+        mark = {"color": style["color"], "marker": "X", "linestyle": "", "markersize": 9, "clip_on": False}
+        panel.plot(numbers[fell], steps.state[fell, index], label="no apex after this state", **mark)
+
+
+def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
+    numbers, std = _numbers(steps), steps.std[:, index]
+    mean = np.where(np.isfinite(steps.predicted[:, index]), steps.predicted[:, index], np.nan)
+    fast = _pixels(steps)
+    if std.any():
+        band = {"color": SKY, "alpha": 0.5, "linewidth": 0, "label": "95 % band"}
+        panel.fill_between(numbers, mean - BAND * std, mean + BAND * std, **band, **fast)
+    panel.plot(numbers, mean, color=BLUE, linewidth=1.2, label="predicted mean", **fast)
+    measured = {"color": BLACK, "linestyle": "", "marker": "o", "markersize": 2, "label": "measured"}
+    panel.plot(numbers, _reached(steps, index), **measured, **fast)
+
+
+def _note(panel: Axes, text: str) -> None:
+    """Says why a panel is empty."""
+    panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", color=GREY)
+
+
+def _mark_changes(panel: Axes, steps: StepLog) -> None:
+    """A light line at every step whose target differs from the one before."""
+    changes = np.flatnonzero((np.diff(steps.target, axis=0) != 0).any(axis=1)) + 1
+    if len(changes) <= MOST_CHANGES:
+        for order, step in enumerate(_numbers(steps)[changes]):
+            panel.axvline(step, color="#cccccc", lw=0.8, zorder=0, label="" if order else "the target changes")
+
+
+def _log_scale(panel: Axes) -> None:
+    """A logarithmic axis with plain numbers, if there is anything positive to show."""
+    values = np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
+    if not (values > 0).any():
+        return
+    panel.set_yscale("log", nonpositive="mask")
+    panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _finish(figure: Figure, panels: list[Axes], step_label: str, own_legends: bool = False) -> None:
+    """Labels, grid, and legends outside the data: one above all panels, or one above each."""
+    for panel in panels:
+        panel.grid(True, axis="y", color="#dddddd", linewidth=0.6)
+        panel.set_axisbelow(True)
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        if own_legends and panel.get_legend_handles_labels()[1]:
+            panel.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, borderaxespad=0.2)
+    panels[-1].set_xlabel(step_label)
+    figure.align_ylabels(panels)
+    if not own_legends:
+        found = {
+            label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=4, frameon=False)

@@ -1,0 +1,70 @@
+"""A limit cycle and what one step can reach from it: in words and as a picture."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stepgap.control.limit_cycle import FixedPoint, ReachableSet
+from stepgap.step import Array, Reason, StepSpace
+
+
+def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) -> str:
+    """A few lines for the terminal."""
+    lines = [
+        f"state X0      {_named(space.state_names, point.state, [q.unit for q in space.state])}",
+        f"command U0    {_named(space.command_names, point.command, [q.unit for q in space.command])}",
+    ]
+    if point.held:
+        sizes = ", ".join(f"{abs(multiplier):.3f}" for multiplier in point.multipliers)
+        lines.append(f"multipliers   |λ| = {sizes}: {'stable' if point.stable else 'not stable'} at a constant command")
+    else:
+        lines.append(
+            "not held      within the command bounds; the nearest next state is "
+            + _named(space.state_names, point.next_state, [q.unit for q in space.state])
+        )
+    failed = reachable.reasons != Reason.OK
+    if failed.all():
+        lines.append("reachable     nothing: every command fails from this state")
+    else:
+        low = np.nanmin(reachable.next_states, axis=tuple(range(len(space.command))))
+        high = np.nanmax(reachable.next_states, axis=tuple(range(len(space.command))))
+        ranges = ", ".join(
+            f"{q.name} {a:.3f} … {b:.3f} {q.unit}" for q, a, b in zip(space.state, low, high, strict=True)
+        )
+        lines.append(
+            f"reachable     in one step: {ranges}"
+            + (f"; {failed.mean():.0%} of the commands fail" if failed.any() else "")
+        )
+    return "\n".join(lines)
+
+
+def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) -> Figure:
+    """The reachable set in the plane of the first two state coordinates, and the multipliers in theirs."""
+    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    plane, circle = figure.subplots(1, 2, width_ratios=[1.5, 1])
+    states = reachable.next_states.reshape(-1, len(space.state))
+    border = reachable.boundary
+    plane.fill(border[:, 0], border[:, 1], color="0.92", zorder=0)
+    plane.plot(*np.vstack([border, border[:1]]).T[:2], color="0.4", lw=1.2, label="border of the command bounds")
+    plane.plot(states[:, 0], states[:, 1], ".", ms=2, color="0.6", label="one step, commands on a grid")
+    plane.plot(*point.state[:2], "o", ms=8, color="#0072B2", label="state $X_0$")
+    if not point.held:
+        plane.plot(*point.next_state[:2], "x", ms=9, mew=2, color="#D55E00", label="nearest next state")
+    first, second = space.state[:2]
+    plane.set(
+        xlabel=f"next {first.name} [{first.unit}]",
+        ylabel=f"next {second.name} [{second.unit}]",
+        title="What one step can reach",
+    )
+    figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    angle = np.linspace(0, 2 * np.pi, 200)
+    circle.plot(np.cos(angle), np.sin(angle), color="0.4", lw=1)
+    circle.axhline(0, color="0.85", lw=0.8, zorder=0)
+    circle.axvline(0, color="0.85", lw=0.8, zorder=0)
+    circle.plot(point.multipliers.real, point.multipliers.imag, "s", ms=7, color="#0072B2")
+    verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
+    circle.set(aspect="equal", xlabel="real part", ylabel="imaginary part", title=f"Multipliers ({verdict})")
+    return figure
+
+
+def _named(names: tuple[str, ...], values: Array, units: list[str]) -> str:
+    return ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in zip(names, values, units, strict=True))

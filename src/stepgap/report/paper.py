@@ -1,0 +1,65 @@
+"""The numbers of the paper's hardware run (Krause, Alaeddini, Bhounsule, IDETC 2023), to be shown beside a run's own.
+
+Read off the plots of its Figs. 4 and 5, 227 steps per deployment; iteration 0 is its controller without a Gaussian
+process. Errors are next state − target, speed in m/s and height in m.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+STATE_NAMES: Final = ("speed", "height")
+"""State of the paper's hopper at the apex (Sec. 4.2)."""
+
+UNITS: Final[Mapping[str, str]] = {"speed": "m/s", "height": "m"}
+"""Their units (Sec. 4.2)."""
+
+LAST_ITERATION: Final = 4
+"""Its last redeployment, "4 hardware deployments" (Sec. 6)."""
+
+NO_GP: Final[Mapping[str, Mapping[str, float]]] = {
+    "rmse": {"speed": 0.0671, "height": 0.0193},
+    "mae": {"speed": 0.0550, "height": 0.0186},
+    "bias": {"speed": 0.0438, "height": -0.0186},
+    "steady_rmse": {"speed": 0.0683, "height": 0.0199},
+    "transient_rmse": {"speed": 0.0733, "height": 0.0198},
+}
+"""Errors of the controller without a GP: the dash-dotted red curves of Fig. 4, digitised, against its reference."""
+
+WITH_GP: Final[Mapping[str, Mapping[str, float]]] = {
+    "rmse": {"speed": 0.0179, "height": 0.0052},
+    "mae": {"speed": 0.0111, "height": 0.0028},
+    "bias": {"speed": 0.0004, "height": 0.0004},
+    "steady_rmse": {"speed": 0.0107, "height": 0.0019},
+    "transient_rmse": {"speed": 0.0277, "height": 0.0054},
+}
+"""Errors at iteration 4: the dashed black curves of Fig. 4, digitised, against its reference.
+
+Steady is at least 4 steps after a change of the reference, transient the first 4 steps after each of its 18 changes.
+"""
+
+MAE_BY_ITERATION: Final[Mapping[str, tuple[float, ...]]] = {
+    "speed": (0.0550, 0.109, 0.0141, 0.0102, 0.0111),
+    "height": (0.0186, 0.0088, 0.0085, 0.0029, 0.0028),
+}
+"""Mean absolute error by iteration, from 0: iteration 0 from Fig. 4, 1 to 4 from Fig. 5.
+
+Fig. 5 calls them "MSE"; they are taken for MAE because its last points equal the MAE of Fig. 4. The first
+redeployment made the speed worse.
+"""
+
+LARGEST_STD: Final[Mapping[str, tuple[float, float]]] = {"speed": (0.03, 0.02), "height": (0.015, 0.01)}
+"""About the largest standard deviation of the learnt map at iterations 1 and 4 (Sec. 6, of Figs. 6b and 7b)."""
+
+
+def paper_error(measure: str, name: str, iteration: int) -> float | None:
+    """One error of the paper's hardware run; None where the paper does not show it.
+
+    Args:
+        measure: `rmse`, `mae`, `bias`, `steady_rmse` or `transient_rmse`.
+        name: `speed` or `height`.
+        iteration: From 0, the controller without a GP.
+    """
+    if measure == "mae" and 0 <= iteration <= LAST_ITERATION:
+        return MAE_BY_ITERATION[name][iteration]
+    table = {0: NO_GP, LAST_ITERATION: WITH_GP}.get(iteration)
+    return table[measure][name] if table else None

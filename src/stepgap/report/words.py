@@ -1,0 +1,128 @@
+"""What a run shows, in plain sentences."""
+
+import numpy as np
+
+from stepgap.report import paper
+from stepgap.report.run_folder import RunRecord
+from stepgap.report.summary import FinishedDeployment
+from stepgap.step import Array, Quantity
+
+
+def headline(record: RunRecord) -> str:
+    """Did it track?"""
+    if not record.deployments:
+        return "No deployment is finished yet."
+    first, last = record.deployments[0], record.deployments[-1]
+    if last.falls:
+        return f"It did not track to the end: deployment {last.iteration} fell at step {last.steps}."
+    to_end = f"the last deployment made all its {_count(last.steps, 'step')} without a fall"
+    if first is last:
+        return f"One deployment so far, so there is nothing to compare with: {to_end}."
+    if (last.errors["rmse"] < first.errors["rmse"]).all():
+        return f"It tracked: {to_end}, and every tracking error is smaller than in deployment {first.iteration}."
+    if first.falls:
+        return f"It tracked to the end: {to_end}, where deployment {first.iteration} fell at step {first.steps}."
+    return f"No fall, but not better in every coordinate: {to_end}."
+
+
+def sentences(record: RunRecord, plant: str) -> list[str]:
+    """Errors, hops and falls, what is still open, and the paper's result.
+
+    Args:
+        record: The run.
+        plant: What executed the steps, in words.
+    """
+    found = []
+    if len(record.deployments) > 1:
+        first, last = record.deployments[0], record.deployments[-1]
+        found += [_change(first, last, row, quantity) for row, quantity in enumerate(record.space.state)]
+    found += [
+        f"Deployment {deployment.iteration} fell at step {deployment.steps}; its errors are of the steps before only."
+        for deployment in record.deployments
+        if deployment.falls
+    ]
+    found += _floor(record)
+    found.append(
+        f"{_count(len(record.steps), 'hop')} recorded in {_count(len(record.steps.iterations), 'deployment')} "
+        f"on the {plant}, {_count(record.steps.falls, 'fall')}."
+    )
+    found += [
+        f"Deployment {iteration} is under way or was broken off: "
+        f"its {_count(steps, 'step')} so far are in none of the errors."
+        for iteration, steps in record.unfinished.items()
+    ]
+    if record.space.state_names == paper.STATE_NAMES:
+        found.append(_paper_result())
+    return found
+
+
+def improvement(first: FinishedDeployment, last: FinishedDeployment, measure: str) -> Array:
+    """By what factor an error fell, NaN where unknown; shape (n,)."""
+    before, after = first.errors[measure], last.errors[measure]
+    return np.divide(before, after, out=np.full(len(before), np.nan), where=(before > 0) & (after > 0))
+
+
+def decimal(value: float, digits: int = 3) -> str:
+    """A few significant digits, with no exponent where that is short; a dash for NaN."""
+    if not np.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if 1e-6 < abs(value) < 1e6:
+        places = digits - 1 - int(np.floor(np.log10(abs(value))))
+        return f"{value:.{max(places, 0)}f}".replace("-", "−")
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def _change(first: FinishedDeployment, last: FinishedDeployment, row: int, quantity: Quantity) -> str:
+    parts = []
+    for measure in ("rmse", "mae"):
+        before, after = first.errors[measure][row], last.errors[measure][row]
+        factor = improvement(first, last, measure)[row]
+        outcome = f", {_times(factor)}" if np.isfinite(factor) else ""
+        parts.append(f"{measure.upper()} from {decimal(before)} to {decimal(after)}{_unit(quantity)}{outcome}")
+    return f"{_title(quantity)}, from deployment {first.iteration} to {last.iteration}: {'; '.join(parts)}."
+
+
+def _times(factor: float) -> str:
+    if factor >= 1:
+        return f"{decimal(factor, 2)} times smaller"
+    return f"{decimal(1 / factor, 2)} times larger"
+
+
+def _floor(record: RunRecord) -> list[str]:
+    """How far the last errors are above what the plant repeats."""
+    known = [row for row, spread in enumerate(record.repeatability) if spread > 0]
+    if not known:
+        return []
+    state, spread = record.space.state, record.repeatability
+    spreads = ", ".join(f"{state[row].name} {decimal(spread[row])}{_unit(state[row])}" for row in known)
+    errors = record.deployments[-1].errors["rmse"]
+    ratios = ", ".join(f"{decimal(errors[row] / spread[row], 2)} times that in {state[row].name}" for row in known)
+    return [
+        f"Repeatability, an estimate of how far the next state spreads from equal state and command: {spreads}. "
+        f"The last RMSE is {ratios}; near 1 there is little left to learn."
+    ]
+
+
+def _paper_result() -> str:
+    factors = [
+        f"{paper.NO_GP['rmse'][name] / paper.WITH_GP['rmse'][name]:.1f} times in {name}" for name in paper.STATE_NAMES
+    ]
+    return (
+        f"For comparison: on the paper's hardware RMSE fell {' and '.join(factors)} with "
+        f"{paper.LAST_ITERATION} redeployments."
+    )
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
+
+
+def _title(quantity: Quantity) -> str:
+    name = quantity.name.replace("_", " ")
+    return name[:1].upper() + name[1:]
+
+
+def _unit(quantity: Quantity) -> str:
+    return f" {quantity.unit}" if quantity.unit else ""

@@ -1,0 +1,142 @@
+"""One contract for every plant, and what is special to each."""
+
+import numpy as np
+import pytest
+
+from stepgap.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.hopper.apex_map import ApexMap
+from stepgap.plants.model_plant import ModelPlant
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.rigs.rig import RigFault
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
+from stepgap.step import Reason, StepFailed
+
+ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
+COMMAND = np.array([-4.0, -3.0])
+
+
+def model_plant(seed):
+    return ModelPlant(ApexMap(), np.array([0.2, 0.58]), np.array([0.005, 0.002]), np.random.default_rng(seed))
+
+
+def twin_plant(seed, gap=RealityGap(), tick=1e-3, **start):  # noqa: B008  (frozen)
+    return RigPlant(Twin(ROBOT, gap, np.random.default_rng(seed), tick=tick, **start), ROBOT, GAINS, BOUNDS)
+
+
+@pytest.fixture(params=[model_plant, twin_plant])
+def make_plant(request):
+    return request.param
+
+
+def test_steps_are_chained_and_record_what_was_asked_and_applied(make_plant):
+    with make_plant(0) as plant:
+        state = plant.start()
+        assert state.shape == (2,)
+        for _ in range(3):
+            record = plant.take_step(COMMAND)
+            assert record.reason == Reason.OK
+            np.testing.assert_array_equal(record.state, state)
+            np.testing.assert_array_equal(record.command, COMMAND)
+            np.testing.assert_array_equal(record.applied, COMMAND)
+            assert np.isfinite(record.next_state).all()
+            state = record.next_state
+
+
+def test_same_seed_same_steps(make_plant):
+    def deployment(seed):
+        with make_plant(seed) as plant:
+            return [plant.start(), *(plant.take_step(COMMAND).next_state for _ in range(2))]
+
+    np.testing.assert_array_equal(deployment(3), deployment(3))
+    assert not np.array_equal(deployment(3), deployment(4))
+
+
+def test_a_command_beyond_its_bounds_is_applied_at_the_bound(make_plant):
+    with make_plant(0) as plant:
+        plant.start()
+        record = plant.take_step(np.array([0.0, 30.0]))
+        np.testing.assert_array_equal(record.command, [0.0, 30.0])
+        np.testing.assert_array_equal(record.applied, [0.0, BOUNDS.fy_upper])
+
+
+def test_a_command_that_is_no_number_ends_the_deployment(make_plant):
+    with make_plant(0) as plant:
+        plant.start()
+        record = plant.take_step(np.array([np.nan, 0.0]))
+        assert record.reason != Reason.OK
+        assert np.isnan(record.next_state).all()
+
+
+def test_starting_again_is_a_new_deployment(make_plant):
+    with make_plant(0) as plant:
+        plant.start()
+        plant.take_step(COMMAND)
+        plant.stop()
+        plant.start()
+        assert plant.take_step(COMMAND).reason == Reason.OK
+        plant.stop()
+        plant.stop()
+
+
+def test_without_any_gap_the_twin_hops_as_the_model_says():
+    """The strongest test of both; `benchmarks/twin_fidelity.py` does it on 50 steps and at other ticks."""
+    rng, nominal, errors = np.random.default_rng(11), ApexMap(), []
+    with twin_plant(0, RealityGap.none(), tick=1e-4, start_height=0.6) as plant:
+        state = plant.start()
+        for _ in range(6):
+            command = rng.uniform([-8, -16], [4, -4])
+            try:
+                predicted = nominal(state, command)
+            except StepFailed:
+                pytest.fail("the random command was not one the model survives")
+            record = plant.take_step(command)
+            errors.append(record.next_state - predicted)
+            state = record.next_state
+    speed_error, height_error = np.abs(errors).max(axis=0)
+    assert speed_error < 0.006
+    assert height_error < 0.003
+
+
+def test_a_first_hop_that_fails_is_a_fault_with_advice():
+    with twin_plant(0, RealityGap(torque_limit=1.0)) as plant, pytest.raises(RigFault, match="first hop failed"):
+        plant.start()  # motors too weak to carry the robot at all
+
+
+def test_a_fall_is_a_record_with_its_reason_and_the_next_deployment_works():
+    ticks = []
+    bounds = CommandBounds(fx_lower=-80.0, fx_upper=80.0, fy_lower=-90.0, fy_upper=20.0)
+    rig = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
+    with RigPlant(rig, ROBOT, GAINS, bounds, on_tick=ticks.append) as plant:
+        plant.start()
+        for _ in range(10):
+            record = plant.take_step(np.array([70.0, -60.0]))
+            if record.reason != Reason.OK:
+                break
+        assert record.reason in (Reason.FELL, Reason.NO_TAKE_OFF, Reason.NO_APEX)
+        assert np.isnan(record.next_state).all()
+        ticks.clear()
+        plant.start()
+        assert plant.take_step(COMMAND).reason == Reason.OK
+
+
+def test_torque_that_the_drives_refuse_is_taken_off_the_applied_command():
+    weak = RealityGap(torque_limit=12.0)
+    with twin_plant(0, weak) as plant:
+        plant.start()
+        record = plant.take_step(np.array([0.0, 15.0]))
+    assert record.command[1] == 15.0
+    assert record.applied[1] < 14.0
+
+
+def test_every_tick_is_reported_with_torques_within_the_limit():
+    ticks = []
+    rig = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
+    with RigPlant(rig, ROBOT, GAINS, BOUNDS, on_tick=ticks.append) as plant:
+        plant.start()
+        plant.take_step(COMMAND)
+    times = np.array([tick.time for tick in ticks])
+    np.testing.assert_allclose(np.diff(times), 1e-3)
+    applied = np.array([(tick.applied_1, tick.applied_2) for tick in ticks])
+    assert np.abs(applied).max() <= min(ROBOT.torque_limit, RealityGap().torque_limit)
+    assert {tick.phase.name for tick in ticks} == {"RISING", "FALLING", "LOADING", "PUSHING"}
