@@ -1,7 +1,8 @@
 """Every setting of an experiment: read strictly from TOML and the command line, written back resolved."""
 
+import csv
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any, get_type_hints
 import tomli_w
 
 from stepgap.control.reference import Reference, paper_reference, read_reference
-from stepgap.hopper.joint_control import joint_law
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.sim_to_real import LearningSettings, write_whole
@@ -21,6 +21,15 @@ LARGEST_FILE = 2**20
 
 PAPER = "paper"
 """Name of the built-in reference."""
+
+LARGEST_WHOLE = 2**53
+"""Whole numbers up to this one stand for a number without loss."""
+
+SHORT_OPTIONS = {"learning.iterations": "iterations"}
+"""Options of the command line whose name is not that of the setting."""
+
+Place = Callable[[str], str]
+"""How the user knows a dotted setting: by its file and table, or by its option."""
 
 
 class InputError(ValueError):
@@ -66,20 +75,13 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
     """
     experiment = Experiment()
     if path is not None:
-        experiment = _merge(experiment, _read_toml(path), str(path))
+        experiment = _changed(experiment, _read_toml(path), lambda name: f"{path}: {_with_table(name)}")
         if experiment.reference != PAPER:
             experiment = replace(experiment, reference=str(path.parent / experiment.reference))
+    table: dict[str, Any] = {}
     for name, value in overrides:
-        table: Any = _parse_value(value)
-        for key in reversed(name.replace("-", "_").split(".")):
-            table = {key: table}
-        experiment = _merge(experiment, table, f"--{name}")
-    source = str(path) if path else "settings"
-    try:
-        joint_law(experiment.robot, experiment.gains)
-    except ValueError as error:
-        raise InputError(f"{source}: [gains] {error}") from None
-    return experiment
+        _set(table, name.replace("-", "_").split("."), _parse_value(value))
+    return _changed(experiment, table, lambda name: f"--{SHORT_OPTIONS.get(name, name)}")
 
 
 def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
@@ -96,7 +98,7 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
         raise InputError(
             f"{experiment.reference}: {error.strerror}; reference must be '{PAPER}' or a CSV file of targets"
         ) from None
-    except ValueError as error:
+    except (ValueError, csv.Error) as error:
         raise InputError(str(error)) from None
 
 
@@ -114,56 +116,91 @@ def write_experiment(folder: Path, experiment: Experiment, reference: Reference)
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > LARGEST_FILE:
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
             raise InputError(f"{path}: larger than {LARGEST_FILE} bytes, so it is no experiment file")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(content.decode("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not text; an experiment is a TOML file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: not TOML: {error}") from None
 
 
 def _parse_value(text: str) -> Any:
     """The TOML value that `text` spells; a bare word is a string."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (tomllib.TOMLDecodeError, KeyError):
+        table = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
         return text
+    return table["value"] if len(table) == 1 else text
 
 
-def _merge(settings: Any, table: Mapping[str, Any], source: str, section: str = "") -> Any:
+def _set(table: dict[str, Any], keys: list[str], value: Any) -> None:
+    """Sets the entry of nested tables that dotted keys lead to."""
+    for key in keys[:-1]:
+        inner = table.get(key)
+        table[key] = inner if isinstance(inner, dict) else {}
+        table = table[key]
+    table[keys[-1]] = value
+
+
+def _with_table(name: str) -> str:
+    """A dotted name as `[table] key`."""
+    table, dot, key = name.rpartition(".")
+    return f"[{table}] {key}" if dot else key
+
+
+def _changed(experiment: Experiment, table: Mapping[str, Any], place: Place) -> Experiment:
+    """The experiment with the values of a TOML table; InputError if it is not one then."""
+    experiment = _merge(experiment, table, place)
+    try:
+        experiment.gains.check(experiment.robot)
+    except ValueError as error:
+        raise InputError(place(f"gains.{error}")) from None
+    return experiment
+
+
+def _merge(settings: Any, table: Mapping[str, Any], place: Place, prefix: str = "") -> Any:
     """The dataclass `settings` with the values of a TOML table, checked for names and types."""
     types = get_type_hints(type(settings))
     known = [entry.name for entry in fields(settings)]
     changes: dict[str, Any] = {}
     for key, value in table.items():
-        place = f"{source}: {section}{key}"
-        if key not in types or key not in known:
+        here = place(prefix + key)
+        if key not in known:
             close = get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"the keys here are {', '.join(known)}"
-            raise InputError(f"{place}: unknown key; {hint}")
+            hint = f"did you mean {place(prefix + close[0])}?" if close else f"the keys here are {', '.join(known)}"
+            raise InputError(f"{here}: unknown key; {hint}")
         current = getattr(settings, key)
         if is_dataclass(current):
             if not isinstance(value, Mapping):
-                raise InputError(f"{place} = {value!r}, but it must be a table")
-            changes[key] = _merge(current, value, source, f"[{key}] ")
+                raise InputError(f"{here} = {_shown(value)}, but it must be a table")
+            changes[key] = _merge(current, value, place, f"{prefix}{key}.")
         else:
-            changes[key] = _as_type(value, types[key], place)
+            changes[key] = _as_type(value, types[key], here)
     try:
         return replace(settings, **changes)
-    except InputError:
-        raise
     except ValueError as error:
-        raise InputError(f"{source}: {section}{error}") from None
+        name, equals, rule = str(error).partition(" = ")
+        raise InputError(f"{place(prefix + name)}{equals}{rule}") from None
 
 
-def _as_type(value: Any, wanted: type, place: str) -> Any:
+def _as_type(value: Any, wanted: Any, here: str) -> Any:
     """The value, if it has the type of the field; a whole number may stand for a number."""
-    if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+    words = {float: "a number", int: "a whole number", bool: "true or false"}
+    if type(value) is int and wanted is float and abs(value) <= LARGEST_WHOLE:
         return float(value)
-    if type(value) is not wanted:
-        words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
-        raise InputError(f"{place} = {value!r}, but it must be {words[wanted]}")
+    if type(value) is not (wanted if wanted in words else str):
+        raise InputError(f"{here} = {_shown(value)}, but it must be {words.get(wanted, 'a text in quotes')}")
     return value
+
+
+def _shown(value: Any) -> str:
+    """The value for a message."""
+    text = repr(value) if type(value) is not bool else str(value).lower()
+    return text if len(text) <= 60 else f"{text[:60]}…"

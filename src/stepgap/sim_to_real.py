@@ -5,7 +5,9 @@ It knows no robot: a nominal `StepMap`, something that makes a `Plant`, and a `R
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,13 +18,20 @@ from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.residual import _KINDS as KINDS
-from stepgap.learning.residual import NoResidual, Residual, fit_residual
-from stepgap.learning.step_log import LoggedStep, StepLog, StepWriter, read_step_log
+from stepgap.learning.residual import Residual, ResidualKind, fit_residual
+from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
 from stepgap.plants.plant import Plant
-from stepgap.step import Array, Reason, StepFailed, StepMap, StepRecord
+from stepgap.step import Array, Reason, StepFailed, StepMap
 
 SCHEMA = 1
 """Version of `summary.json`."""
+
+SAME_AGAIN = "resume with the record, settings, versions and machine that it was started with"
+"""What to do when a replay does not give the recorded steps."""
+
+
+Steps = Generator[LoggedStep, None, None]
+"""Steps as they are executed; closing it stops the plant."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +45,7 @@ class LearningSettings:
             best so far; judged from the second redeployment on.
     """
 
-    residual: str = "gp"
+    residual: ResidualKind = "gp"
     iterations: int = 4
     least_gain: float = 0.01
 
@@ -103,9 +112,8 @@ def repeatability(steps: StepLog, reference: Reference) -> Array:
     Estimated from the steady steps of one deployment: what is left of the next state after a linear
     fit in state and command, per degree of freedom. NaN where the steps are too few.
     """
-    steady = StepLog(
-        steps.space, [logged for logged in steps.completed() if logged.step - 1 in set(reference.steady.tolist())]
-    )
+    numbers = set((reference.steady + 1).tolist())
+    steady = StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))
     inputs = np.hstack([np.ones((len(steady), 1)), steady.state, steady.applied])
     freedom = len(steady) - inputs.shape[1]
     if freedom < 1:
@@ -114,7 +122,7 @@ def repeatability(steps: StepLog, reference: Reference) -> Array:
     return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / freedom)
 
 
-def deploy(step_map: CorrectedMap, plant: Plant, reference: Reference, iteration: int) -> Iterator[LoggedStep]:
+def deploy(step_map: CorrectedMap, plant: Plant, reference: Reference, iteration: int) -> Steps:
     """Tracks the reference with the controller of a map, until its end or a fall.
 
     Where the map knows no command that makes a step, the middle of the bounds is tried.
@@ -136,11 +144,15 @@ def deploy(step_map: CorrectedMap, plant: Plant, reference: Reference, iteration
             state = record.next_state
 
 
-def learn(nominal: StepMap, log: StepLog, kind: str) -> Residual:
-    """Fits the residual to actual − nominal over all steps of the log (Eq. 12), at the commands applied."""
+def learn(nominal: StepMap, log: StepLog, kind: ResidualKind) -> Residual:
+    """Fits the residual to actual − nominal over all steps of the log (Eq. 12), at the commands applied.
+
+    Without a step to learn from, the nominal map stays as it is.
+    """
     known = log.completed()
     error = known.next_state - nominal.evaluate(known.state, known.applied).next_state
     usable = np.isfinite(error).all(axis=1)  # a step that the nominal map says must fail has no error to learn
+    kind = kind if usable.any() else "none"
     return fit_residual(kind, nominal.space, known.state[usable], known.applied[usable], error[usable])
 
 
@@ -164,13 +176,14 @@ def run(
     learning: LearningSettings,
     folder: Path,
     seed: int,
-    observer: Observer = Observer(),  # noqa: B008  (frozen)
+    observer: Observer = Observer(),
 ) -> list[Deployment]:
     """Runs the experiment, or goes on with one that was broken off, and keeps its record in `folder`.
 
     Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K and `summary.json`
-    after every deployment. Steps already in `steps.csv` are not lost: whole deployments are kept as
-    they are; one that was broken off is replayed from its seed, which must give the same steps.
+    after every deployment. No recorded step is lost: deployments that `summary.json` vouches for are
+    taken as they are; what was recorded after them is replayed from its seed, which must give the
+    same steps, and from there the experiment goes on.
 
     Args:
         nominal: Map of the physics model.
@@ -182,54 +195,74 @@ def run(
         observer: Whom to tell.
 
     Raises:
-        ValueError: The folder's record is not one of this experiment.
+        ValueError: The reference is not one for this map.
+        RecordError: The folder's record is not one of this experiment, or another process is writing it.
     """
     reference.check(nominal.space)
-    path = folder / "steps.csv"
-    recorded = read_step_log(path, nominal.space) if path.exists() else StepLog(nominal.space)
-    log, deployments = StepLog(nominal.space), []
+    path, log, deployments = folder / "steps.csv", StepLog(nominal.space), []
     with StepWriter(path, nominal.space) as writer:
+        recorded = deque(writer.recorded)
+        vouched = _vouched_deployments(folder / "summary.json", writer.recorded, seed)
         for iteration in range(learning.iterations + 1):
-            kind = learning.residual if iteration > 0 else "none"
-            residual = learn(nominal, log, kind)
+            residual = learn(nominal, log, learning.residual if iteration > 0 else "none")
+            model = residual.to_dict()
             if iteration > 0:
-                write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(residual.to_dict()))
-            known = list(recorded.of_iteration(iteration))
-            if _is_whole(known, reference):
-                steps: Iterator[LoggedStep] = iter(known)
+                write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(model))
+            if iteration < vouched:
+                steps = _taken_as_recorded(recorded, iteration)
             else:
                 plant = make_plant(np.random.default_rng([seed, iteration]))
                 steps = deploy(CorrectedMap(nominal, residual), plant, reference, iteration)
-            for index, logged in enumerate(steps):
-                if index >= len(known):
-                    writer.append(logged)
-                elif logged is not known[index]:
-                    _check_same(path, known[index], logged)
-                log.append(logged)
-                observer.on_step(logged)
-            deployments.append(summarise(log.of_iteration(iteration), reference, kind))
-            write_whole(folder / "summary.json", json.dumps(_summary(deployments, log, reference, seed), indent=1))
+                steps = _recorded_once(steps, recorded, writer, path)
+            with closing(steps):  # so that an error here stops the plant at once
+                for logged in steps:
+                    log.append(logged)
+                    observer.on_step(logged)
+            deployments.append(summarise(log.of_iteration(iteration), reference, model["kind"]))
+            if not recorded:
+                write_whole(folder / "summary.json", json.dumps(_summary(deployments, log, reference, seed), indent=1))
             observer.on_deployment(deployments[-1])
             if not _worth_going_on(deployments, nominal.space.state_scale, learning.least_gain):
                 break
+    if recorded:
+        raise RecordError(f"{path}: it has steps after the last deployment of this experiment; {SAME_AGAIN}")
     return deployments
 
 
-def _is_whole(steps: Sequence[LoggedStep], reference: Reference) -> bool:
-    """The deployment went to its end, or to a fall."""
-    return bool(steps) and (len(steps) == len(reference) or steps[-1].record.reason != Reason.OK)
+def _vouched_deployments(path: Path, recorded: StepLog, seed: int) -> int:
+    """How many whole deployments of the record are what they were when `summary.json` was written."""
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        count, wanted = len(summary["iterations"]), (summary["seed"], summary["steps_sha256"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0  # none, or not ours: it will be written anew
+    known = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < count))
+    return count if (seed, digest(known)) == wanted else 0
+
+
+def _taken_as_recorded(recorded: deque[LoggedStep], iteration: int) -> Steps:
+    """The recorded steps of a deployment."""
+    while recorded and recorded[0].iteration == iteration:
+        yield recorded.popleft()
+
+
+def _recorded_once(steps: Steps, recorded: deque[LoggedStep], writer: StepWriter, path: Path) -> Steps:
+    """The steps, each after it is on disk: those recorded already are compared, the others written."""
+    with closing(steps):
+        for logged in steps:
+            if recorded:
+                _check_same(path, recorded.popleft(), logged)
+            else:
+                writer.append(logged)
+            yield logged
 
 
 def _check_same(path: Path, known: LoggedStep, replayed: LoggedStep) -> None:
-    """Raises ValueError unless the replayed step is the recorded one to the last bit."""
-    same = all(
-        np.array_equal(getattr(known.record, name), getattr(replayed.record, name), equal_nan=True)
-        for name in ("state", "command", "applied", "next_state")
-    )
-    if not same:
-        raise ValueError(
-            f"{path}: replaying deployment {known.iteration} gave another step {known.step} than the one recorded; "
-            "resume with the settings, versions and machine that it was started with"
+    """Raises RecordError unless the replayed step is the recorded one to the last bit."""
+    if row_of(known) != row_of(replayed):
+        raise RecordError(
+            f"{path}: replaying deployment {replayed.iteration} gave another step {replayed.step} than the one "
+            f"recorded; {SAME_AGAIN}"
         )
 
 
@@ -242,7 +275,7 @@ def _worth_going_on(deployments: Sequence[Deployment], scale: Array, least_gain:
 
 
 def _summary(deployments: Sequence[Deployment], log: StepLog, reference: Reference, seed: int) -> dict[str, Any]:
-    """The content of `summary.json`; NaN becomes null."""
+    """The content of `summary.json`; NaN becomes null. Its digest vouches for `steps.csv` as it stood then."""
     names = log.space.state_names
 
     def named(values: Array) -> dict[str, float | None]:
@@ -263,13 +296,14 @@ def _summary(deployments: Sequence[Deployment], log: StepLog, reference: Referen
             for deployment in deployments
         ],
         "repeatability": named(repeatability(log.of_iteration(deployments[-1].iteration), reference)),
+        "steps_sha256": digest(log),
     }
 
 
 def write_whole(path: Path, text: str) -> None:
     """Writes a file so that a reader, or a crash, sees the old one or the new one, never a part."""
     path.parent.mkdir(exist_ok=True)
-    partial = path.with_suffix(".partial")
+    partial = path.with_name(f"{path.name}.partial")
     with partial.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()

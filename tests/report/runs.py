@@ -1,10 +1,8 @@
 """Run folders for the tests of `report`, made by the experiment itself on a map with a closed form."""
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,39 +10,51 @@ from stepgap.control.reference import Reference
 from stepgap.learning.step_log import LoggedStep, StepWriter
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.sim_to_real import LearningSettings, run
-from stepgap.step import Array, Outcome, Quantity, Reason, StepMap, StepRecord, StepSpace
-from tests.control.maps import LossyHopper, NeverWorks
+from stepgap.step import Array, Quantity, Reason, StepMap, StepRecord, StepSpace
+from tests.control.maps import LossyHopper
 
 TARGETS = Reference.from_segments(
     ("speed", "height"), [(1, (0.1, 0.56)), (11, (0.2, 0.58)), (21, (0.3, 0.6)), (31, (0.15, 0.57))], 40
 )
 
 
-@dataclass
-class Tiring(LossyHopper):
-    """The real one, which falls after so many steps."""
+REAL = LossyHopper(drift=0.1, loss=0.43)
+"""What the robot really does; the nominal map is `LossyHopper()`."""
 
-    lasts: int = 10**9
-    drift: float = 0.1
-    loss: float = 0.43
-    made: int = 0
 
-    def evaluate(self, state: Any, command: Any) -> Outcome:
+class Tiring(ModelPlant):
+    """Falls after so many steps."""
+
+    lasts = 10**9
+    made = 0
+
+    def take_step(self, command: Array) -> StepRecord:
+        record = super().take_step(command)
         self.made += 1
-        if self.made > self.lasts:
-            return Outcome(np.full(2, np.nan), np.array(Reason.FELL))
-        return super().evaluate(state, command)
+        if self.made <= self.lasts:
+            return record
+        return replace(record, next_state=np.full_like(record.state, np.nan), reason=Reason.FELL)
 
 
-def make_run(folder: Path, iterations: int = 2, residual: str = "gp", real: Callable[[], StepMap] = Tiring) -> Path:
-    """Runs the experiment into a folder."""
+def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), real: StepMap = REAL) -> Path:
+    """Runs the experiment into a folder.
+
+    Args:
+        folder: To be made.
+        iterations: Redeployments.
+        lasts: After how many steps the robot falls in the first deployments.
+        real: What it really does.
+    """
     folder.mkdir()
-    learning = LearningSettings(residual, iterations, least_gain=0.0)
+    noise = np.array([0.005, 0.002]) if real is REAL else np.zeros(2)
+    tired = iter(lasts)
 
     def plant(rng: np.random.Generator) -> ModelPlant:
-        return ModelPlant(real(), np.array([0.1, 0.56]), np.array([0.005, 0.002]), rng)
+        made = Tiring(real, np.array([0.1, 0.56]), noise, rng)
+        made.lasts = next(tired, made.lasts)
+        return made
 
-    run(LossyHopper(), plant, TARGETS, learning, folder, seed=0)
+    run(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, least_gain=0.0), folder, seed=0)
     return folder
 
 
@@ -83,5 +93,3 @@ def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: 
     content = {"schema": 1, "seed": 0, "iterations": entries, "repeatability": unknown}
     (folder / "summary.json").write_text(json.dumps(content), encoding="utf-8")
 
-
-__all__ = ["TARGETS", "NeverWorks", "Tiring", "logged", "make_run", "write_run", "write_summary"]

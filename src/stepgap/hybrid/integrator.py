@@ -71,7 +71,7 @@ class Workspace(NamedTuple):
         trial: State at the end of a trial step; shape (n,).
         point: State inside a step; shape (n,).
         guard: Guard values there; shape (k,).
-        before: Guard values at the start of a step; shape (k,).
+        seen: Guard values where a crossing was looked for; shape (k,).
         signs: Side of each guard the motion is on, ±1; shape (k,).
     """
 
@@ -79,7 +79,7 @@ class Workspace(NamedTuple):
     trial: Array
     point: Array
     guard: Array
-    before: Array
+    seen: Array
     signs: Array
 
 
@@ -161,28 +161,33 @@ def _scaled_error(state, h, tolerance, work):
 
 @compiled
 def _first_crossing(system, state, h, work):
-    """Earliest guard crossing within the last step: (fraction of the step, guard), guard −1 if none.
+    """Earliest guard crossing within the last step: (fraction of the step, guard, end), guard −1 if none.
 
-    The fraction is found on the cubic Hermite interpolant of the step.
+    The guards are looked at in the middle of the step, too: one that is crossed there and crossed back
+    before the end has been met all the same. The fraction is found on the cubic Hermite interpolant of
+    the step; `end` is ½ or 1, where the guard is seen to be crossed.
     """
-    guards(system, work.trial, work.guard)
-    crossed = work.guard * work.signs < 0
     earliest, which = 2.0, -1
-    for j in range(crossed.size):
-        if not crossed[j]:
-            continue
-        low, high = 0.0, 1.0
-        for _ in range(30):
-            s = 0.5 * (low + high)
-            _interpolate(state, h, s, work)
-            guards(system, work.point, work.guard)
-            if work.guard[j] * work.signs[j] < 0:
-                high = s
-            else:
-                low = s
-        if high < earliest:
-            earliest, which = high, j
-    return earliest, which
+    for end in (0.5, 1.0):
+        _interpolate(state, h, end, work)
+        guards(system, work.point, work.seen)
+        for j in range(work.signs.size):
+            if work.seen[j] * work.signs[j] >= 0:
+                continue
+            low, high = end - 0.5, end
+            for _ in range(30):
+                s = 0.5 * (low + high)
+                _interpolate(state, h, s, work)
+                guards(system, work.point, work.guard)
+                if work.guard[j] * work.signs[j] < 0:
+                    high = s
+                else:
+                    low = s
+            if high < earliest:
+                earliest, which = high, j
+        if which >= 0:
+            return earliest, which, end
+    return earliest, which, 1.0
 
 
 @compiled
@@ -197,28 +202,27 @@ def _interpolate(state, h, s, work):
 
 
 @compiled
-def _land_on(system, state, h, fraction, which, work):
-    """Shortens the last step so that it ends on guard `which`; returns its size."""
-    guards(system, state, work.before)
-    low, low_value = 0.0, work.before[which]
-    guards(system, work.trial, work.guard)
-    high, high_value = h, work.guard[which]
-    size = fraction * h
+def _land_on(system, state, h, crossing, work):
+    """Shortens the last step so that it ends on the guard of `crossing`; returns its size."""
+    fraction, which, end = crossing
+    low, high = 0.0, end * h
+    size, value = high, work.seen[which]
+    better = fraction * h
     for _ in range(12):
+        previous, previous_value, size = size, value, better
         _step(system, state, size, work)
         guards(system, work.trial, work.guard)
         value = work.guard[which]
         if value * work.signs[which] < 0:
-            high, high_value = size, value
+            high = size
         else:
-            low, low_value = size, value
-        if abs(value) < 1e-13 or high - low < 1e-15:
-            break
-        slope = (high_value - low_value) / (high - low)
-        better = size - value / slope if slope != 0.0 else 0.5 * (low + high)
-        if not low < better < high:
+            low = size
+        change = value - previous_value
+        better = size - value * (size - previous) / change if change != 0.0 else size
+        if not low <= better <= high:
             better = 0.5 * (low + high)
-        size = better
+        if abs(value) < 1e-13 or abs(better - size) < 1e-15:
+            break
     return size
 
 
@@ -251,9 +255,10 @@ def integrate(system, state, time_limit, tolerance, work):
         if error > 1.0:
             h *= max(0.2, 0.9 * error**-0.2)
             continue
-        fraction, which = _first_crossing(system, state, h, work)
+        crossing = _first_crossing(system, state, h, work)
+        which = crossing[1]
         if which >= 0:
-            elapsed += _land_on(system, state, h, fraction, which, work)
+            elapsed += _land_on(system, state, h, crossing, work)
             state[:] = work.trial
             work.signs[which] = -work.signs[which]
             return elapsed, which

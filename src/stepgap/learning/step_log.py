@@ -1,12 +1,12 @@
 """The append-only record of every step executed: in memory, and as `steps.csv` a row at a time."""
 
-import csv
+import errno
+import fcntl
+import hashlib
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from stepgap.step import Array, Reason, StepRecord, StepSpace
 
 LARGEST_FILE = 256 * 2**20
 """Largest `steps.csv` that is read [bytes]."""
+
+
+class RecordError(ValueError):
+    """A step log cannot be used; the message is one line that names the file and what is wrong with it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,32 +57,44 @@ def column_names(space: StepSpace) -> list[str]:
     ]
 
 
-def _to_row(logged: LoggedStep) -> list[str]:
+def row_of(logged: LoggedStep) -> str:
+    """The line of `steps.csv`, without its end; every number is written so that it is read back to the last bit."""
     record = logged.record
-    groups = (
-        record.state,
-        logged.target,
-        record.command,
-        record.applied,
-        record.next_state,
-        logged.predicted,
-        logged.std,
-    )
-    numbers = [repr(float(number)) for group in groups for number in group]
-    return [str(logged.iteration), str(logged.step), *numbers, record.reason.status]
+    before = (record.state, logged.target, record.command, record.applied)
+    after = (record.next_state, logged.predicted, logged.std)
+    numbers = [repr(float(number)) for group in before + after for number in group]
+    return ",".join([str(logged.iteration), str(logged.step), *numbers, record.reason.status])
 
 
-def _from_row(row: list[str], space: StepSpace) -> LoggedStep:
+def _step_of(row: str, space: StepSpace) -> LoggedStep:
+    """The step that a line holds; ValueError if it holds none."""
+    names, cells = column_names(space), row.split(",")
+    if len(cells) != len(names):
+        raise ValueError(f"{len(cells)} columns instead of {len(names)}")
+    if cells[-1].upper() not in Reason.__members__:
+        raise ValueError(f"unknown status {cells[-1]!r:.40}")
     n, m = len(space.state), len(space.command)
-    numbers = np.array([float(cell) for cell in row[2:-1]])
+    numbers = np.array([float(cell) for cell in cells[2:-1]])
     state, target, command, applied, next_state, predicted, std = np.split(numbers, np.cumsum([n, n, m, m, n, n]))
-    reason = Reason[row[-1].upper()]
-    known = np.concatenate([state, target, command, applied, std])
-    if not np.isfinite(known).all() or np.isfinite(next_state).all() != (reason == Reason.OK):
+    reason = Reason[cells[-1].upper()]
+    known = [state, target, command, applied, std]
+    if reason == Reason.OK:
+        known.append(next_state)
+    if not np.isfinite(np.concatenate(known)).all():
         raise ValueError("a number is not finite")
-    return LoggedStep(
-        int(row[0]), int(row[1]), target, predicted, std, StepRecord(state, command, applied, next_state, reason)
-    )
+    record = StepRecord(state, command, applied, next_state, reason)
+    return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
+
+
+def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
+    """Raises ValueError unless a step can follow the one before it."""
+    here = (logged.iteration, logged.step)
+    following = [(0, 1)] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, 1)]
+    if last is not None and last.record.reason != Reason.OK:
+        del following[0]
+    if here not in following:
+        wanted = " or ".join(f"step {step} of deployment {iteration}" for iteration, step in following)
+        raise ValueError(f"step {here[1]} of deployment {here[0]} where {wanted} must be")
 
 
 class StepLog:
@@ -156,63 +172,94 @@ class StepLog:
         return np.array(rows, float).reshape(len(rows), width)
 
 
+def digest(log: StepLog) -> str:
+    """SHA-256 of the `steps.csv` that holds these steps."""
+    lines = [",".join(column_names(log.space)), *map(row_of, log)]
+    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
+
+
 def read_step_log(path: Path, space: StepSpace) -> StepLog:
     """Reads `steps.csv`; a last line cut off in the middle of writing is left out.
 
     Raises:
-        ValueError: The file is not a step log of this space; the message names file and line.
+        RecordError: The file is not a step log of this space; the message names file and line.
+        OSError: The file cannot be read.
     """
-    if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not read")
+    with path.open("rb") as file:
+        content = file.read(LARGEST_FILE + 1)
+    return _parse(content, path, space)
+
+
+def _parse(content: bytes, path: Path, space: StepSpace) -> StepLog:
+    if len(content) > LARGEST_FILE:
+        raise RecordError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not read")
+    header = ",".join(column_names(space))
+    if header.encode().startswith(content):
+        return StepLog(space)  # broken off before the first line was whole
     try:
-        text = path.read_text(encoding="utf-8")
+        lines = content[: content.rfind(b"\n") + 1].decode().replace("\r\n", "\n").split("\n")[:-1]
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: not a text file ({error.reason})") from None
-    whole = text[: text.rfind("\n") + 1]
-    rows = list(csv.reader(StringIO(whole)))
-    names = column_names(space)
-    if not rows or rows[0] != names:
-        raise ValueError(f"{path}, line 1: the columns must be {','.join(names)}")
-    steps = []
-    for number, row in enumerate(rows[1:], start=2):
+        raise RecordError(f"{path}: not a text file in UTF-8 ({error.reason})") from None
+    if lines[:1] != [header]:
+        raise RecordError(f"{path}, line 1: the columns must be {header}")
+    steps: list[LoggedStep] = []
+    for number, line in enumerate(lines[1:], start=2):
         try:
-            if len(row) != len(names):
-                raise ValueError(f"{len(row)} columns instead of {len(names)}")
-            steps.append(_from_row(row, space))
-        except (ValueError, KeyError) as error:
-            raise ValueError(f"{path}, line {number}: not a step ({error})") from None
+            logged = _step_of(line, space)
+            _check_order(steps[-1] if steps else None, logged)
+        except ValueError as error:
+            raise RecordError(f"{path}, line {number}: not the next step ({error})") from None
+        steps.append(logged)
     return StepLog(space, steps)
 
 
 class StepWriter:
-    """Writes steps to a file, each on disk before the next one starts.
+    """Writes steps to a file, each on disk before the next one starts; one writer at a time has the file.
 
     Args:
-        path: The file; it is made with its header if there is none, cut after its last whole row if
-            it was left in the middle of one.
+        path: The file; made if there is none. Nothing in it is changed before the first step is added.
         space: Names of state and command.
+
+    Attributes:
+        recorded: Steps that were in the file.
+
+    Raises:
+        RecordError: Another process has the file, or it is not a step log of this space.
+        OSError: The file cannot be read or written.
     """
 
     def __init__(self, path: Path, space: StepSpace):
-        if path.exists():
-            text = path.read_bytes()
-            whole = text.rfind(b"\n") + 1
-            if whole != len(text):
-                os.truncate(path, whole)
-        self._file: TextIO = path.open("a", encoding="utf-8", newline="")
-        self._rows = csv.writer(self._file, lineterminator="\n")
-        if self._file.tell() == 0:
-            self._rows.writerow(column_names(space))
-            self._sync()
+        self._header = ",".join(column_names(space))
+        self._file = path.open("a+b")
+        try:
+            self._lock(path)
+            self._file.seek(0)
+            content = self._file.read(LARGEST_FILE + 1)
+            self.recorded = _parse(content, path, space)
+        except BaseException:
+            self._file.close()
+            raise
+        self._whole = content.rfind(b"\n") + 1
+
+    def _lock(self, path: Path) -> None:
+        """Takes the file for this process; the kernel frees it whatever happens to the process."""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RecordError(f"{path}: another process is writing this run; wait for it, or stop it") from None
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):  # a file system without locks
+                raise
 
     def append(self, logged: LoggedStep) -> None:
-        """Writes one row and waits until the disk has it."""
-        self._rows.writerow(_to_row(logged))
-        self._sync()
-
-    def _sync(self) -> None:
+        """Writes one row, after the last whole one, and waits until the disk has it."""
+        text = row_of(logged) if self._whole else f"{self._header}\n{row_of(logged)}"
+        row = f"{text}\n".encode()
+        self._file.truncate(self._whole)
+        self._file.write(row)
         self._file.flush()
         os.fsync(self._file.fileno())
+        self._whole += len(row)
 
     def close(self) -> None:
         """Closes the file."""

@@ -199,7 +199,7 @@ class RigPlant(Plant):
         applied = rig.write(checked.torque_1, checked.torque_2)
         if self._phase == Phase.PUSHING:
             self._count_loss(alpha_1, alpha_2, torque[0] - applied[0], torque[1] - applied[1])
-        if checked.limited.stops:
+        if checked.limited and checked.limited.stops:
             self._reason = Reason.STOPPED
         elif uprightness(self._law.leg, y, alpha_1, alpha_2) < 0:
             self._reason = Reason.FELL

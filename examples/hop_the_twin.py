@@ -1,0 +1,16 @@
+"""Three hops of the twin through the 1 kHz loop, and what one tick tells."""
+
+import numpy as np
+
+from stepgap import CommandBounds, Gains, RealityGap, RigPlant, RobotParameters, Twin
+
+robot, ticks = RobotParameters(), []
+twin = Twin(robot, RealityGap(), np.random.default_rng(0))
+with RigPlant(twin, robot, Gains(), CommandBounds(), on_tick=ticks.append) as plant:
+    state = plant.start()
+    print("first apex: {:.3f} m/s, {:.3f} m".format(*state))
+    for _ in range(3):
+        record = plant.take_step(np.array([-5.0, -5.0]))
+        print("next apex:  {:.3f} m/s, {:.3f} m".format(*record.next_state))
+peak = max(ticks, key=lambda tick: abs(tick.applied_1))
+print(f"{len(ticks)} ticks; largest torque {abs(peak.applied_1):.1f} N·m in phase {peak.phase.name}")
