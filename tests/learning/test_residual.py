@@ -4,7 +4,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from stepgap.learning.gaussian_process import fit_gaussian_process, fit_like_fitrgp
+from stepgap.learning.gaussian_process_fit import fit_gaussian_process, fit_like_fitrgp
 from stepgap.learning.residual import (
     GaussianProcessKind,
     GaussianProcessResidual,

@@ -7,7 +7,7 @@ and Williams, Gaussian Processes for Machine Learning (2006).
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, final
@@ -15,29 +15,19 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import get_lapack_funcs
-from scipy.optimize import minimize
 from scipy.spatial.distance import cdist, pdist, squareform
 
 from stepgap.step import Array
 
-COLD_START_SIZE = 200
-"""Most points on which the cold starts compete; with more, only the winner goes on with all points."""
-
-LENGTH_SCALE_BOUNDS = (1e-2, 1e3)
-"""Search range in input scales; for `fit_like_fitrgp` in units of its initial value."""
-
-NOISE_RATIO_BOUNDS = (1e-4, 1e2)
-"""Search range of noise over signal; its lower end keeps duplicated points well conditioned."""
-
 KERNEL_BLOCK = 2**16
 """Kernel values computed at a time, so that a large batch of queries stays in the cache."""
 
-_potrf, _potri, _trtrs = get_lapack_funcs(("potrf", "potri", "trtrs"), dtype=np.float64)
+_potrf, _trtrs = get_lapack_funcs(("potrf", "trtrs"), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class HyperParameters:
-    """What a fit chooses.
+    """What a fit chooses; see `gaussian_process_fit`.
 
     Attributes:
         length_scale: Distance over which f changes, in input scales; shape (d,).
@@ -82,7 +72,7 @@ class LeastSquares(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class GaussianProcess:
-    """A Gaussian process conditioned on data; made by `condition` or by one of the fits.
+    """A Gaussian process conditioned on data; made by `condition`, or by a fit of `gaussian_process_fit`.
 
     Queries have shape (…, d) and the units of `points`; one that is not finite gives NaN.
 
@@ -119,7 +109,7 @@ class GaussianProcess:
         """∂mean/∂point; shape (…, d) [unit of the values per unit of each input]."""
 
         def gradient(query: Array) -> Array:
-            pull = _kernel_descent(self._distance(query)) * self.least_squares.weights
+            pull = kernel_descent(self._distance(query)) * self.least_squares.weights
             return (pull @ self._data - pull.sum(axis=1, keepdims=True) * query) / self._reach
 
         return self._blockwise(gradient, point)
@@ -222,137 +212,17 @@ def condition(
         hyper_parameters: Where `noise_std` is too small for the points to be told apart in double
             precision, the least variance that suffices is added to the noise.
     """
-    points, values, input_scale = _checked(points, values, input_scale)
+    points, values, input_scale = checked_data(points, values, input_scale)
     length_scale, signal = hyper_parameters.length_scale, hyper_parameters.signal_std
     _require(
         length_scale.shape == input_scale.shape, "length_scale", f"as many numbers as input_scale ({points.shape[1]})"
     )
     distance = np.sqrt(5 * pdist(points / (input_scale * length_scale), "sqeuclidean"))
-    least_squares = _least_squares(distance, hyper_parameters.noise_std / signal, values)
+    least_squares = least_squares_fit(distance, hyper_parameters.noise_std / signal, values)
     return GaussianProcess(points, values, input_scale, hyper_parameters, least_squares)
 
 
-def fit_gaussian_process(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> GaussianProcess:
-    """Most probable hyper-parameters under weak priors, one length scale per input.
-
-    A priori log(length scale) ~ N(log 3, 1) for each input and log(noise/signal) ~ N(log 0.5, 1), while
-    log(signal) and β are flat. Without these priors a fit to fewer than 50 points often takes noise for
-    signal. The search is deterministic: the same data give the same process. Where the values do not
-    vary (N = 1, say) nothing tells their spread: the standard deviations are then tiny but positive.
-
-    Args:
-        points: Shape (N, d), N ≥ 1.
-        values: Shape (N,).
-        input_scale: Fixed size of each input, not taken from the data; shape (d,).
-    """
-    points, values, input_scale = _checked(points, values, input_scale)
-    least_noise = _least_noise(values)
-    starts = cold_starts(points.shape[1])
-    if len(values) > COLD_START_SIZE:
-        some = np.linspace(0, len(values) - 1, COLD_START_SIZE).astype(int)
-        differences = squared_differences(points[some] / input_scale)
-        starts = [_search(Evidence(differences, values[some], least_noise, with_prior=True), starts)]
-    evidence = Evidence(squared_differences(points / input_scale), values, least_noise, with_prior=True)
-    log_parameters = _search(evidence, starts)
-    hyper_parameters = HyperParameters(np.exp(log_parameters[:-1]), *evidence.signal_and_noise(log_parameters))
-    return condition(points, values, input_scale, hyper_parameters)
-
-
-def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
-    """Hyper-parameters as MATLAB's `fitrgp(…, 'constant', 'matern52')` chooses them, for comparison.
-
-    Maximum likelihood, one length scale for all inputs in their raw units, a single start from
-    fitrgp's initial values (the mean standard deviation of the inputs; noise equal to signal) and its
-    bound noise_std ≥ 0.01 · std(values). Its standard deviation is the plug-in one, `std`.
-
-    Args:
-        points: Shape (N, d), N ≥ 1.
-        values: Shape (N,).
-    """
-    points, values, raw_units = _checked(points, values, np.ones(np.shape(points)[-1:]))
-    spread, values_spread = (points.std(axis=0, ddof=1).mean(), values.std(ddof=1)) if len(values) > 1 else (0.0, 0.0)
-    initial = spread if spread > 0 else 1.0
-    differences = squared_differences(points / initial).sum(axis=0, keepdims=True)
-    least_noise = max(_least_noise(values), 0.01 * values_spread)
-    evidence = Evidence(differences, values, least_noise, with_prior=False)
-    log_parameters = _search(evidence, [np.zeros(2)])
-    length_scale = np.full(points.shape[1], initial * np.exp(log_parameters[0]))
-    hyper_parameters = HyperParameters(length_scale, *evidence.signal_and_noise(log_parameters))
-    return condition(points, values, raw_units, hyper_parameters)
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What the data say of log parameters: log length scales and log(noise/signal).
-
-    The signal is not among them: for given parameters the most likely one has a closed form.
-
-    Attributes:
-        differences: Squared differences of every pair of points, input by input; shape (p, N(N−1)/2).
-            A single row, summed over the inputs, gives one common length scale.
-        values: Shape (N,).
-        least_noise: Lower bound of the noise's standard deviation.
-        with_prior: Whether the log prior is added to the log likelihood.
-    """
-
-    differences: Array
-    values: Array
-    least_noise: float
-    with_prior: bool
-
-    def loss(self, log_parameters: Array) -> tuple[float, Array]:
-        """Negative log posterior and its gradient (p + 1,) (RW Eqs. 5.8, 5.9)."""
-        distance, solved, signal = self._solve(log_parameters)
-        weights, scaled_weights = solved.weights, solved.weights / signal**2
-        inverse, _ = _potri(solved.factor, lower=1)
-        # potri fills the lower triangle in Fortran order: the upper one in C order, which squareform reads.
-        excess = squareform(np.outer(weights, scaled_weights) - inverse.T, checks=False)
-        by_length_scale = self.differences @ (excess * _kernel_descent(distance))
-        by_ratio = np.exp(2 * log_parameters[-1]) * (weights @ scaled_weights - np.trace(inverse))
-        # Zero except where the least noise binds, and the signal follows the ratio.
-        by_ratio += len(weights) - solved.misfit / signal**2
-        log_posterior = solved.log_likelihood(signal)
-        gradient = np.append(np.exp(-2 * log_parameters[:-1]) * by_length_scale, by_ratio)
-        if self.with_prior:
-            deviation = log_parameters - np.log([*[3.0] * len(self.differences), 0.5])
-            log_posterior -= 0.5 * float(deviation @ deviation)
-            gradient -= deviation
-        return -log_posterior, -gradient
-
-    def signal_and_noise(self, log_parameters: Array) -> tuple[float, float]:
-        """Most likely signal_std, and the noise_std that belongs to it."""
-        _, _, signal = self._solve(log_parameters)
-        return signal, signal * math.exp(log_parameters[-1])
-
-    def _solve(self, log_parameters: Array) -> tuple[Array, LeastSquares, float]:
-        """√5 r of every pair of points, the least squares with it, and the most likely signal_std."""
-        ratio = math.exp(log_parameters[-1])
-        distance = np.sqrt(5 * (np.exp(-2 * log_parameters[:-1]) @ self.differences))
-        solved = _least_squares(distance, ratio, self.values)
-        return distance, solved, max(math.sqrt(solved.misfit / len(self.values)), self.least_noise / ratio)
-
-
-def cold_starts(inputs: int) -> list[Array]:
-    """Log parameters from which a search begins: all inputs alike, then each one alone decisive; shapes (d + 1,).
-
-    The first alone ends up to 110 nats short of the best where one input is decisive and N ≤ 50.
-    """
-    length_scales = np.vstack([np.ones(inputs), np.where(np.eye(inputs) == 1, 0.5, 5.0)])
-    return [np.log([*start, 0.2]) for start in length_scales]
-
-
-def _search(evidence: Evidence, starts: Sequence[Array]) -> Array:
-    """Log parameters of the least loss that is reached from `starts`; shape (p + 1,)."""
-    bounds = np.log([*[LENGTH_SCALE_BOUNDS] * len(evidence.differences), NOISE_RATIO_BOUNDS])
-    # The loss counts nats: 1e-8 of some hundreds or thousands is far less than matters.
-    options = {"maxiter": 200, "ftol": 1e-8, "gtol": 1e-3}
-    ends = [
-        minimize(evidence.loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options) for start in starts
-    ]
-    return min(ends, key=lambda end: end.fun).x
-
-
-def _least_squares(distance: Array, ratio: float, values: Array) -> LeastSquares:
+def least_squares_fit(distance: Array, ratio: float, values: Array) -> LeastSquares:
     """Fit the basis, given √5 r of every pair of points (N(N−1)/2,) and noise over signal."""
     factor = _factorise(_kernel(distance), ratio**2, len(values))
     whitened, _ = _trtrs(factor, np.stack([np.ones(len(values)), values]).T, lower=1)
@@ -379,22 +249,12 @@ def _kernel(distance: Array) -> Array:
     return (1 + distance + distance**2 / 3) * np.exp(-distance)
 
 
-def _kernel_descent(distance: Array) -> Array:
+def kernel_descent(distance: Array) -> Array:
     """−(dk/dr) / r as a function of √5 r; finite where two points meet."""
     return 5 / 3 * (1 + distance) * np.exp(-distance)
 
 
-def squared_differences(points: Array) -> Array:
-    """Squared difference of every pair of points (N, d), input by input; shape (d, N(N−1)/2)."""
-    return np.array([pdist(column[:, None], "sqeuclidean") for column in points.T], float)
-
-
-def _least_noise(values: Array) -> float:
-    """A noise that matters to nobody, so that values which do not vary keep a positive one."""
-    return max(1e-6 * float(np.abs(values).max()), 1e-12)
-
-
-def _checked(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
+def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
     """Own copies of the data, once their shapes and numbers are sound."""
     points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
     _require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")

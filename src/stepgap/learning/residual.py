@@ -11,7 +11,8 @@ from typing import Any, Literal, final, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.learning.gaussian_process import GaussianProcess, fit_gaussian_process, fit_like_fitrgp
+from stepgap.learning.gaussian_process import GaussianProcess
+from stepgap.learning.gaussian_process_fit import fit_gaussian_process, fit_like_fitrgp
 from stepgap.step import Array, StepSpace
 
 GaussianProcessKind = Literal["gp", "fitrgp"]
@@ -20,7 +21,8 @@ GaussianProcessKind = Literal["gp", "fitrgp"]
 ResidualKind = Literal["none"] | GaussianProcessKind
 """The models that `fit_residual` fits."""
 
-_KINDS: tuple[str, ...] = ("none", *get_args(GaussianProcessKind))
+KINDS: tuple[str, ...] = ("none", *get_args(GaussianProcessKind))
+"""Their names."""
 
 
 class Residual(ABC):
@@ -154,8 +156,8 @@ def fit_residual(
     Raises:
         ValueError: An unknown kind, a wrong shape, or a number that is not finite.
     """
-    if kind not in _KINDS:
-        raise ValueError(f"unknown residual {kind!r}; use one of {', '.join(_KINDS)}")
+    if kind not in KINDS:
+        raise ValueError(f"unknown residual {kind!r}; use one of {', '.join(KINDS)}")
     state = _rows(state, "state", space.state_names)
     applied_command = _rows(applied_command, "applied_command", space.command_names)
     error = _rows(error, "error", space.state_names)
@@ -178,8 +180,8 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     Raises:
         ValueError: A key is missing or holds something else than it should; the message names it.
     """
-    if data.get("kind") not in _KINDS:
-        raise ValueError(f"kind must be one of {', '.join(_KINDS)}, not {data.get('kind')!r}")
+    if data.get("kind") not in KINDS:
+        raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {data.get('kind')!r}")
     if data["kind"] == "none":
         return NoResidual(_size(data, "state_size"), _size(data, "command_size"))
     saved = data.get("processes")
