@@ -1,31 +1,45 @@
 """The command line, and the only place that chooses a plant.
 
-Exit codes: 0 done; 2 bad input, with one line that says what would be right; 1 any other failure.
+Exit codes: 0 done; 2 bad input, with one line that says what would be right; 130 Ctrl-C; 1 any other failure.
 """
 
+import fcntl
+import json
 import os
 import re
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import datetime
+from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 import numpy as np
 from cyclopts import App, Parameter
 
-from stepgap.experiment import Experiment, InputError, load_reference, read_experiment, write_experiment
+if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
+    from stepgap.control.reference import Reference
+    from stepgap.experiment import Experiment
+    from stepgap.plants.plant import Plant
+    from stepgap.step import StepMap
 
 Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
 """Settings given as `--table.key value`."""
 
 OVERRIDE = re.compile(r"--([a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
+STOPPED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
 app = App(
     name="stepgap",
     help="Close the sim-to-real gap of a legged robot one step at a time.",
-    help_epilogue="Any setting of an experiment can be given as --TABLE.KEY VALUE, such as --gains.stiffness 2400.",
+    help_epilogue="Any setting of an experiment can be given as --TABLE.KEY VALUE, such as --gains.stiffness 2400. "
+    "--debug shows where an error arose.",
+    default_parameter=Parameter(negative=(), show_default=False),
 )
 
 
@@ -39,17 +53,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if "overrides" in ignored:
             bound.arguments["overrides"] = overrides
         elif overrides:
-            raise InputError(f"--{overrides[0][0]}: this verb takes no settings")
+            raise _bad_input(f"--{overrides[0][0]}: this verb takes no settings")
         command(*bound.args, **bound.kwargs)
-    except KeyboardInterrupt:
-        sys.exit("\nstepgap: stopped; --resume goes on with a run")
+    except KeyboardInterrupt as interrupt:
+        _say(f"stopped{interrupt}")
+        sys.exit(STOPPED)
     except Exception as error:
         if debug:
             raise
-        code = 2 if isinstance(error, InputError | cyclopts.CycloptsError) else 1
-        kind = "" if code == 2 or str(error) else f"{type(error).__name__} "
-        print(f"stepgap: {kind}{' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(code)
+        bad_input = _is_bad_input(error)
+        foreseen = bad_input or type(error).__module__.startswith("stepgap.")
+        _say(str(error) if foreseen else f"{type(error).__name__}: {error}")
+        sys.exit(2 if bad_input else 1)
+
+
+def _say(message: str) -> None:
+    """Prints one line on stderr."""
+    print(f"stepgap: {' '.join(message.split())}", file=sys.stderr)
+
+
+def _bad_input(message: str) -> ValueError:
+    from stepgap.experiment import InputError
+
+    return InputError(message)
+
+
+def _is_bad_input(error: Exception) -> bool:
+    if isinstance(error, cyclopts.CycloptsError):
+        return True
+    from stepgap.experiment import InputError
+    from stepgap.learning.step_log import RecordError
+
+    return isinstance(error, InputError | RecordError)
 
 
 def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str, str]]]:
@@ -66,10 +101,10 @@ def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str
             rest.append(argument)
         elif match[2] is not None:
             overrides.append((match[1], match[2]))
-        elif left:
+        elif left and not left[0].startswith("--"):
             overrides.append((match[1], left.pop(0)))
         else:
-            raise InputError(f"{argument}: give a value")
+            raise _bad_input(f"{argument}: give a value")
     return rest, overrides
 
 
@@ -79,8 +114,9 @@ def run(
     /,
     *,
     out: Path | None = None,
-    seed: int | None = None,
-    iterations: int | None = None,
+    reference: str | None = None,
+    seed: str | None = None,
+    iterations: str | None = None,
     resume: bool = False,
     quiet: bool = False,
     overrides: Overrides = None,
@@ -90,44 +126,42 @@ def run(
     Args:
         experiment: TOML file of settings; without one, the paper's experiment.
         out: Folder for the results; without it a new one under runs/.
-        seed: Of all randomness.
+        reference: CSV file of targets, one row per step; without it, the paper's.
+        seed: Of all randomness, a whole number.
         iterations: Redeployments at most.
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
     """
+    from stepgap.experiment import load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
-    from stepgap.plants.plant import Plant
     from stepgap.plants.rig_plant import RigPlant
     from stepgap.progress import Progress
     from stepgap.report import write_report
     from stepgap.rigs.twin.twin import Twin
     from stepgap.sim_to_real import run as run_experiment
 
-    shorthand = [("seed", seed), ("learning.iterations", iterations)]
-    changes = [*(overrides or []), *((name, str(value)) for name, value in shorthand if value is not None)]
-    if resume:
-        settings, folder = _settings_to_resume(experiment, out, changes)
-    else:
-        settings, folder = read_experiment(experiment, changes), out or _new_folder()
+    quoted = None if reference is None else json.dumps(reference, ensure_ascii=False)
+    shorthand = [("reference", quoted), ("seed", seed), ("learning.iterations", iterations)]
+    changes = [*(overrides or []), *((name, value) for name, value in shorthand if value is not None)]
+    folder = _folder_to_resume(experiment, out, changes) if resume else out or _free_name(_dated_folder())
+    settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
-    reference = load_reference(settings, nominal.space)
-    _check_reach(nominal, reference, settings.reference)
-    if not resume:
-        _start_folder(folder, settings, reference)
+    targets = load_reference(settings, nominal.space)
 
-    def make_plant(rng: np.random.Generator) -> Plant:
+    def make_plant(rng: np.random.Generator) -> "Plant":
         twin = Twin(settings.robot, settings.gap, rng)
         return RigPlant(twin, settings.robot, settings.gains, settings.command)
 
+    _check_reach(nominal, targets, settings.reference)
+    _check_twin(make_plant)
+    if not resume:
+        _start_folder(folder, settings, targets)
     try:
-        with Progress(nominal.space, len(reference), settings.learning.iterations, quiet) as progress:
-            run_experiment(
-                nominal, make_plant, reference, settings.learning, folder, settings.seed, progress.observer
-            )
-        report = write_report(folder)
-    except ValueError as error:
-        raise InputError(str(error)) from error
-    print(report)
+        with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
+            run_experiment(nominal, make_plant, targets, settings.learning, folder, settings.seed, progress.observer)
+        print(write_report(folder))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"; go on with: stepgap run --out {shlex.quote(str(folder))} --resume") from None
 
 
 @app.command
@@ -144,28 +178,39 @@ def gait(
 
     Args:
         experiment: TOML file of settings.
-        speed: Forward speed at the apex [m/s].
-        height: Height of the apex [m].
+        speed: Forward speed at the apex [m/s]; without it 0.2.
+        height: Height of the apex [m]; without it 0.58.
         out: Picture to save; without it gait.png or the next free name.
     """
     from stepgap.control.limit_cycle import fixed_point, reachable_set
+    from stepgap.experiment import read_experiment
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.report.gait import describe_gait, gait_figure
+    from stepgap.step import StepFailed
 
-    if not np.isfinite([speed, height]).all():
-        raise InputError(f"--speed {speed} --height {height}: both must be finite numbers")
+    if not (isfinite(speed) and isfinite(height)):
+        raise _bad_input(f"--speed {speed} --height {height}: both must be finite numbers")
     settings = read_experiment(experiment, overrides or [])
     if out and out.exists():
-        raise InputError(f"{out}: exists already; choose another --out")
+        raise _bad_input(f"{out}: exists already; choose another --out")
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
-    point = fixed_point(nominal, [speed, height])
-    reachable = reachable_set(nominal, point.state)
-    print(describe_gait(nominal.space, point, reachable))
-    picture = out or _free_name("gait", ".png")
     try:
-        gait_figure(nominal.space, point, reachable).savefig(picture, dpi=150)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{picture}: cannot be written: {error}") from None
+        point = fixed_point(nominal, [speed, height])
+    except StepFailed as error:
+        raise _bad_input(
+            f"--speed {speed:g} --height {height:g}: no command makes a step from there ({error})"
+        ) from None
+    reachable = reachable_set(nominal, point.state)
+    figure = gait_figure(nominal.space, point, reachable)
+    picture = out or _free_name(Path("gait.png"))
+    formats = figure.canvas.get_supported_filetypes()
+    if picture.suffix[1:].lower() not in formats:
+        raise _bad_input(f"{picture}: the name must end with one of .{', .'.join(formats)}")
+    try:
+        figure.savefig(picture, dpi=150)
+    except OSError as error:
+        raise _bad_input(f"{picture}: cannot be written: {error.strerror}; choose another --out") from None
+    print(describe_gait(nominal.space, point, reachable))
     print(picture)
 
 
@@ -176,65 +221,93 @@ def report(folder: Path, /) -> None:
     Args:
         folder: Folder of the run.
     """
-    from stepgap.report import write_report
+    from stepgap.report import read_run_folder, write_report
 
     try:
-        print(write_report(folder))
+        read_run_folder(folder)
     except (ValueError, OSError) as error:
-        raise InputError(str(error)) from error
+        raise _bad_input(str(error)) from None
+    print(write_report(folder))
 
 
-def _new_folder() -> Path:
+def _dated_folder() -> Path:
     return Path("runs") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
 
 
-def _free_name(stem: str, suffix: str) -> Path:
-    """The first of STEM.SUFFIX, STEM_2.SUFFIX, … that does not exist."""
-    path, number = Path(stem + suffix), 1
-    while path.exists():
+def _free_name(path: Path) -> Path:
+    """The first of NAME.SUFFIX, NAME_2.SUFFIX, … that does not exist."""
+    free, number = path, 1
+    while free.exists():
         number += 1
-        path = Path(f"{stem}_{number}{suffix}")
-    return path
+        free = path.with_stem(f"{path.stem}_{number}")
+    return free
 
 
-def _start_folder(folder: Path, settings: Experiment, reference: Any) -> None:
+def _start_folder(folder: Path, settings: "Experiment", reference: "Reference") -> None:
     """Makes the run's folder with its resolved settings; never takes one that holds a run."""
-    if (folder / "experiment.toml").exists() or (folder / "steps.csv").exists():
-        raise InputError(f"{folder}: holds a run already; go on with it by --resume, or choose another --out")
+    from stepgap.experiment import write_experiment
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_experiment(folder, settings, reference)
-        latest = folder.parent / "latest"
-        if folder.parent.name == "runs" and (latest.is_symlink() or not latest.exists()):
+        with _locked(folder):
+            if any((folder / name).exists() for name in ("experiment.toml", "steps.csv", "summary.json", "models")):
+                raise _bad_input(f"{folder}: holds a run already; go on with it by --resume, or choose another --out")
+            write_experiment(folder, settings, reference)
+    except OSError as error:
+        raise _bad_input(f"{folder}: cannot be written: {error.strerror}; choose another --out") from None
+    latest = folder.parent / "latest"
+    if folder.parent.name == "runs" and (latest.is_symlink() or not latest.exists()):
+        with suppress(OSError):  # only for convenience
             latest.unlink(missing_ok=True)
             latest.symlink_to(folder.name)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {os.strerror(error.errno or 0)}; choose another --out") from None
 
 
-def _settings_to_resume(
-    experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]]
-) -> tuple[Experiment, Path]:
-    """Settings and folder of a run that was broken off."""
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keeps other processes from starting a run in the folder at the same moment."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _folder_to_resume(experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]]) -> Path:
+    """The folder of a run that was broken off."""
     if out is None:
-        raise InputError("--resume: say which run by --out RUN")
+        raise _bad_input("--resume: say which run by --out RUN")
     if experiment or changes:
-        raise InputError("--resume: the run goes on with the settings it has; give no others")
+        raise _bad_input("--resume: the run goes on with the settings it has; give no others")
     if not (out / "experiment.toml").is_file():
-        raise InputError(f"{out}: no experiment.toml there, so there is no run to resume; start one without --resume")
-    return read_experiment(out / "experiment.toml"), out
+        raise _bad_input(f"{out}: no experiment.toml there, so there is no run to resume; start one without --resume")
+    return out
 
 
-def _check_reach(nominal: Any, reference: Any, name: str) -> None:
+def _check_reach(nominal: "StepMap", reference: "Reference", name: str) -> None:
     """Raises InputError where the nominal map cannot hold a target."""
     from stepgap.control.limit_cycle import fixed_point
+    from stepgap.step import StepFailed
 
-    targets, first = np.unique(reference.targets, axis=0, return_index=True)
-    for target, step in zip(targets[np.argsort(first)], np.sort(first), strict=True):
-        point = fixed_point(nominal, target)
-        if not point.held:
-            wanted = ", ".join(f"{q.name} {value:g} {q.unit}" for q, value in zip(nominal.space.state, target, strict=True))
-            raise InputError(
+    for step in [0, *reference.changes]:
+        target = reference.targets[step]
+        try:
+            held = fixed_point(nominal, target).held
+        except StepFailed:
+            held = False
+        if not held:
+            state = nominal.space.state
+            wanted = ", ".join(f"{q.name} {value:g} {q.unit}" for q, value in zip(state, target, strict=True))
+            raise _bad_input(
                 f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
                 f"command bounds; `stepgap gait` shows what it can"
             )
+
+
+def _check_twin(make_plant: "Callable[[np.random.Generator], Plant]") -> None:
+    """Raises InputError where settings that are right one by one make no twin."""
+    try:
+        make_plant(np.random.default_rng(0))
+    except ValueError as error:
+        raise _bad_input(f"the settings [robot] and [gap] make no twin: {error}") from None

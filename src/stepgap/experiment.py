@@ -3,7 +3,7 @@
 import csv
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -17,13 +17,13 @@ from stepgap.sim_to_real import LearningSettings, write_whole
 from stepgap.step import StepSpace
 
 LARGEST_FILE = 2**20
-"""Largest experiment file that is read [bytes]."""
+"""Largest file of settings or targets that is read [bytes]."""
 
 PAPER = "paper"
 """Name of the built-in reference."""
 
-LARGEST_WHOLE = 2**53
-"""Whole numbers up to this one stand for a number without loss."""
+LARGEST_WHOLE = 10**300
+"""Whole numbers from here on are not taken for a number."""
 
 SHORT_OPTIONS = {"learning.iterations": "iterations"}
 """Options of the command line whose name is not that of the setting."""
@@ -60,7 +60,7 @@ class Experiment:
 
     def __post_init__(self) -> None:
         if not 0 <= self.seed < 2**63:
-            raise ValueError(f"seed = {self.seed}, but it must lie between 0 and 2⁶³")
+            raise ValueError(f"seed = {_shown(self.seed)}, but it must lie between 0 and 2⁶³")
 
 
 def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()) -> Experiment:
@@ -92,13 +92,16 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
     """
     if experiment.reference == PAPER:
         return paper_reference()
+    path, wanted = Path(experiment.reference), f"reference must be '{PAPER}' or a CSV file of targets"
     try:
-        return read_reference(experiment.reference, space)
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes; {wanted}")
+        return read_reference(path, space)
     except OSError as error:
-        raise InputError(
-            f"{experiment.reference}: {error.strerror}; reference must be '{PAPER}' or a CSV file of targets"
-        ) from None
-    except (ValueError, csv.Error) as error:
+        raise InputError(f"{path}: {error.strerror}; {wanted}") from None
+    except csv.Error as error:
+        raise InputError(f"{path}: {error}; {wanted}") from None
+    except ValueError as error:
         raise InputError(str(error)) from None
 
 
@@ -111,7 +114,16 @@ def write_experiment(folder: Path, experiment: Experiment, reference: Reference)
         rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
         write_whole(folder / "reference.csv", "\n".join(rows) + "\n")
         experiment = replace(experiment, reference="reference.csv")
-    write_whole(folder / "experiment.toml", tomli_w.dumps(asdict(experiment)))
+    write_whole(folder / "experiment.toml", tomli_w.dumps(_to_table(experiment)))
+
+
+def _to_table(settings: Any) -> dict[str, Any]:
+    """The TOML table of a dataclass; a number is written as one even where a whole number stands for it."""
+    table: dict[str, Any] = {}
+    for name, wanted in get_type_hints(type(settings)).items():
+        value = getattr(settings, name)
+        table[name] = _to_table(value) if is_dataclass(value) else float(value) if wanted is float else value
+    return table
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -156,12 +168,12 @@ def _with_table(name: str) -> str:
 
 
 def _changed(experiment: Experiment, table: Mapping[str, Any], place: Place) -> Experiment:
-    """The experiment with the values of a TOML table; InputError if it is not one then."""
+    """The experiment with the values of a TOML table; InputError if it is none then."""
     experiment = _merge(experiment, table, place)
     try:
         experiment.gains.check(experiment.robot)
     except ValueError as error:
-        raise InputError(place(f"gains.{error}")) from None
+        raise _located(error, place, "gains.") from None
     return experiment
 
 
@@ -174,7 +186,7 @@ def _merge(settings: Any, table: Mapping[str, Any], place: Place, prefix: str = 
         here = place(prefix + key)
         if key not in known:
             close = get_close_matches(key, known, n=1)
-            hint = f"did you mean {place(prefix + close[0])}?" if close else f"the keys here are {', '.join(known)}"
+            hint = f"did you mean {close[0]}?" if close else f"the keys here are {', '.join(known)}"
             raise InputError(f"{here}: unknown key; {hint}")
         current = getattr(settings, key)
         if is_dataclass(current):
@@ -186,14 +198,19 @@ def _merge(settings: Any, table: Mapping[str, Any], place: Place, prefix: str = 
     try:
         return replace(settings, **changes)
     except ValueError as error:
-        name, equals, rule = str(error).partition(" = ")
-        raise InputError(f"{place(prefix + name)}{equals}{rule}") from None
+        raise _located(error, place, prefix) from None
+
+
+def _located(error: ValueError, place: Place, prefix: str) -> InputError:
+    """The error of a settings class, `key = value, but it must …`, with the place where the user knows the key."""
+    key, *rest = str(error).partition(" = ")
+    return InputError("".join([place(prefix + key), *rest]))
 
 
 def _as_type(value: Any, wanted: Any, here: str) -> Any:
     """The value, if it has the type of the field; a whole number may stand for a number."""
     words = {float: "a number", int: "a whole number", bool: "true or false"}
-    if type(value) is int and wanted is float and abs(value) <= LARGEST_WHOLE:
+    if wanted is float and type(value) is int and abs(value) < LARGEST_WHOLE:
         return float(value)
     if type(value) is not (wanted if wanted in words else str):
         raise InputError(f"{here} = {_shown(value)}, but it must be {words.get(wanted, 'a text in quotes')}")
@@ -201,6 +218,8 @@ def _as_type(value: Any, wanted: Any, here: str) -> Any:
 
 
 def _shown(value: Any) -> str:
-    """The value for a message."""
-    text = repr(value) if type(value) is not bool else str(value).lower()
+    """A TOML value for a message."""
+    if isinstance(value, int) and abs(value) >= LARGEST_WHOLE:
+        return "a very large whole number"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 60 else f"{text[:60]}…"

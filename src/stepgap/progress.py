@@ -65,10 +65,12 @@ class Progress:
             self._bars.remove_task(self._task)
             self._task = None
         if not self._quiet:
-            falls = f", {deployment.falls} fall" if deployment.falls else ""
+            fall = ", ended by a fall" if deployment.falls else ""
+            error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"
             self._console.print(
                 f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "
-                f"{deployment.steps} steps{falls}, RMSE {self._describe(deployment.rmse)}"
+                f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{fall}{error}",
+                soft_wrap=True,  # where it is no terminal, a line stays a line
             )
 
     def _describe(self, rmse: np.ndarray) -> str:

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,7 @@ import numpy as np
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.residual import _KINDS as KINDS
-from stepgap.learning.residual import Residual, ResidualKind, fit_residual
+from stepgap.learning.residual import KINDS, Residual, ResidualKind, fit_residual
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
 from stepgap.plants.plant import Plant
 from stepgap.step import Array, Reason, StepFailed, StepMap
@@ -268,10 +268,8 @@ def _check_same(path: Path, known: LoggedStep, replayed: LoggedStep) -> None:
 
 def _worth_going_on(deployments: Sequence[Deployment], scale: Array, least_gain: float) -> bool:
     """Whether the last deployment still made the tracking error smaller."""
-    errors = [
-        np.inf if deployment.falls else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments
-    ]
-    return len(errors) < 3 or np.isinf(errors[-1]) or errors[-1] <= (1 - least_gain) * min(errors[:-1])
+    errors = [inf if deployment.falls else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments]
+    return len(errors) < 3 or errors[-1] == inf or errors[-1] <= (1 - least_gain) * min(errors[:-1])
 
 
 def _summary(deployments: Sequence[Deployment], log: StepLog, reference: Reference, seed: int) -> dict[str, Any]:

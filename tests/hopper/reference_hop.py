@@ -8,20 +8,23 @@ robot's, the gains' and the limits in `hop` that say what counts as a failure.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from stepgap.hopper import Gains, RobotParameters
 from stepgap.hopper.hop import FLIGHT_LIMIT, FOLD_ANGLE, LEAN_ANGLE, SCUFF_DEPTH, STANCE_LIMIT, STRETCH_ANGLE
-from stepgap.step import Array, Reason
+from stepgap.step import Reason
 from tests.hopper.lagrangian import oracle
 
 MOTORS = np.array([[1.0, 1.0], [1.0, -1.0]])  # generalised torques on (α₁, α₂) of the two motors
 SAMPLES = np.array([0.2, 0.4, 0.6, 0.8, 1.0])  # where in a step the guards are looked at
 MOST_STEPS = 20_000
 
+Array = NDArray[Any]
 State = Array  # (x, y, α₁, α₂, ẋ, ẏ, α̇₁, α̇₂)
 
 
@@ -31,10 +34,15 @@ def leg_length(robot: RobotParameters, alpha_2: float) -> float:
     return drop + np.sqrt(robot.bottom_length**2 - offset**2)
 
 
+def root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Zero of a function between two arguments where its signs differ."""
+    return cast(float, brentq(function, low, high, xtol=1e-15))
+
+
 @cache
 def knee(robot: RobotParameters, length: float) -> float:
     """α₂ at a leg length, by root finding [rad]."""
-    return brentq(lambda alpha_2: leg_length(robot, alpha_2) - length, 0.0, np.pi, xtol=1e-15)
+    return root(lambda alpha_2: leg_length(robot, alpha_2) - length, 0.0, np.pi)
 
 
 class Hopper:
@@ -108,10 +116,10 @@ def follow(
             crossed = np.flatnonzero(after <= 0)
             if crossed.size:
                 times = [
-                    brentq(lambda t, j=j: guards(inside(t))[j], last, time, xtol=1e-15) if before[j] > 0 else last
+                    root(lambda t, j=j, inside=inside: guards(inside(t))[j], last, time) if before[j] > 0 else last
                     for j in crossed
                 ]
-                first = int(np.argmin(times))
+                first = times.index(min(times))
                 return inside(times[first]), int(crossed[first])
             before, last = after, time
         if solver.status == "finished":

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.control.reference import Reference
-from stepgap.learning.step_log import LoggedStep, StepWriter
+from stepgap.learning.step_log import LoggedStep, column_names, row_of
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.sim_to_real import LearningSettings, run
 from stepgap.step import Array, Quantity, Reason, StepMap, StepRecord, StepSpace
@@ -59,17 +59,23 @@ def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), rea
 
 
 def write_run(
-    folder: Path, names: tuple[str, ...], steps: int = 30, iterations: int = 2, residual: str = "gp", size: float = 1.0
+    folder: Path,
+    names: tuple[str, ...],
+    steps: int = 30,
+    iterations: int = 2,
+    residual: str = "gp",
+    targets: Array | None = None,
 ) -> Path:
-    """A made-up run of a robot with other state coordinates, and one command."""
+    """A made-up run of a robot with these state coordinates and one command."""
     folder.mkdir()
     space = StepSpace(tuple(Quantity(name, "", -1, 1) for name in names), (Quantity("push", "N", -1, 1),))
-    rng, n = np.random.default_rng(0), len(names)
-    with StepWriter(folder / "steps.csv", space) as writer:
-        for iteration in range(iterations):
-            for step in range(1, steps + 1):
-                state, target = size * rng.normal(size=(2, n))
-                writer.append(logged(iteration, step, state, target))
+    rng = np.random.default_rng(0)
+    wanted = rng.normal(size=(steps, len(names))) if targets is None else targets
+    lines = [",".join(column_names(space))]
+    for iteration in range(iterations):
+        rows = zip(rng.normal(size=wanted.shape), wanted, strict=True)
+        lines += [row_of(logged(iteration, step, *row)) for step, row in enumerate(rows, start=1)]
+    (folder / "steps.csv").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     write_summary(folder, names, steps, iterations, residual)
     return folder
 
@@ -87,9 +93,8 @@ def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: 
     measures = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
     entries = [
         {"iteration": number, "residual": residual if number else "none", "steps": steps, "falls": 0}
-        | {measure: unknown for measure in measures}
+        | dict.fromkeys(measures, unknown)
         for number in range(iterations)
     ]
     content = {"schema": 1, "seed": 0, "iterations": entries, "repeatability": unknown}
     (folder / "summary.json").write_text(json.dumps(content), encoding="utf-8")
-

@@ -22,9 +22,7 @@ SMALLEST_SHARE = 16
 @compiled
 def _hop_all(masses, law, tolerances, points, next_state, reason):
     for i in range(points.shape[0]):
-        reason[i] = hop(
-            masses, law, tolerances, points[i, 0], points[i, 1], points[i, 2], points[i, 3], next_state[i]
-        )
+        reason[i] = hop(masses, law, tolerances, points[i, 0], points[i, 1], points[i, 2], points[i, 3], next_state[i])
 
 
 @dataclass(frozen=True)
@@ -71,9 +69,9 @@ class ApexMap(StepMap):
             _hop_all(*constants, points, next_state, reason)
         else:
             with ThreadPoolExecutor(shares) as pool:
-                for part in np.array_split(np.arange(len(points)), shares):
-                    rows = slice(part[0], part[-1] + 1)
-                    pool.submit(_hop_all, *constants, points[rows], next_state[rows], reason[rows])
+                parts = zip(*(np.array_split(array, shares) for array in (points, next_state, reason)), strict=True)
+                for job in [pool.submit(_hop_all, *constants, *part) for part in parts]:
+                    job.result()
         return Outcome(next_state.reshape(*leading, 2), reason.reshape(leading))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:

@@ -163,6 +163,8 @@ def _run_phase(system, state, time_limit, tolerance, work, side):
         return -1 - FELL
     if work.signs[STRETCHING] < 0:
         return -1 - FULL_STRETCH
+    if work.signs[CONTACT] < 0:  # the ground never pulls: a stance that begins without load ends at once
+        return CONTACT
     left = time_limit
     for _ in range(100):
         elapsed, event = integrate(system, state, left, tolerance, work)

@@ -7,8 +7,10 @@ digest of all compiled sources of the function's package.
 
 import hashlib
 import os
+import re
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,21 +21,32 @@ from numba.extending import overload
 
 @lru_cache
 def _digest(package: Path) -> str:
-    """Digest of all source files below `package` that use `compiled`."""
+    """Digest of all source files below `package` that use `compiled`, and of those that they import from it.
+
+    The latter because Numba freezes the constants that a compiled function sees.
+    """
+    is_package = (package / "__init__.py").exists()
+    files = package.rglob("*.py") if is_package else package.glob("*.py")  # a script may lie anywhere
+    sources = {path: path.read_bytes() for path in files}
+    relevant = {path for path, source in sources.items() if b"compiled" in source}
+    for path in list(relevant):
+        for module in re.findall(rb"^from (\S+) import", sources[path], re.MULTILINE):
+            file = package.parent.joinpath(*module.decode(errors="replace").split("."))
+            relevant |= {file.with_suffix(".py"), file / "__init__.py"} & sources.keys()
     digest = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        source = path.read_bytes()
-        if b"compiled" in source:
-            digest.update(str(path.relative_to(package)).encode() + b"\0" + source)
+    for path in sorted(relevant):
+        digest.update(str(path.relative_to(package)).encode() + b"\0" + sources[path])
     return digest.hexdigest()[:16]
 
 
 @lru_cache
 def _cache_folder() -> Path | None:
     """First folder for compiled code that can be written, or None."""
+    folders = [Path(tempfile.gettempdir()) / "stepgap-cache"]
+    with suppress(RuntimeError):  # there may be no home
+        folders.insert(0, Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stepgap")
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    for folder in [Path(chosen)] if chosen else [user / "stepgap", Path(tempfile.gettempdir()) / "stepgap-cache"]:
+    for folder in [Path(chosen)] if chosen else folders:
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError:
@@ -51,17 +64,26 @@ def _package_folder(file: Path) -> Path:
     return folder
 
 
+def generic(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compiles like `compiled` a function whose argument may be a type of another program; not cached.
+
+    Its cache would name that type, and whoever cannot import it could not read the cache any more. The
+    compiled functions that call it are cached, with it inside.
+    """
+    return numba.njit(nogil=True, error_model="numpy")(function)
+
+
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles `function` with Numba: no interpreter lock, IEEE division, cached on disk.
 
     Functions compiled with it may call each other and take each other as arguments.
     """
-    cache = _cache_folder()
-    if cache is None:
-        return numba.njit(nogil=True, error_model="numpy")(function)
+    file, cache = Path(function.__code__.co_filename).resolve(), _cache_folder()
+    if cache is None or not file.is_file():
+        return generic(function)
     previous = numba.config.CACHE_DIR
     here = _digest(_package_folder(Path(__file__).resolve()))
-    there = _digest(_package_folder(Path(function.__code__.co_filename).resolve()))
+    there = _digest(_package_folder(file))
     numba.config.CACHE_DIR = str(cache / f"{here}-{there}")
     try:
         return numba.njit(nogil=True, error_model="numpy", cache=True)(function)
@@ -69,18 +91,18 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         numba.config.CACHE_DIR = previous
 
 
-def implements(generic: Callable[..., Any], system_type: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Registers the implementation of `generic` for compiled code whose first argument is a `system_type`.
+def implements(operation: Callable[..., Any], system_type: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Registers the implementation of `operation` for compiled code whose first argument is a `system_type`.
 
     The like of `functools.singledispatch` for compiled code: functions passed as arguments would work
     too, but Numba cannot cache their callers. The implementation must have the parameter names of
-    `generic`.
+    `operation`.
     """
 
     def register(function: Callable[..., Any]) -> Callable[..., Any]:
         implementation = compiled(function)
 
-        @overload(generic, strict=False)
+        @overload(operation, strict=False)
         def choose(system, *rest):  # pyright: ignore[reportUnusedFunction]
             if getattr(system, "instance_class", None) is system_type:
                 return lambda system, *rest: implementation(system, *rest)

@@ -12,10 +12,9 @@ Method: Tsitouras 5(4), first same as last (Ch. Tsitouras, Computers & Mathemati
 from typing import NamedTuple
 
 import numpy as np
-
 from numpy.typing import NDArray
 
-from stepgap.hybrid.compiled import compiled
+from stepgap.hybrid.compiled import compiled, generic
 
 Array = NDArray[np.float64]
 
@@ -112,7 +111,7 @@ def make_workspace(states, guards):
     )
 
 
-@compiled
+@generic
 def take_sides(system, state, work):
     """Sets the side of each guard from the state; call it once at the start of a piece."""
     guards(system, state, work.guard)
@@ -120,7 +119,7 @@ def take_sides(system, state, work):
         work.signs[i] = 1.0 if work.guard[i] > 0 else -1.0
 
 
-@compiled
+@generic
 def _step(system, state, h, work):
     """One Tsitouras step of size h from `state`, whose rate is in stages[0], into `trial`."""
     k, y, z, n = work.stages, work.trial, work.point, state.size
@@ -140,9 +139,7 @@ def _step(system, state, h, work):
         z[i] = state[i] + h * (A61 * k[0, i] + A62 * k[1, i] + A63 * k[2, i] + A64 * k[3, i] + A65 * k[4, i])
     rate(system, z, k[5])
     for i in range(n):
-        y[i] = state[i] + h * (
-            B1 * k[0, i] + B2 * k[1, i] + B3 * k[2, i] + B4 * k[3, i] + B5 * k[4, i] + B6 * k[5, i]
-        )
+        y[i] = state[i] + h * (B1 * k[0, i] + B2 * k[1, i] + B3 * k[2, i] + B4 * k[3, i] + B5 * k[4, i] + B6 * k[5, i])
     rate(system, y, k[6])
 
 
@@ -155,11 +152,13 @@ def _scaled_error(state, h, tolerance, work):
             E1 * k[0, i] + E2 * k[1, i] + E3 * k[2, i] + E4 * k[3, i] + E5 * k[4, i] + E6 * k[5, i] + E7 * k[6, i]
         )
         scale = tolerance.absolute + tolerance.relative * max(abs(state[i]), abs(y[i]))
+        if not np.isfinite(scale):
+            return np.inf
         total += (error / scale) ** 2
     return np.sqrt(total / state.size)
 
 
-@compiled
+@generic
 def _first_crossing(system, state, h, work):
     """Earliest guard crossing within the last step: (fraction of the step, guard, end), guard −1 if none.
 
@@ -172,7 +171,7 @@ def _first_crossing(system, state, h, work):
         _interpolate(state, h, end, work)
         guards(system, work.point, work.seen)
         for j in range(work.signs.size):
-            if work.seen[j] * work.signs[j] >= 0:
+            if not work.seen[j] * work.signs[j] < 0:  # nor NaN
                 continue
             low, high = end - 0.5, end
             for _ in range(30):
@@ -196,12 +195,10 @@ def _interpolate(state, h, s, work):
     h00, h10 = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2
     h01, h11 = s * s * (3 - 2 * s), s * s * (s - 1)
     for i in range(state.size):
-        work.point[i] = (
-            h00 * state[i] + h01 * work.trial[i] + h * (h10 * work.stages[0, i] + h11 * work.stages[6, i])
-        )
+        work.point[i] = h00 * state[i] + h01 * work.trial[i] + h * (h10 * work.stages[0, i] + h11 * work.stages[6, i])
 
 
-@compiled
+@generic
 def _land_on(system, state, h, crossing, work):
     """Shortens the last step so that it ends on the guard of `crossing`; returns its size."""
     fraction, which, end = crossing
@@ -226,7 +223,7 @@ def _land_on(system, state, h, crossing, work):
     return size
 
 
-@compiled
+@generic
 def integrate(system, state, time_limit, tolerance, work):
     """Moves `state` along the flow to the first event.
 

@@ -208,7 +208,7 @@ def _parse(content: bytes, path: Path, space: StepSpace) -> StepLog:
             logged = _step_of(line, space)
             _check_order(steps[-1] if steps else None, logged)
         except ValueError as error:
-            raise RecordError(f"{path}, line {number}: not the next step ({error})") from None
+            raise RecordError(f"{path}, line {number}: not the next step ({error!s:.200})") from None
         steps.append(logged)
     return StepLog(space, steps)
 

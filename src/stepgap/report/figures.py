@@ -29,32 +29,29 @@ MOST_VECTORS: Final = 2000
 MOST_CHANGES: Final = 60
 """Changes of the target up to which each is marked."""
 
+LONGEST_NAME: Final = 26
+"""Characters of a name that are shown."""
+
 # Colours after Okabe and Ito, told apart by colour-blind readers; dark ones in front of light ones.
 BLACK, BLUE, VERMILLION, SKY, GREY = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676"
 FIRST: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.3}
-LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
+LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "marker": ".", "markersize": 4}
 
 
 def tracking_figure(record: RunRecord) -> Figure:
     """Every state coordinate against the step number, first and last deployment, with the reference (Fig. 4)."""
     first, last = record.shown[0], record.shown[-1]
     figure, panels = _panels(len(record.space.state))
-    longest = max((record.steps.of_iteration(number) for number in {first, last}), key=len)
+    longest = max((record.steps.of_iteration(number) for number in record.steps.iterations), key=len)
+    panels[0].set_xlim(0, 1.02 * len(longest) + 1)
     for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
-        fast = _pixels(longest)
-        panel.plot(
-            _numbers(longest),
-            longest.target[:, index],
-            color=BLACK,
-            lw=1,
-            drawstyle="steps-mid",
-            label="reference",
-            **fast,
-        )
-        _draw_tracking(panel, record.steps.of_iteration(first), index, _name(record, first), FIRST)
+        reference = {"color": BLACK, "linewidth": 1, "drawstyle": "steps-mid", "label": "reference"}
+        panel.plot(_numbers(longest), longest.target[:, index], **reference, **_pixels(longest))
+        steps = record.steps.of_iteration(first)
+        _draw_tracking(panel, steps, index, _name(record, first), {**FIRST, **_pixels(steps)})
         if last != first:
-            style = {**LAST, "marker": ".", "markersize": 4}
-            _draw_tracking(panel, record.steps.of_iteration(last), index, _name(record, last), style)
+            steps = record.steps.of_iteration(last)
+            _draw_tracking(panel, steps, index, _name(record, last), {**LAST, **_pixels(steps)})
         panel.set_ylabel(axis_label(quantity))
     _finish(figure, panels, "Step")
     return figure
@@ -64,20 +61,23 @@ def error_figure(record: RunRecord) -> Figure:
     """RMSE and MAE of every state coordinate by deployment, beside the MAE of the paper's hardware (Fig. 5)."""
     figure, panels = _panels(len(record.space.state))
     numbers = [deployment.iteration for deployment in record.deployments]
+    hardware = record.space.state_names == paper.STATE_NAMES
+    panels[0].set_xlim(-0.25, max([*numbers, paper.LAST_ITERATION if hardware else 1]) + 0.25)
     for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
         for measure, look in (("rmse", "s-"), ("mae", "o--")):
             values = [deployment.errors[measure][index] for deployment in record.deployments]
-            panel.plot(numbers, values, look, color=BLUE, label=f"{measure.upper()}, this run")
+            if np.isfinite(values).any():
+                panel.plot(numbers, values, look, color=BLUE, label=f"{measure.upper()}, this run")
         floor = record.repeatability[index]
         if np.isfinite(floor):
             panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="repeatability, this run")
-        if record.space.state_names == paper.STATE_NAMES:
+        if hardware:
             values = paper.MAE_BY_ITERATION[quantity.name]
             panel.plot(range(len(values)), values, "^:", color=VERMILLION, label="MAE, the paper's hardware")
-        panel.set_ylabel(f"Error of {axis_label(quantity, capital=False)}")
+        panel.set_ylabel(f"Error of\n{axis_label(quantity, capital=False)}")
         _log_scale(panel)
         if not panel.lines:
-            _note(panel, "No deployment is finished yet.")
+            _note(panel, "No error is known yet.")
     _finish(figure, panels, "Deployment (0: nominal map; later ones: corrected map)")
     return figure
 
@@ -95,14 +95,17 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     _draw_prediction(upper, last, index)
     upper.set_ylabel(axis_label(quantity))
     upper.set_title(f"(a) {_name(record, record.shown[-1])}", loc="left", fontsize="medium")
-    learnt = [number for number in record.shown if number > 0]
-    for number, style in zip(dict.fromkeys(learnt[:1] + learnt[-1:]), (FIRST, LAST), strict=False):
-        steps = record.steps.of_iteration(number)
+    learnt = [number for number in record.shown if record.steps.of_iteration(number).std[:, index].any()]
+    redeployed = list(dict.fromkeys(learnt[:1] + learnt[-1:]))
+    shown = [record.steps.of_iteration(number) for number in redeployed]
+    upper.set_xlim(0, 1.02 * max(map(len, [last, *shown])) + 1)
+    for number, steps, style in zip(redeployed, shown, (FIRST, LAST)[-len(shown) :], strict=False):
         lower.plot(_numbers(steps), steps.std[:, index], label=_name(record, number), **style, **_pixels(steps))
-    if not learnt:
-        _note(lower, "The nominal map gives no standard deviation.")
-    lower.set_ylim(0, 1.08 * max([float(np.max(line.get_ydata())) for line in lower.lines], default=0) or 1)
-    _mark_changes(lower, last)
+    if learnt:
+        lower.set_ylim(0, 1.08 * max(float(np.max(steps.std[:, index])) for steps in shown))
+        _mark_changes(lower, last)
+    else:
+        _note(lower, "These maps give no standard deviation.")
     lower.set_ylabel(f"Standard deviation{_unit(quantity)}")
     lower.set_title("(b)", loc="left", fontsize="medium")
     _finish(figure, [upper, lower], "Step", own_legends=True)
@@ -126,7 +129,7 @@ def axis_label(quantity: Quantity, capital: bool = True) -> str:
 def plain(text: str) -> str:
     """The text as the figures' font can show it: one short line of Latin, Greek or Cyrillic, with no formulae."""
     shown = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
-    return (shown if len(shown) <= 40 else f"{shown[:39]}…").replace("$", r"\$")
+    return (shown if len(shown) <= LONGEST_NAME else f"{shown[: LONGEST_NAME - 1]}…").replace("$", r"\$")
 
 
 def _unit(quantity: Quantity) -> str:
@@ -163,7 +166,7 @@ def _reached(steps: StepLog, index: int) -> Array:
 
 def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: dict[str, Any]) -> None:
     numbers, reached = _numbers(steps), _reached(steps, index)
-    panel.plot(numbers, reached, label=name, **style, **_pixels(steps))
+    panel.plot(numbers, reached, label=name, **style)
     fell = np.isnan(reached)
     if fell.any():
         mark = {"color": style["color"], "marker": "X", "linestyle": "", "markersize": 9, "clip_on": False}
@@ -172,18 +175,23 @@ def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: di
 
 def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
     numbers, std = _numbers(steps), steps.std[:, index]
-    mean = np.where(np.isfinite(steps.predicted[:, index]), steps.predicted[:, index], np.nan)
+    mean, reached = steps.predicted[:, index], _reached(steps, index)
+    mean = np.where(np.isfinite(mean), mean, np.nan)
+    if np.isnan(reached).all():
+        _note(panel, "No step ended with an apex.")
+        return
     fast = _pixels(steps)
     if std.any():
         band = {"color": SKY, "alpha": 0.5, "linewidth": 0, "label": "95 % band"}
         panel.fill_between(numbers, mean - BAND * std, mean + BAND * std, **band, **fast)
     panel.plot(numbers, mean, color=BLUE, linewidth=1.2, label="predicted mean", **fast)
     measured = {"color": BLACK, "linestyle": "", "marker": "o", "markersize": 2, "label": "measured"}
-    panel.plot(numbers, _reached(steps, index), **measured, **fast)
+    panel.plot(numbers, reached, **measured, **fast)
 
 
 def _note(panel: Axes, text: str) -> None:
     """Says why a panel is empty."""
+    panel.set_yticks([])
     panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", color=GREY)
 
 
@@ -201,7 +209,8 @@ def _log_scale(panel: Axes) -> None:
     if not (values > 0).any():
         return
     panel.set_yscale("log", nonpositive="mask")
-    panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    if values[values > 0].max() < 1e3 * values[values > 0].min():
+        panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     panel.yaxis.set_minor_formatter(NullFormatter())
 

@@ -110,7 +110,7 @@ def captions(record: RunRecord) -> list[str]:
         text = f"The map of {quantity.name}{like}. (a) Its mean with 95 % band, noise included, and the measured next "
         text += f"state, in deployment {last}."
         if known:
-            text += f" {inside} of {known} measurements ({inside / known:.0%}) lie within the band."
+            text += f" {inside} of {known} measurements ({100 * inside / known:.0f} %) lie within the band."
         text += " (b) Standard deviation of the prediction in the first and the last redeployment."
         if hardware:
             before, after = paper.LARGEST_STD[quantity.name]

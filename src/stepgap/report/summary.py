@@ -1,7 +1,6 @@
 """`summary.json` of a run folder, read strictly."""
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,12 +54,14 @@ class Summary:
         deployments: Those that are finished, rising.
         repeatability: Spread of the next state at equal state and command, NaN where unknown; shape (n,).
         versions: Of the software, as far as recorded.
+        steps_sha256: Digest of the steps that the deployments are made of; empty if not recorded.
     """
 
     seed: int | None = None
     deployments: tuple[FinishedDeployment, ...] = ()
     repeatability: Array | None = None
     versions: tuple[tuple[str, str], ...] = ()
+    steps_sha256: str = ""
 
 
 def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json") -> Summary:
@@ -78,22 +79,23 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
         content = json.loads(text, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{source}: not JSON ({error}); it must be the file that the run wrote") from None
-    fields = _fields(content, source)
+    fields = _fields(content, "it", source)
     if (schema := fields.get("schema")) != SCHEMA or isinstance(schema, bool):
         raise ValueError(f"{source}: schema is {_short(schema)}, but it must be {SCHEMA}, the one this StepGap knows")
     entries = fields.get("iterations")
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{source}: iterations is {_short(entries)}, but it must be a list of deployments")
-    deployments = [_deployment(entry, names, f"{source}: iterations[{row}]") for row, entry in enumerate(entries)]
+    deployments = [_deployment(entry, names, f"iterations[{row}]", source) for row, entry in enumerate(entries)]
     numbers = [deployment.iteration for deployment in deployments]
     if numbers != sorted(set(numbers)):
         raise ValueError(f"{source}: iterations are numbered {_short(numbers)}, but their numbers must rise")
-    versions = _fields(fields.get("versions", {}), f"{source}: versions")
+    versions = _fields(fields.get("versions", {}), "versions", source)
     return Summary(
         _whole(fields, "seed", 0, source),
         tuple(deployments),
         _errors(fields, "repeatability", names, source),
         tuple((name, str(version)) for name, version in versions.items()),
+        str(fields.get("steps_sha256", "")),
     )
 
 
@@ -129,8 +131,8 @@ def read_text(path: Path, largest: int) -> str | None:
         raise ValueError(f"{path}: not a text file ({error.reason}); it must be the one that the run wrote") from None
 
 
-def _deployment(entry: Any, names: tuple[str, ...], place: str) -> FinishedDeployment:
-    fields = _fields(entry, place)
+def _deployment(entry: Any, names: tuple[str, ...], place: str, source: str) -> FinishedDeployment:
+    fields, place = _fields(entry, place, source), f"{source}: {place}"
     residual = fields.get("residual")
     if not isinstance(residual, str) or len(residual) > LONGEST_NAME:
         raise ValueError(f"{place}: residual is {_short(residual)}, but it must be a short text such as 'gp'")
@@ -143,9 +145,9 @@ def _deployment(entry: Any, names: tuple[str, ...], place: str) -> FinishedDeplo
     )
 
 
-def _fields(value: Any, place: str) -> dict[str, Any]:
+def _fields(value: Any, what: str, place: str) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ValueError(f"{place} is {_short(value)}, but it must be an object, {{…}}")
+        raise ValueError(f"{place}: {what} is {_short(value)}, but it must be an object, {{…}}")
     return value
 
 
@@ -158,13 +160,13 @@ def _whole(fields: Mapping[str, Any], key: str, least: int, place: str) -> int:
 
 def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], place: str) -> Array:
     """One number or null for every state coordinate; shape (n,)."""
-    values = _fields(fields.get(key), f"{place}: {key}")
+    values = _fields(fields.get(key), key, place)
     if set(values) != set(names):
         wanted = ", ".join(names)
         raise ValueError(f"{place}: {key} is of {_short(list(values))}, but it must be of {wanted}, as in steps.csv")
     for name, value in values.items():
         known = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if value is not None and not (known and math.isfinite(value) and abs(value) <= LARGEST_NUMBER):
+        if value is not None and not (known and abs(value) <= LARGEST_NUMBER):
             raise ValueError(f"{place}: {key} of {name} is {_short(value)}, but it must be a number or null")
     return np.array([np.nan if values[name] is None else float(values[name]) for name in names])
 

@@ -22,6 +22,8 @@ def headline(record: RunRecord) -> str:
         return f"It tracked: {to_end}, and every tracking error is smaller than in deployment {first.iteration}."
     if first.falls:
         return f"It tracked to the end: {to_end}, where deployment {first.iteration} fell at step {first.steps}."
+    if np.isnan(last.errors["rmse"] - first.errors["rmse"]).any():
+        return f"No fall, but not every tracking error is known: {to_end}."
     return f"No fall, but not better in every coordinate: {to_end}."
 
 
@@ -80,7 +82,8 @@ def _change(first: FinishedDeployment, last: FinishedDeployment, row: int, quant
         before, after = first.errors[measure][row], last.errors[measure][row]
         factor = improvement(first, last, measure)[row]
         outcome = f", {_times(factor)}" if np.isfinite(factor) else ""
-        parts.append(f"{measure.upper()} from {decimal(before)} to {decimal(after)}{_unit(quantity)}{outcome}")
+        known = f"from {decimal(before)} to {decimal(after)}{_unit(quantity)}{outcome}"
+        parts.append(f"{measure.upper()} {known if np.isfinite(before - after) else 'unknown'}")
     return f"{_title(quantity)}, from deployment {first.iteration} to {last.iteration}: {'; '.join(parts)}."
 
 

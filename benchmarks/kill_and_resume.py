@@ -1,0 +1,105 @@
+"""Kills `stepgap run` at random moments and resumes it: the record must be that of a run never broken off.
+
+    ./go python benchmarks/kill_and_resume.py [--kills 10] [--seed 0] [--iterations 1] [--steps 40]
+
+Half of the kills hit one run, which is resumed after each; every other kill hits a run of its own. A kill comes up to
+50 ms after a step chosen at random was written, the last of a deployment among them. Then every run is resumed to its
+end, and all files but figures and report are compared byte by byte. Exits with 1 if anything differs.
+"""
+
+import argparse
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.control.reference import paper_reference
+
+STEPGAP = [sys.executable, "-c", "from stepgap.cli import main; main()"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Kills stepgap run and resumes it.")
+    parser.add_argument("--kills", type=int, default=10, help="how many")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--iterations", type=int, default=1, help="redeployments")
+    parser.add_argument("--steps", type=int, default=40, help="how many of the paper's targets")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        failures = sum(benchmark(Path(name), arguments))
+    print(f"{arguments.kills} kills, {failures} failures")
+    sys.exit(failures > 0)
+
+
+def benchmark(folder: Path, arguments: argparse.Namespace) -> Iterator[bool]:
+    """Whether each run failed to be as one never broken off."""
+    reference = paper_reference()
+    targets = reference.targets[: arguments.steps].tolist()
+    rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in targets)]
+    (folder / "targets.csv").write_text("\n".join(rows) + "\n")
+    start = ["--reference", str(folder / "targets.csv"), "--iterations", str(arguments.iterations)]
+    run(folder / "unbroken", start)
+    total = len(lines_of(folder / "unbroken"))
+    print(f"unbroken run: {total - 1} steps\n run  kill  lines before  killed at  lines after  last line whole")
+    rng, wanted = np.random.default_rng(arguments.seed), record(folder / "unbroken")
+    chained = arguments.kills // 2
+    for number, kills in enumerate([chained, *[1] * (arguments.kills - chained)]):
+        broken, failed = folder / f"broken_{number}", False
+        for kill, line in enumerate(np.sort(rng.integers(0, total + 1, kills)), start=1):
+            before = lines_of(broken)
+            run(broken, start, kill_at=int(line), delay=float(rng.uniform(0.0, 0.05)))
+            after = lines_of(broken)
+            failed = failed or after[: len(before)] != before
+            print(
+                f"{number:4}  {kill:4}  {len(before):12}  {line:9}  {len(after):11}  {ends_whole(broken)}", flush=True
+            )
+        run(broken, start)
+        different = sorted({name for name, _ in record(broken).items() ^ wanted.items()})
+        print(f"{number:4}   end  {'DIFFERENT: ' + ', '.join(different) if different else 'as unbroken'}", flush=True)
+        yield failed or bool(different)
+
+
+def run(folder: Path, start: list[str], kill_at: int | None = None, delay: float = 0.0) -> None:
+    """Starts or resumes a run; kills it some seconds after `steps.csv` has so many lines, unless it has ended then."""
+    options = ["--resume"] if (folder / "experiment.toml").exists() else start
+    process = subprocess.Popen([*STEPGAP, "run", "--out", folder, "--quiet", *options], stdout=subprocess.DEVNULL)
+    while kill_at is not None and process.poll() is None:
+        if len(lines_of(folder)) >= kill_at:
+            time.sleep(delay)
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            return
+        time.sleep(0.001)
+    if process.wait():
+        sys.exit(f"stepgap run --out {folder} {' '.join(options)} ended with {process.returncode}")
+
+
+def lines_of(folder: Path) -> list[str]:
+    """The whole lines of `steps.csv`."""
+    path = folder / "steps.csv"
+    text = path.read_text() if path.exists() else ""
+    return text[: text.rfind("\n") + 1].splitlines()
+
+
+def ends_whole(folder: Path) -> str:
+    """Whether `steps.csv` ends with a line that is whole."""
+    path = folder / "steps.csv"
+    return "no file" if not path.exists() else "yes" if path.read_bytes()[-1:] in (b"\n", b"") else "no"
+
+
+def record(folder: Path) -> dict[str, bytes]:
+    """All files but figures and report."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.suffix not in (".png", ".html")
+    }
+
+
+if __name__ == "__main__":
+    main()

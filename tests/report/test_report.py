@@ -1,0 +1,265 @@
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from stepgap.control.reference import paper_reference
+from stepgap.report import paper, read_run_folder, write_report
+from stepgap.report.figures import coverage, tracking_figure
+from stepgap.report.summary import MEASURES
+from stepgap.report.words import decimal
+from stepgap.step import Quantity, StepSpace
+from tests.report.runs import make_run, write_run, write_summary
+
+VOID = {"meta", "br", "hr"}
+SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
+HOSTILE = "<img src=http://evil/?x='1' onerror=alert(1)>&\"--></svg></pre><script>alert(2)</script>$\\frac{"
+
+
+class Page(HTMLParser):
+    """Tags and text of a page; an element that is not closed in its turn is an error."""
+
+    def __init__(self, path: Path):
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str]]] = []
+        self.text = ""
+        self.cells: list[list[tuple[str, float | None]]] = []
+        self._open: list[str] = []
+        self.source = path.read_text(encoding="utf-8")
+        self.feed(SVG.sub("", self.source))
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        self.tags.append((tag, given))
+        if tag not in VOID:
+            self._open.append(tag)
+        if tag == "tr":
+            self.cells.append([])
+        elif tag == "td":
+            self.cells[-1].append((given.get("class", ""), None))
+        elif tag == "data":
+            self.cells[-1][-1] = (self.cells[-1][-1][0], float(given["value"]))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self._open:
+            self.text += data
+
+
+def check_alone(page: Page) -> None:
+    """The page fetches nothing and runs nothing, its graphics are sound and its identifiers unique."""
+    policy = [given["content"] for tag, given in page.tags if given.get("http-equiv") == "Content-Security-Policy"]
+    assert policy == ["default-src 'none'; style-src 'unsafe-inline'; img-src data:"]
+    assert not {tag for tag, _ in page.tags} & {
+        "script",
+        "img",
+        "link",
+        "iframe",
+        "object",
+        "embed",
+        "base",
+        "form",
+        "a",
+    }
+    assert not {name for _, given in page.tags for name in given if name in ("src", "href") or name.startswith("on")}
+    pictures = [ElementTree.fromstring(text) for text in SVG.findall(page.source)]
+    assert len(pictures) >= 3
+    for element in (element for picture in pictures for element in picture.iter()):
+        assert element.tag.rpartition("}")[2] not in ("script", "a", "foreignObject", "image")
+        for name, value in element.attrib.items():
+            assert not name.startswith("on")
+            assert "//" not in value
+            assert not name.endswith("href") or value.startswith("#")
+    names = re.findall(r'\sid="([^"]+)"', page.source)
+    assert len(names) == len(set(names))
+    assert set(re.findall(r'(?:href="|url\()#([^")]+)', page.source)) <= set(names)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with its report."""
+    folder = make_run(tmp_path_factory.mktemp("report") / "a run & <more>")
+    content = json.loads((folder / "summary.json").read_text())
+    content["versions"] = {"stepgap": "0.1.0"}
+    (folder / "summary.json").write_text(json.dumps(content))
+    (folder / "experiment.toml").write_text("seed = 0\nreference = 'a<b>.csv'\n")
+    assert write_report(folder) == folder / "report.html"
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(written: Path) -> Page:
+    return Page(written / "report.html")
+
+
+@pytest.fixture(scope="module")
+def summary(written: Path) -> dict[str, Any]:
+    return json.loads((written / "summary.json").read_text())
+
+
+def test_page_stands_alone(page: Page) -> None:
+    check_alone(page)
+    assert len(page.source) < 2_000_000
+
+
+def test_numbers_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -> None:
+    rows = [row for row in page.cells if row]
+    assert len(rows) == 2 * 5
+    for name, table in (("speed", rows[:5]), ("height", rows[5:])):
+        for iteration, row in enumerate(table):
+            ours = [number for kind, number in row if kind.startswith("run")]
+            entry = summary["iterations"][iteration] if iteration < 3 else None
+            assert ours == [entry[measure][name] if entry else None for measure in MEASURES]
+            theirs = [number for kind, number in row if kind.startswith("paper")]
+            assert theirs == [paper.paper_error(measure, name, iteration) for measure in MEASURES]
+
+
+def test_words_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -> None:
+    before, after = (summary["iterations"][row]["rmse"]["speed"] for row in (0, -1))
+    assert "It tracked: the last deployment made all its 40 steps without a fall" in page.text
+    assert (
+        f"RMSE from {decimal(before)} to {decimal(after)} m/s, {decimal(before / after, 2)} times smaller" in page.text
+    )
+    assert "120 hops recorded in 3 deployments on the simulated twin, no falls." in page.text
+    assert "This run tracked another reference than the paper's" in page.text
+    assert "reference = 'a<b>.csv'" in page.text
+    assert "stepgap: 0.1.0" in page.text
+    assert "StepGap report: a run & <more>" in page.text
+
+
+def test_only_the_paper_has_hardware(page: Page) -> None:
+    assert set(re.findall(r"(\S+) hardware", page.text)) <= {"paper's", "paper:", "its"}
+    assert "this run: simulated twin" in page.text
+
+
+def test_pictures_are_pictures(written: Path) -> None:
+    names = sorted(path.name for path in (written / "figures").iterdir())
+    assert names == ["errors.png", "map_height.png", "map_speed.png", "tracking.png"]
+    for name in names:
+        picture = imread(written / "figures" / name)
+        assert picture.shape == (900, 1350, 4)
+        assert 0.01 < np.mean(picture[..., :3].min(axis=-1) < 0.9) < 0.5
+
+
+def test_writing_again_gives_the_same(written: Path) -> None:
+    before = {path: path.read_bytes() for path in written.rglob("*") if path.is_file()}
+    write_report(written)
+    assert {path: path.read_bytes() for path in written.rglob("*") if path.is_file()} == before
+
+
+def test_curves_are_the_steps(written: Path) -> None:
+    record = read_run_folder(written)
+    curves = {line.get_label(): np.asarray(line.get_ydata()) for line in tracking_figure(record).axes[1].lines}
+    last = record.steps.of_iteration(2)
+    np.testing.assert_array_equal(curves["reference"], last.target[:, 1])
+    np.testing.assert_array_equal(curves["deployment 2, with GP"], last.next_state[:, 1])
+    np.testing.assert_array_equal(curves["deployment 0, without GP"], record.steps.of_iteration(0).next_state[:, 1])
+    inside, known = coverage(last, 0)
+    assert known == 40
+    assert 30 <= inside <= 40
+
+
+def test_paper_is_told_apart_from_its_own_reference(written: Path, tmp_path: Path) -> None:
+    targets = paper_reference().targets
+    folder = write_run(tmp_path / "run", ("speed", "height"), steps=227, iterations=5, targets=targets)
+    text = Page(write_report(folder)).text
+    assert "This run tracked the paper's reference." in text
+    assert "No fall, but not every tracking error is known" in text
+    assert "Speed, from deployment 0 to 4: RMSE unknown; MAE unknown." in text
+    assert (folder / "report.html").stat().st_size < 2_000_000
+
+
+def test_first_deployment_alone(tmp_path: Path) -> None:
+    page = Page(write_report(make_run(tmp_path / "run", iterations=0)))
+    check_alone(page)
+    assert "One deployment so far, so there is nothing to compare with" in page.text
+
+
+def test_falls(tmp_path: Path) -> None:
+    page = Page(write_report(make_run(tmp_path / "run", iterations=1, lasts=(15, 0))))
+    check_alone(page)
+    assert "It did not track to the end: deployment 1 fell at step 1." in page.text
+    assert "Deployment 0 fell at step 16; its errors are of the steps before only." in page.text
+    assert "17 hops recorded in 2 deployments on the simulated twin, 2 falls." in page.text
+
+
+def test_run_under_way(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", ("x",), steps=3)
+    write_summary(folder, ("x",), 3, 1)
+    with (folder / "steps.csv").open("a") as file:
+        file.write("1,4,0.")
+    assert "Deployment 1 is under way or was broken off: its 3 steps so far" in Page(write_report(folder)).text
+    (folder / "summary.json").unlink()
+    page = Page(write_report(folder))
+    check_alone(page)
+    assert "No deployment is finished yet." in page.text
+    assert "paper's hardware" not in page.text
+
+
+def test_hostile_words_stay_words(tmp_path: Path) -> None:
+    names = (HOSTILE.replace(",", ""), "../../名\u202e", "AUX")
+    folder = write_run(tmp_path / "run", names, residual=HOSTILE[:100])
+    content = json.loads((folder / "summary.json").read_text())
+    content["versions"] = {HOSTILE: HOSTILE + "\ud800\x00"}
+    (folder / "summary.json").write_text(json.dumps(content))
+    (folder / "experiment.toml").write_text(f"robot = '''{HOSTILE}'''\n")
+    (tmp_path / "precious").write_text("precious")
+    (folder / "report.html.partial").symlink_to(tmp_path / "precious")
+    page = Page(write_report(folder, plant=HOSTILE))
+    check_alone(page)
+    assert page.text.count(HOSTILE) >= 6
+    assert (tmp_path / "precious").read_text() == "precious"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["precious", "run"]
+    for path in (folder / "figures").iterdir():
+        assert re.fullmatch(r"[a-z0-9_-]+\.png", path.name)
+
+
+def test_equal_file_names_are_kept_apart(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", ("a b", "A_b"), steps=2, iterations=1)
+    write_report(folder)
+    assert len(list((folder / "figures").iterdir())) == 4
+
+
+def test_units_of_a_given_space(tmp_path: Path) -> None:
+    space = StepSpace((Quantity("tilt", "rad", -1, 1),), (Quantity("push", "N", -1, 1),))
+    page = Page(write_report(write_run(tmp_path / "run", ("tilt",), steps=2), space, plant="hardware of ours"))
+    assert "Error of tilt [rad]" in page.text
+    assert "this run: hardware of ours" in page.text
+
+
+def test_nothing_is_written_of_a_bad_run(written: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(written, folder)
+    (folder / "summary.json").write_text("{}")
+    before = (folder / "report.html").read_bytes()
+    with pytest.raises(ValueError, match=r"^[^\n]*summary\.json: schema is missing, but it must be 1[^\n]*$"):
+        write_report(folder)
+    assert (folder / "report.html").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0381, "0.0381"), (-0.0000601, "−0.0000601"), (0, "0"), (np.nan, "–"), (12345.6, "12346"), (1e-9, "1e−09")],
+)
+def test_decimal(value: float, text: str) -> None:
+    assert decimal(value) == text
+
+
+def test_paper_agrees_with_itself() -> None:
+    for name in paper.STATE_NAMES:
+        assert paper.MAE_BY_ITERATION[name][0] == paper.NO_GP["mae"][name]
+        assert paper.MAE_BY_ITERATION[name][paper.LAST_ITERATION] == paper.WITH_GP["mae"][name]
+        for table in (paper.NO_GP, paper.WITH_GP):
+            assert table["rmse"][name] >= max(table["mae"][name], abs(table["bias"][name]))
+    assert paper.paper_error("rmse", "speed", 1) is None
