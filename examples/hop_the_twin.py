@@ -12,5 +12,5 @@ with RigPlant(twin, robot, Gains(), CommandBounds(), on_tick=ticks.append) as pl
     for _ in range(3):
         record = plant.take_step(np.array([-5.0, -5.0]))
         print("next apex:  {:.3f} m/s, {:.3f} m".format(*record.next_state))
-peak = max(ticks, key=lambda tick: abs(tick.applied_1))
-print(f"{len(ticks)} ticks; largest torque {abs(peak.applied_1):.1f} N·m in phase {peak.phase.name}")
+peak = max(ticks, key=lambda tick: abs(tick.applied[0]))
+print(f"{len(ticks)} ticks; largest torque {abs(peak.applied[0]):.1f} N·m in phase {peak.phase.name}")

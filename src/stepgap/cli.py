@@ -137,7 +137,7 @@ def run(
     from stepgap.plants.rig_plant import RigPlant
     from stepgap.progress import Progress
     from stepgap.report import write_report
-    from stepgap.rigs.twin.twin import Twin
+    from stepgap.rigs.twin import GroundProfile, Twin
     from stepgap.sim_to_real import run as run_experiment
 
     quoted = None if reference is None else json.dumps(reference, ensure_ascii=False)
@@ -148,8 +148,10 @@ def run(
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     targets = load_reference(settings, nominal.space)
 
+    ground = GroundProfile(settings.gap, settings.robot.boom_length, np.random.default_rng(settings.seed))
+
     def make_plant(rng: np.random.Generator) -> "Plant":
-        twin = Twin(settings.robot, settings.gap, rng)
+        twin = Twin(settings.robot, settings.gap, rng, ground=ground)
         return RigPlant(twin, settings.robot, settings.gains, settings.command)
 
     _check_reach(nominal, targets, settings.reference)

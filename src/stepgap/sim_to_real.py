@@ -4,19 +4,22 @@ It knows no robot: a nominal `StepMap`, something that makes a `Plant`, and a `R
 """
 
 import json
-import os
+import platform
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from importlib.metadata import version
 from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
+from stepgap.files import write_whole
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.residual import KINDS, Residual, ResidualKind, fit_residual
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
@@ -25,6 +28,9 @@ from stepgap.step import Array, Reason, StepFailed, StepMap
 
 SCHEMA = 1
 """Version of `summary.json`."""
+
+RECORDED_VERSIONS = ("stepgap", "numpy", "scipy", "numba", "mujoco")
+"""Packages whose versions `summary.json` names: with others the same seed may give other last digits."""
 
 SAME_AGAIN = "resume with the record, settings, versions and machine that it was started with"
 """What to do when a replay does not give the recorded steps."""
@@ -200,7 +206,7 @@ def run(
     """
     reference.check(nominal.space)
     path, log, deployments = folder / "steps.csv", StepLog(nominal.space), []
-    with StepWriter(path, nominal.space) as writer:
+    with StepWriter(path, nominal.space) as writer, threadpool_limits(limits=1, user_api="blas"):  # same bytes anywhere
         recorded = deque(writer.recorded)
         vouched = _vouched_deployments(folder / "summary.json", writer.recorded, seed)
         for iteration in range(learning.iterations + 1):
@@ -295,15 +301,5 @@ def _summary(deployments: Sequence[Deployment], log: StepLog, reference: Referen
         ],
         "repeatability": named(repeatability(log.of_iteration(deployments[-1].iteration), reference)),
         "steps_sha256": digest(log),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in RECORDED_VERSIONS}},
     }
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Writes a file so that a reader, or a crash, sees the old one or the new one, never a part."""
-    path.parent.mkdir(exist_ok=True)
-    partial = path.with_name(f"{path.name}.partial")
-    with partial.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)

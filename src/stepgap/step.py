@@ -192,9 +192,7 @@ def difference_jacobian(step_map: StepMap, state: ArrayLike, command: ArrayLike,
     state, command = np.asarray(state, float), np.asarray(command, float)
     n, m = state.shape[-1], command.shape[-1]
     leading = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
-    point = np.concatenate(
-        [np.broadcast_to(state, (*leading, n)), np.broadcast_to(command, (*leading, m))], axis=-1
-    )
+    point = np.concatenate([np.broadcast_to(state, (*leading, n)), np.broadcast_to(command, (*leading, m))], axis=-1)
     step = relative_step * np.concatenate([step_map.space.state_scale, step_map.space.command_scale])
     offset = np.diag(step)
     points = np.stack([point[..., None, :] + offset, point[..., None, :] - offset])

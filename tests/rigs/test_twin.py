@@ -5,6 +5,7 @@
 
 from dataclasses import fields, replace
 from math import acos, asin, cos, inf, nan, pi, sin
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -103,7 +104,7 @@ class Servo:
         return reading
 
 
-def make(gap: RealityGap = NONE, seed: int = 0, **options: float) -> Twin:
+def make(gap: RealityGap = NONE, seed: int = 0, **options: Any) -> Twin:
     twin = Twin(ROBOT, gap, np.random.default_rng(seed), **options)
     twin.connect()
     return twin
@@ -490,7 +491,7 @@ def test_no_finite_torque_gives_a_reading_that_is_not(seed: int, size: float, pe
         ({"start_height": 5.0}, "start_height"),
     ],
 )
-def test_refuses_an_impossible_start(options: dict[str, float], name: str):
+def test_refuses_an_impossible_start(options: dict[str, Any], name: str):
     with pytest.raises(ValueError, match=name):
         Twin(ROBOT, RealityGap(), np.random.default_rng(0), **options)
 

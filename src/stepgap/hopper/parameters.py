@@ -125,7 +125,7 @@ class Gains:
                 robot.folded_length < value < robot.stretched_length,
                 name,
                 value,
-                f"lie between the folded leg {robot.folded_length:g} m and the stretched leg {robot.stretched_length:g} m",
+                f"lie between {robot.folded_length:g} (leg folded) and {robot.stretched_length:g} (leg stretched)",
             )
 
 

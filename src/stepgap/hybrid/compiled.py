@@ -5,6 +5,9 @@ old version of a function it calls from another file. Here the cache lies in a f
 digest of all compiled sources of the function's package.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# (Numba makes the attributes of its config at run time.)
+
 import hashlib
 import os
 import re
@@ -16,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import config
 from numba.extending import overload
 
 
@@ -81,14 +85,14 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     file, cache = Path(function.__code__.co_filename).resolve(), _cache_folder()
     if cache is None or not file.is_file():
         return generic(function)
-    previous = numba.config.CACHE_DIR
+    previous = config.CACHE_DIR
     here = _digest(_package_folder(Path(__file__).resolve()))
     there = _digest(_package_folder(file))
-    numba.config.CACHE_DIR = str(cache / f"{here}-{there}")
+    config.CACHE_DIR = str(cache / f"{here}-{there}")
     try:
         return numba.njit(nogil=True, error_model="numpy", cache=True)(function)
     finally:
-        numba.config.CACHE_DIR = previous
+        config.CACHE_DIR = previous
 
 
 def implements(operation: Callable[..., Any], system_type: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

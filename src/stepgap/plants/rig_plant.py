@@ -31,10 +31,8 @@ class Tick(NamedTuple):
     phase: Phase
     alpha_1: float
     alpha_2: float
-    asked_1: float
-    asked_2: float
-    applied_1: float
-    applied_2: float
+    asked: tuple[float, float]
+    applied: tuple[float, float]
     limited: Limited
 
 
@@ -165,7 +163,7 @@ class RigPlant(Plant):
             except RigFault:
                 self._reason = Reason.STOPPED
             left_ground = left_ground or before == Phase.PUSHING != self._phase
-            if left_ground and self._phase == Phase.FALLING:
+            if self._reason == Reason.OK and left_ground and self._phase == Phase.FALLING:
                 return self._apex()
             if self._time > deadline:
                 self._reason = Reason.NO_APEX if left_ground else Reason.NO_TAKE_OFF
@@ -204,9 +202,7 @@ class RigPlant(Plant):
         elif uprightness(self._law.leg, y, alpha_1, alpha_2) < 0:
             self._reason = Reason.FELL
         if self._on_tick:
-            self._on_tick(
-                Tick(self._time, reading, self._phase, alpha_1, alpha_2, *torque, *applied, checked.limited)
-            )
+            self._on_tick(Tick(self._time, reading, self._phase, alpha_1, alpha_2, torque, applied, checked.limited))
         self._time += layout.tick
 
     def _update_phase(self, contact_force: float, x: float, y: float) -> None:

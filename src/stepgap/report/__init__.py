@@ -9,6 +9,7 @@ from collections.abc import Container
 from io import BytesIO
 from pathlib import Path
 
+from stepgap.files import write_whole
 from stepgap.report.figures import error_figure, map_figure, tracking_figure
 from stepgap.report.html import report_html
 from stepgap.report.run_folder import RunRecord, read_run_folder
@@ -41,13 +42,12 @@ def write_report(folder: Path, space: StepSpace | None = None, plant: str = "sim
     figures = {"tracking": tracking_figure(record), "errors": error_figure(record)}
     for index, name in enumerate(record.space.state_names):
         figures[_file_name(f"map_{name}", figures)] = map_figure(record, index)
-    (folder / "figures").mkdir(exist_ok=True)
     for name, figure in figures.items():
         picture = BytesIO()
         figure.savefig(picture, format="png", dpi=DOTS_PER_INCH)
-        _write_whole(folder / "figures" / f"{name}.png", picture.getvalue())
+        write_whole(folder / "figures" / f"{name}.png", picture.getvalue())
     path = folder / "report.html"
-    _write_whole(path, report_html(record, list(figures.values()), plant).encode("utf-8"))
+    write_whole(path, report_html(record, list(figures.values()), plant))
     return path
 
 
@@ -57,12 +57,3 @@ def _file_name(wanted: str, taken: Container[str]) -> str:
     while name in taken:
         name += "_"
     return name
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    """Writes a file so that a reader sees the old one or the new one."""
-    partial = path.with_name(f"{path.name}.partial")
-    partial.unlink(missing_ok=True)  # and not through a link that the folder may hold
-    with partial.open("xb") as file:
-        file.write(content)
-    partial.replace(path)

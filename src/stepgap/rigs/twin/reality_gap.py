@@ -109,9 +109,9 @@ class RealityGap:
     torque_lag: float = 1.5e-3
     torque_limit: float = 38.0
     delay: float = 1e-3
-    motor_counts: float = 16384
-    boom_counts_horizontal: float = 5000
-    boom_counts_vertical: float = 16384
+    motor_counts: float = 16384.0
+    boom_counts_horizontal: float = 5000.0
+    boom_counts_vertical: float = 16384.0
     touchdown_force: float = 5.0
     takeoff_length: float = 0.287
 
