@@ -110,7 +110,7 @@ WRONG = {
     "[gap]\nground_friction = -1": "[gap] ground_friction = -1.0, but it must be positive",
     "[robot]\nbody_mass = -1": "[robot] body_mass = -1.0, but it must be positive",
     "[robot]\nbottom_length = 0.1": "[robot] bottom_length = 0.1, but it must exceed top_length = 0.11",
-    "[gains]\nlanding_length = 0.5": "[gains] landing_length = 0.5, but it must lie between 0.09 (leg folded) and 0.31 (leg stretched)",
+    "[gains]\nlanding_length = 0.5": "[gains] landing_length = 0.5, but it must lie between 0.09 (leg folded)",
     "[gains]\nrest_length = 0.05": "[gains] rest_length = 0.05, but it must lie between",
     "[command]\nfx_lower = 20": "[command] fx_lower = 20.0, but it must lie below fx_upper = 15.0",
     "reference = 5": "reference = 5, but it must be a text in quotes",
