@@ -38,6 +38,7 @@ app = App(
     name="stepgap",
     help="Close the sim-to-real gap of a legged robot one step at a time.",
     help_epilogue="Any setting of an experiment can be given as --TABLE.KEY VALUE, such as --gains.stiffness 2400. "
+    "Tables: robot, gains, command, learning, gap; the experiment.toml of any run lists every key. "
     "--debug shows where an error arose.",
     default_parameter=Parameter(negative=(), show_default=False),
 )

@@ -36,6 +36,7 @@ class Progress:
             transient=True,
         )
         self._task: TaskID | None = None
+        self._last = 0
         self._errors: list[np.ndarray] = []
 
     @property
@@ -47,8 +48,10 @@ class Progress:
         self._bars.start()
         return self
 
-    def __exit__(self, *exc_info: object) -> None:
+    def __exit__(self, exc_type: object, *exc_info: object) -> None:
         self._bars.stop()
+        if exc_type is None and self._last < self._iterations and not self._quiet:
+            self._console.print("stopped there: the error no longer falls (learning.least_gain)", soft_wrap=True)
 
     def _on_step(self, logged: LoggedStep) -> None:
         if self._task is None:
@@ -64,6 +67,7 @@ class Progress:
         if self._task is not None:
             self._bars.remove_task(self._task)
             self._task = None
+        self._last = deployment.iteration
         if not self._quiet:
             fall = ", ended by a fall" if deployment.falls else ""
             error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"

@@ -113,10 +113,11 @@ def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment
 
 
 def repeatability(steps: StepLog, reference: Reference) -> Array:
-    """Spread of the next state at equal state and command [state units]; shape (n,).
+    """Spread of the next state at equal state and command, at most about this [state units]; shape (n,).
 
     Estimated from the steady steps of one deployment: what is left of the next state after a linear
-    fit in state and command, per degree of freedom. NaN where the steps are too few.
+    fit in state and command, per degree of freedom. Where the map bends, that is more than the true
+    spread. NaN where the steps are too few.
     """
     numbers = set((reference.steady + 1).tolist())
     steady = StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))

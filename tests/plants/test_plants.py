@@ -140,3 +140,13 @@ def test_every_tick_is_reported_with_torques_within_the_limit():
     applied = np.array([tick.applied for tick in ticks])
     assert np.abs(applied).max() <= min(ROBOT.torque_limit, RealityGap().torque_limit)
     assert {tick.phase.name for tick in ticks} == {"RISING", "FALLING", "LOADING", "PUSHING"}
+
+
+def test_a_constant_command_without_noise_stays_on_its_limit_cycle():
+    """What changes with time and not with state or command cannot be learnt, and must not be in the twin."""
+    quiet = RealityGap(torque_noise=0.0, ground_roughness=0.0, ground_slope=0.0)
+    with twin_plant(0, quiet) as plant:
+        plant.start()
+        heights = [plant.take_step(np.array([-7.0, -6.0])).next_state[1] for _ in range(130)]
+    early, late = np.mean(heights[60:80]), np.mean(heights[110:])
+    assert abs(late - early) < 0.005  # 0.05 m where the torque's delay grew after a minute

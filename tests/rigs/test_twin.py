@@ -330,6 +330,26 @@ def test_delay_and_lag_shape_the_torque():
     assert delivered[4][0] > 0
 
 
+@pytest.mark.parametrize(("delay", "steps"), [(2.5e-4, 1), (5e-4, 2), (1e-3, 4), (2e-3, 8)])
+def test_the_delay_stays_the_same_however_long_the_twin_runs(delay: float, steps: int):
+    """MuJoCo's clock adds up rounding errors; they must not turn four steps of delay into five."""
+    twin = make(replace(NONE, delay=delay), tick=2.5e-4 * 4)
+    model, data = twin._model, twin._data
+    for seconds in (0.0, 8.5, 31.0, 64.2, 100.3, 180.1, 260.7):
+        data.time = 0.0
+        clock = np.cumsum(np.full(round(seconds / model.opt.timestep) + 1, model.opt.timestep))
+        data.time = clock[-1] if seconds else 0.0
+        data.ctrl[:] = 0.0
+        for _ in range(30):
+            mujoco.mj_step(model, data)
+        data.ctrl[:] = 1.0
+        seen = []
+        for _ in range(20):
+            mujoco.mj_step(model, data)
+            seen.append(float(data.actuator_force[0]))
+        assert seen.index(1.0) == steps, seconds
+
+
 def test_connecting_forgets_torques_on_their_way():
     twin = make(replace(NONE, delay=3e-3, torque_lag=1e-2))
     for _ in range(10):

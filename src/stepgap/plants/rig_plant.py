@@ -19,7 +19,7 @@ from stepgap.plants.safety import Limited, SafetyLimits, check_torque
 from stepgap.rigs.rig import Reading, Rig, RigFault
 from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
 
-LONGEST_STEP = 4.0
+STEP_TIMEOUT = 4.0
 """Longest time from apex to apex [s]."""
 
 
@@ -132,7 +132,10 @@ class RigPlant(Plant):
         self._reset()
         self._state = self._hop((0.0, 0.0))
         if self._reason != Reason.OK:
-            raise RigFault(f"the first hop failed: {self._reason.status}: {ADVICE[self._reason]}")
+            raise RigFault(
+                f"the first hop failed: {self._reason.status}: {ADVICE[self._reason]}; "
+                "on the twin, see whether the differences in [gap] leave a robot that can hop"
+            )
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:
@@ -154,7 +157,7 @@ class RigPlant(Plant):
         """Ticks from just after an apex to just after the next; NaN and a reason if there is none."""
         self._lost_x = self._lost_y = 0.0
         self._push_ticks = 0
-        deadline = self._time + LONGEST_STEP
+        deadline = self._time + STEP_TIMEOUT
         left_ground = False
         while self._reason == Reason.OK:
             before = self._phase

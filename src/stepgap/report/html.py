@@ -105,18 +105,24 @@ def captions(record: RunRecord) -> list[str]:
     ]
     for row, quantity in enumerate(record.space.state):
         last = record.shown[-1]
-        inside, known = coverage(record.steps.of_iteration(last), row)
+        held = [_held(record, iteration, row) for iteration in record.steps.iterations]
         like = f", as in the paper's Fig. {6 + row}" if hardware else ""
         text = f"The map of {quantity.name}{like}. (a) Its mean with 95 % band, noise included, and the measured next "
         text += f"state, in deployment {last}."
-        if known:
-            text += f" {inside} of {known} measurements ({100 * inside / known:.0f} %) lie within the band."
+        if any(held):
+            text += f" The band, drawn before the step was taken, held {', '.join(filter(None, held))}."
         text += " (b) Standard deviation of the prediction in the first and the last redeployment."
         if hardware:
             before, after = paper.LARGEST_STD[quantity.name]
             text += f" On the paper's hardware it was at most about {before:g}, then {after:g} {quantity.unit}."
         found.append(text)
     return found
+
+
+def _held(record: RunRecord, iteration: int, row: int) -> str:
+    """How many measurements of a deployment the band held; empty where there was no band."""
+    inside, known = coverage(record.steps.of_iteration(iteration), row)
+    return f"{inside} of {known} measurements ({100 * inside / known:.0f} %) in deployment {iteration}" if known else ""
 
 
 def _what_is_compared(record: RunRecord, plant: str) -> str:

@@ -100,11 +100,12 @@ def _floor(record: RunRecord) -> list[str]:
         return []
     state, spread = record.space.state, record.repeatability
     spreads = ", ".join(f"{state[row].name} {decimal(spread[row])}{_unit(state[row])}" for row in known)
-    errors = record.deployments[-1].errors["rmse"]
+    errors = record.deployments[-1].errors["steady_rmse"]
     ratios = ", ".join(f"{decimal(errors[row] / spread[row], 2)} times that in {state[row].name}" for row in known)
     return [
-        f"Repeatability, an estimate of how far the next state spreads from equal state and command: {spreads}. "
-        f"The last RMSE is {ratios}; near 1 there is little left to learn."
+        f"Repeatability, how far the next state spreads from equal state and command, is at most about {spreads} "
+        "(what a linear fit leaves of the steady steps of the last deployment; the true one may be smaller). "
+        f"The last steady RMSE is {ratios}."
     ]
 
 

@@ -242,7 +242,8 @@ def _add_motors(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
             motor.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
             motor.dynprm[0] = gap.torque_lag
         if steps > 0:
-            motor.delay, motor.nsample = steps * timestep, steps + 1
+            # Half a step less: MuJoCo looks the command up by the clock, whose rounding would else make it one more.
+            motor.delay, motor.nsample = (steps - 0.5) * timestep, steps + 1
 
 
 def _add_ground(spec: mujoco.MjSpec, gap: RealityGap) -> None:

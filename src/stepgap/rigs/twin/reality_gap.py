@@ -98,7 +98,7 @@ class RealityGap:
     boom_damping_ratio: float = 0.1
     ground_stiffness: float = 5e4
     ground_damping_ratio: float = 0.1
-    ground_friction: float = 0.6
+    ground_friction: float = 0.58
     ground_roughness: float = 3e-4
     ground_slope: float = 3e-4
     joint_friction: float = 0.03
@@ -113,7 +113,7 @@ class RealityGap:
     boom_counts_horizontal: float = 5000.0
     boom_counts_vertical: float = 16384.0
     touchdown_force: float = 5.0
-    takeoff_length: float = 0.287
+    takeoff_length: float = 0.28
 
     def __post_init__(self) -> None:
         for field in fields(self):
