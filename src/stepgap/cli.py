@@ -233,7 +233,7 @@ def map_(
     csv: Path | None = None,
     out: Path | None = None,
     table: Path | None = None,
-    points: int | None = None,
+    points: str | None = None,
     overrides: Overrides = None,
 ) -> None:
     """Evaluate the nominal map: the next apex and its derivatives, many rows of a file, or a table of commands.
@@ -247,7 +247,7 @@ def map_(
         csv: File with the columns speed, height, fx, fy; evaluate all its rows.
         out: File for their next apexes; without it they are printed.
         table: File for a table of the step controller's commands, to be built and measured.
-        points: Grid points along each axis of the table; without it 15.
+        points: Grid points along each axis of the table, a whole number; without it 15.
     """
     from stepgap.experiment import read_experiment
     from stepgap.hopper.apex_map import ApexMap
@@ -262,14 +262,15 @@ def map_(
         raise _bad_input(f"{' and '.join(name for name, given in ways.items() if given)}: give only one of them")
     if out and not csv:
         raise _bad_input("--out: goes with --csv; one point is printed")
-    if points is not None and (not table or not 2 <= points <= MOST_POINTS):
-        raise _bad_input(f"--points {points}: goes with --table, and must lie between 2 and {MOST_POINTS}")
+    count = 15 if points is None else int(points) if re.fullmatch("[0-9]{1,3}", points) else 0
+    if points is not None and (not table or not 2 <= count <= MOST_POINTS):
+        raise _bad_input(f"--points {points}: goes with --table, a whole number between 2 and {MOST_POINTS}")
     settings = read_experiment(experiment, overrides or [])
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     if csv:
         _map_rows(nominal, csv, out)
     elif table:
-        _map_table(nominal, table, points or 15, settings.seed)
+        _map_table(nominal, table, count, settings.seed)
     else:
         _map_point(nominal, {name: POINT[name] if value is None else value for name, value in single.items()})
 
@@ -340,6 +341,42 @@ def _writing(path: Path, option: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise _bad_input(f"{path}: cannot be written: {error.strerror}; choose another {option}") from None
+
+
+bench = App(name="bench", help="Measure how fast and how exact parts of StepGap are on this machine.")
+app.command(bench)
+
+
+@bench.command(name="map")
+def bench_map_(
+    experiment: Path | None = None,
+    /,
+    *,
+    quick: bool = False,
+    out: Path | None = None,
+    overrides: Overrides = None,
+) -> None:
+    """Time the nominal map beside other ways to compute it, and what is built on it; some minutes.
+
+    Args:
+        experiment: TOML file of settings.
+        quick: Take half a minute, with few points and few peers.
+        out: JSON file for the result; without it bench_map.json or the next free name.
+    """
+    from stepgap.bench_map import bench_map, describe_bench
+    from stepgap.experiment import read_experiment
+    from stepgap.hopper.apex_map import ApexMap
+
+    settings = read_experiment(experiment, overrides or [])
+    if out:
+        _check_new(out, "--out")
+    nominal = ApexMap(settings.robot, settings.gains, settings.command)
+    result = bench_map(nominal, settings.seed, quick, lambda line: print(f"{line} …", file=sys.stderr))
+    print(describe_bench(result))
+    file = out or _free_name(Path("bench_map.json"))
+    with _writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
+        json.dump(result, stream, indent=2)
+    print(file)
 
 
 @app.command
