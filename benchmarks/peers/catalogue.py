@@ -29,8 +29,8 @@ def engines(nominal: ApexMap, quick: bool) -> tuple[list[Engine], dict[str, str]
     if find_spec("heyoka"):
         from benchmarks.peers import taylor
 
-        hop = taylor.make_hop(robot, gains, 1e-7)
-        found.append(Engine("heyoka", "reduced systems, tolerance 1e-7", hop, calls=100))
+        hop = taylor.make_hop(robot, gains, 4e-6)
+        found.append(Engine("heyoka", "reduced systems, tolerance 4e-6", hop, calls=100))
     else:
         skipped["heyoka"] = "not installed: ./go uv pip install heyoka"
     installed = "installed, but no hop is written for it" if find_spec("numbalsoda") else "not installed"

@@ -8,7 +8,7 @@ the limit sets in. Failures of a hop are NaN.
 
 from collections.abc import Callable
 from functools import cache
-from math import acos
+from math import acos, atan2, cos, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -45,12 +45,12 @@ def make_rates(compiled: Plain) -> tuple[Callable[..., Any], ...]:
     def point(q, qd, l1, l2, side, a, b):
         """Jacobian (2, 4) of hip + a u(α₁ + side α₂) + b u(α₁ − side β), bias J̇q̇ (2,), height over the hip."""
         phi = q[2] + side * q[3]
-        sin_beta = l1 / l2 * np.sin(q[3])
-        cos_beta = np.sqrt(1 - sin_beta**2)
-        d_beta = l1 / l2 * np.cos(q[3]) / cos_beta
+        sin_beta = l1 / l2 * sin(q[3])
+        cos_beta = sqrt(1 - sin_beta**2)
+        d_beta = l1 / l2 * cos(q[3]) / cos_beta
         dd_beta = (sin_beta * d_beta**2 - sin_beta) / cos_beta
-        theta = q[2] - side * np.arctan2(sin_beta, cos_beta)
-        n_phi, n_theta = np.array([np.cos(phi), np.sin(phi)]), np.array([np.cos(theta), np.sin(theta)])
+        theta = q[2] - side * atan2(sin_beta, cos_beta)
+        n_phi, n_theta = np.array([cos(phi), sin(phi)]), np.array([cos(theta), sin(theta)])
         u_phi, u_theta = np.array([n_phi[1], -n_phi[0]]), np.array([n_theta[1], -n_theta[0]])
         jacobian = np.zeros((2, 4))
         jacobian[0, 0] = jacobian[1, 1] = 1.0
@@ -112,9 +112,9 @@ def make_rates(compiled: Plain) -> tuple[Callable[..., Any], ...]:
         q, qd = state[:4], state[4:]
         mass, bias = masses(q, qd, p)
         jacobian, drift, _, _, _ = point(q, qd, l1, l2, -1.0, l1, l2 + l3)
-        length = l1 * np.cos(q[3]) + np.sqrt(l2**2 - (l1 * np.sin(q[3])) ** 2)
+        length = l1 * cos(q[3]) + sqrt(l2**2 - (l1 * sin(q[3])) ** 2)
         spring = -stiffness * (length - rest)
-        body = np.array([-spring * np.sin(q[2]) + force_x, spring * np.cos(q[2]) + force_y])
+        body = np.array([-spring * sin(q[2]) + force_x, spring * cos(q[2]) + force_y])
         torque = -(jacobian.T @ body)
         z = constrained(mass, jacobian, limited(torque[2], torque[3], limit) - bias, -drift)
         return np.concatenate((qd, z[:4])), z[5]

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -254,7 +255,11 @@ def _table(nominal: ApexMap, rng: np.random.Generator, points: int) -> dict[str,
     seconds = perf_counter() - begin
     try:
         error = measure_table(table, nominal, rng)
-        worst = {"command": error.worst_command.tolist(), "state": error.worst_state.tolist()}
+        worst = {
+            "command": error.worst_command.tolist(),
+            "state": error.worst_state.tolist(),
+            "border_state": error.border_state.tolist() if error.border_samples else None,
+        }
     except ValueError:  # so coarse that no cell lies within reach
         worst = None
     return {"points": points, "seconds": seconds, "within_reach": float(table.reached.mean()), "worst_error": worst}
@@ -267,7 +272,7 @@ def _timed(call: Callable[[], object]) -> float:
 
 
 def _machine() -> dict[str, Any]:
-    names = ("stepgap", "numpy", "scipy", "numba", "mujoco")
+    names = [name for name in ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka") if find_spec(name)]
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
         "processor": platform.machine(),

@@ -93,10 +93,12 @@ def describe_table(table: CommandTable, error: TableError) -> str:
     return "\n".join(
         [
             f"{table.reached.size} commands, {table.reached.mean():.0%} of them reach their target",
-            f"interpolated within reach, on {error.samples} random points (of all, {error.within_reach:.0%}):",
+            f"interpolated, on {error.samples} random points between nodes within reach:",
             f"  worst error of the command       {_named(space.command, error.worst_command, '.2g')}",
             f"  worst error of the next state    {_named(space.state, error.worst_state, '.2g')}",
             f"  median error of the next state   {_named(space.state, error.median_state, '.2g')}",
+            f"on {error.border_samples} at the border of reach:",
+            f"  worst error of the next state    {_named(space.state, error.border_state, '.2g')}",
         ]
     )
 

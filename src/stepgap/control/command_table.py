@@ -158,49 +158,50 @@ def build_table(step_map: StepMap, points: int = 15, tell: Told = lambda done, t
 
 @dataclass(frozen=True, eq=False)
 class TableError:
-    """What interpolation costs, on random states and targets of which the table says that they are reached.
+    """What interpolation costs, on random states and targets that solving reaches.
 
     Attributes:
-        samples: Random points that were compared.
-        worst_command: Largest difference to the solved command; shape (m,).
-        worst_state: Largest difference of the next state to the target; shape (n,).
+        samples: Points compared of which the table says that they are reached.
+        worst_command: Their largest difference to the solved command; shape (m,).
+        worst_state: Their largest difference of the next state to the target; shape (n,).
         median_state: Median of that difference; shape (n,).
-        within_reach: Share of random states and targets that the table reaches.
+        border_samples: Points compared in cells that reach only in part.
+        border_state: Their largest difference of the next state to the target, NaN if there are none; shape (n,).
     """
 
     samples: int
     worst_command: Array
     worst_state: Array
     median_state: Array
-    within_reach: float
+    border_samples: int
+    border_state: Array
 
 
 def measure_table(table: CommandTable, step_map: StepMap, rng: np.random.Generator, samples: int = 1000) -> TableError:
-    """Compares a table with solving, on random points of the range of use within its reach.
+    """Compares a table with solving, on random states and targets of the range of use.
 
     Args:
         table: The table.
         step_map: The map it was built from.
         rng: Draws the points.
-        samples: How many to draw; those out of the table's reach say nothing and are left out.
+        samples: How many to draw; those that no command reaches say nothing and are left out.
 
     Raises:
-        ValueError: None of the points is within reach.
+        ValueError: None of the points lies in a cell that reaches throughout.
     """
-    space = table.space
-    lower = np.array([quantity.lower for quantity in space.state])
-    upper = np.array([quantity.upper for quantity in space.state])
-    states, targets = rng.uniform(lower, upper, (2, samples, len(lower)))
-    found = table.interpolate(states, targets)
-    inside = found.reached
+    lower = np.array([quantity.lower for quantity in table.space.state])
+    states, targets = rng.uniform(lower, lower + 2 * table.space.state_scale, (2, samples, len(lower)))
+    found, solved = table.interpolate(states, targets), solve_many(step_map, states, targets[:, None])
+    inside = found.reached & solved.reached[:, 0]
+    border = ~found.reached & solved.reached[:, 0] & (found.reason == Reason.OK)
     if not inside.any():
         raise ValueError(f"none of {samples} random states and targets is within the table's reach; take more points")
-    solved = solve_many(step_map, states[inside], targets[inside][:, None])
-    off = np.abs(step_map.evaluate(states[inside], found.command[inside]).next_state - targets[inside])
+    off = np.abs(step_map.evaluate(states, found.command).next_state - targets)
     return TableError(
         int(inside.sum()),
-        np.abs(found.command[inside] - solved.command[:, 0]).max(axis=0),
-        off.max(axis=0),
-        np.median(off, axis=0),
-        float(inside.mean()),
+        np.abs(found.command - solved.command[:, 0])[inside].max(axis=0),
+        off[inside].max(axis=0),
+        np.median(off[inside], axis=0),
+        int(border.sum()),
+        off[border].max(axis=0) if border.any() else np.full(len(lower), np.nan),
     )
