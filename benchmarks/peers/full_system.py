@@ -146,6 +146,8 @@ def make_hop(
     def until(rate: Callable[..., Any], event: Callable[..., Any], direction: float, state: Any) -> Any:
         setattr(event, "terminal", True)  # noqa: B010  (functions have no such attribute for the type checker)
         setattr(event, "direction", direction)  # noqa: B010
+        if not np.isfinite(state).all():
+            return state
         found = solve_ivp(rate, (0.0, 2.0), state, events=event, **tolerances)
         return found.y[:, -1] if found.status == 1 else np.full(8, np.nan)
 

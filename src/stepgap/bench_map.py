@@ -22,7 +22,7 @@ import numpy as np
 from stepgap.control.command_table import build_table, measure_table
 from stepgap.control.step_controller import StepController
 from stepgap.hopper.apex_map import ApexMap
-from stepgap.step import Array
+from stepgap.step import Array, Reason
 
 Evaluate = Callable[[Any, Any], Any]
 """State (n,) and command (m,) to next state (n,)."""
@@ -49,6 +49,8 @@ class Size:
     table: int
     batch: int
 
+
+BATCH_ROUNDS = 5
 
 FULL = Size(points=50, rounds=15, jacobians=10, solves=500, table=15, batch=4000)
 QUICK = Size(points=3, rounds=3, jacobians=0, solves=50, table=4, batch=500)
@@ -115,12 +117,19 @@ def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Say = lambda line: 
 
 
 def draw(nominal: ApexMap, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Random states and commands within their ranges of use; shapes (count, n) and (count, m)."""
-    space = nominal.space
+    """Random states and commands within their ranges of use that make a step; shapes (count, n) and (count, m).
+
+    Raises:
+        ValueError: Too few of them do.
+    """
+    space, most = nominal.space, 4 * count
     lower, upper = ([getattr(quantity, end) for quantity in space.state] for end in ("lower", "upper"))
-    return rng.uniform(lower, upper, (count, len(lower))), rng.uniform(
-        space.command_lower, space.command_upper, (count, len(space.command))
-    )
+    states = rng.uniform(lower, upper, (most, len(lower)))
+    commands = rng.uniform(space.command_lower, space.command_upper, (most, len(space.command)))
+    works = np.flatnonzero(nominal.evaluate(states, commands).reason == Reason.OK)[:count]
+    if len(works) < count:
+        raise ValueError(f"only {len(works)} of {most} random steps succeed; choose settings with which the robot hops")
+    return states[works], commands[works]
 
 
 def _ours(nominal: ApexMap, states: Array, commands: Array) -> list[Engine]:
@@ -150,36 +159,41 @@ def _peers() -> Iterator[Any]:
 def time_engines(
     engines: list[Engine], states: Array, commands: Array, truth: Array | None, nominal: ApexMap, rounds: int
 ) -> list[dict[str, Any]]:
-    """Median time of one map for each engine, its ratio to the first, and its largest relative error."""
-    times: list[list[float]] = [[] for _ in engines]
+    """Median time of one map for each engine, the median over the rounds of its ratio to the first, and its error."""
     for engine in engines:
         engine.evaluate(states[0], commands[0])  # compiles
-    for turn in range(rounds):
-        for engine, taken in zip(engines, times, strict=True):
-            for call in range(engine.calls):
-                i = (turn * engine.calls + call) % len(states)
-                begin = perf_counter()
-                engine.evaluate(states[i], commands[i])
-                taken.append((perf_counter() - begin) / engine.maps)
-    medians = [float(np.median(taken)) for taken in times]
-    rows = []
-    for engine, taken, median in zip(engines, times, medians, strict=True):
+    times = [[_round(engine, states, commands, turn) for engine in engines] for turn in range(rounds)]
+    medians = np.array([[np.median(taken) for taken in row] for row in times])
+    ratios = np.median(medians / medians[:, :1], axis=0)
+    rows: list[dict[str, Any]] = []
+    for k, engine in enumerate(engines):
         error = engine.error
         if engine.maps > 1:
-            error = rows[0]["largest_relative_error"]
+            error = rows[0]["largest_relative_error"]  # the same engine
         elif error is None and truth is not None:
             error = _largest_error(nominal, engine.evaluate, states, commands, truth)
         rows.append(
             {
                 "name": engine.name,
                 "note": engine.note,
-                "median_us": 1e6 * median,
-                "ratio": median / medians[0],
+                "median_us": 1e6 * float(np.median(np.concatenate([row[k] for row in times]))),
+                "ratio": float(ratios[k]),
                 "largest_relative_error": error,
-                "calls": len(taken),
+                "calls": engine.calls * rounds,
             }
         )
     return rows
+
+
+def _round(engine: Engine, states: Array, commands: Array, turn: int) -> list[float]:
+    """Times of one map in the calls of a round [s]."""
+    taken = []
+    for call in range(engine.calls):
+        i = (turn * engine.calls + call) % len(states)
+        begin = perf_counter()
+        engine.evaluate(states[i], commands[i])
+        taken.append((perf_counter() - begin) / engine.maps)
+    return taken
 
 
 def _largest_error(nominal: ApexMap, evaluate: Evaluate, states: Array, commands: Array, truth: Array) -> float:
@@ -237,7 +251,7 @@ def _batch(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, 
         return {"cores": os.cpu_count(), "one_core_us": None, "all_cores_us": _timed(lambda: nominal.evaluate(*many))}
     cores = os.sched_getaffinity(0)
     one, every = [], []
-    for _ in range(3):
+    for _ in range(BATCH_ROUNDS):
         try:
             os.sched_setaffinity(0, {min(cores)})
             one.append(_timed(lambda: nominal.evaluate(*many)))
@@ -245,7 +259,8 @@ def _batch(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, 
             os.sched_setaffinity(0, cores)
         every.append(_timed(lambda: nominal.evaluate(*many)))
     us = [1e6 * float(np.median(taken)) / count for taken in (one, every)]
-    return {"cores": len(cores), "one_core_us": us[0], "all_cores_us": us[1], "speed_up": us[0] / us[1]}
+    speed_up = float(np.median(np.array(one) / every))
+    return {"cores": len(cores), "one_core_us": us[0], "all_cores_us": us[1], "speed_up": speed_up}
 
 
 def _table(nominal: ApexMap, rng: np.random.Generator, points: int) -> dict[str, Any]:
