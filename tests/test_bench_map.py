@@ -64,6 +64,13 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
     assert Path("there.json").read_text() == "keep me"
 
 
+def test_settings_with_which_nothing_hops_fail_in_one_line(stepgap: Command) -> None:
+    said = stepgap("bench", "map", "--quick", "--gains.rest_length", "0.2")
+    assert (said.code, said.out) == (1, "")
+    assert said.err.splitlines()[-1].startswith("stepgap: only 0 of 12 random steps succeed; choose settings")
+    assert not list(Path().iterdir())
+
+
 @pytest.fixture(scope="module")
 def peer() -> Callable:
     return full_system.make_hop(RobotParameters(), Gains(), full_system.plain, 1e-9, 1e-10)

@@ -29,6 +29,10 @@ Evaluate = Callable[[Any, Any], Any]
 Say = Callable[[str], None]
 
 
+class TooFewSteps(Exception):
+    """The settings let the robot hop too rarely to measure anything; the message is one line."""
+
+
 @dataclass(frozen=True)
 class Size:
     """How much is measured.
@@ -120,7 +124,7 @@ def draw(nominal: ApexMap, rng: np.random.Generator, count: int) -> tuple[Array,
     """Random states and commands within their ranges of use that make a step; shapes (count, n) and (count, m).
 
     Raises:
-        ValueError: Too few of them do.
+        TooFewSteps: Fewer than a quarter of them do.
     """
     space, most = nominal.space, 4 * count
     lower, upper = ([getattr(quantity, end) for quantity in space.state] for end in ("lower", "upper"))
@@ -128,7 +132,9 @@ def draw(nominal: ApexMap, rng: np.random.Generator, count: int) -> tuple[Array,
     commands = rng.uniform(space.command_lower, space.command_upper, (most, len(space.command)))
     works = np.flatnonzero(nominal.evaluate(states, commands).reason == Reason.OK)[:count]
     if len(works) < count:
-        raise ValueError(f"only {len(works)} of {most} random steps succeed; choose settings with which the robot hops")
+        raise TooFewSteps(
+            f"only {len(works)} of {most} random steps succeed; choose settings with which the robot hops"
+        )
     return states[works], commands[works]
 
 
