@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,36 +17,10 @@ from stepgap.learning.step_log import StepWriter
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import RigFault
 from stepgap.step import StepRecord
+from tests.command_line import Command, Said, refused
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 SHORT = 'seed = 5\nreference = "targets.csv"\n[learning]\niterations = 1\n'
-
-
-class Said(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Command = Callable[..., Said]
-
-
-@pytest.fixture
-def stepgap(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
-    """Runs a command line in an empty folder, as the shell sees it."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: object) -> Said:
-        capfd.readouterr()
-        try:
-            main([str(argument) for argument in arguments])
-            code = 0
-        except SystemExit as end:
-            code = int(end.code or 0)
-        out, err = capfd.readouterr()
-        return Said(code, str(out), str(err))
-
-    return run
 
 
 @pytest.fixture(scope="module")
@@ -142,17 +115,6 @@ def test_the_gait_and_its_picture(stepgap: Command) -> None:
 
 
 # Bad input: one line, exit code 2, nothing made or changed
-
-
-def refused(said: Said, *words: str) -> None:
-    assert said.code == 2, said
-    assert said.out == ""
-    assert said.err.startswith("stepgap: ")
-    assert said.err.count("\n") == 1
-    assert said.err.endswith("\n")
-    assert "Traceback" not in said.err
-    for word in words:
-        assert word in said.err
 
 
 @pytest.mark.parametrize(
@@ -336,7 +298,7 @@ def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--help"], ["Usage: stepgap COMMAND", "run", "gait", "report", "--TABLE.KEY VALUE"]),
+        (["--help"], ["Usage: stepgap COMMAND", "run", "gait", "map", "report", "--TABLE.KEY VALUE"]),
         ([], ["Usage: stepgap COMMAND"]),
         (["run", "--help"], ["--out", "--seed", "--iterations", "--resume", "--quiet", "--reference", "EXPERIMENT"]),
         (["gait", "--help"], ["--speed", "--height", "[m/s]"]),

@@ -15,6 +15,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from stepgap.control.command_table import CommandTable as CommandTable
+    from stepgap.control.command_table import build_table as build_table
     from stepgap.control.limit_cycle import fixed_point as fixed_point
     from stepgap.control.limit_cycle import reachable_set as reachable_set
     from stepgap.control.reference import Reference as Reference
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "ApexMap": "hopper.apex_map",
     "CommandBounds": "hopper.parameters",
+    "CommandTable": "control.command_table",
     "CorrectedMap": "learning.corrected_map",
     "Gains": "hopper.parameters",
     "ModelPlant": "plants.model_plant",
@@ -53,6 +56,7 @@ _HOMES = {
     "StepMap": "step",
     "StepRecord": "step",
     "Twin": "rigs.twin.twin",
+    "build_table": "control.command_table",
     "fit_residual": "learning.residual",
     "fixed_point": "control.limit_cycle",
     "paper_reference": "control.reference",

@@ -34,6 +34,11 @@ OVERRIDE = re.compile(r"--([a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTAL
 STOPPED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
+POINT = {"speed": 0.2, "height": 0.58, "fx": 0.0, "fy": 0.0}
+"""The step that `map` takes if none is given, SI units."""
+MOST_POINTS = 50
+"""A table has the fourth power of this many commands."""
+
 app = App(
     name="stepgap",
     help="Close the sim-to-real gap of a legged robot one step at a time.",
@@ -215,6 +220,164 @@ def gait(
         raise _bad_input(f"{picture}: cannot be written: {error.strerror}; choose another --out") from None
     print(describe_gait(nominal.space, point, reachable))
     print(picture)
+
+
+@app.command(name="map")
+def map_(
+    experiment: Path | None = None,
+    /,
+    *,
+    speed: float | None = None,
+    height: float | None = None,
+    fx: float | None = None,
+    fy: float | None = None,
+    csv: Path | None = None,
+    out: Path | None = None,
+    table: Path | None = None,
+    points: str | None = None,
+    overrides: Overrides = None,
+) -> None:
+    """Evaluate the nominal map: the next apex and its derivatives, many rows of a file, or a table of commands.
+
+    Args:
+        experiment: TOML file of settings.
+        speed: Forward speed at the apex [m/s]; without it 0.2.
+        height: Height of the apex [m]; without it 0.58.
+        fx: Forward command force [N]; without it 0.
+        fy: Upward command force [N]; without it 0.
+        csv: File with the columns speed, height, fx, fy; evaluate all its rows.
+        out: File for their next apexes; without it they are printed.
+        table: File for a table of the step controller's commands, to be built and measured.
+        points: Grid points along each axis of the table, a whole number; without it 15.
+    """
+    from stepgap.experiment import read_experiment
+    from stepgap.hopper.apex_map import ApexMap
+
+    single = {"speed": speed, "height": height, "fx": fx, "fy": fy}
+    ways = {
+        "--csv": csv is not None,
+        "--table": table is not None,
+        "--speed, --height, --fx, --fy": any(value is not None for value in single.values()),
+    }
+    if sum(ways.values()) > 1:
+        raise _bad_input(f"{' and '.join(name for name, given in ways.items() if given)}: give only one of them")
+    if out and not csv:
+        raise _bad_input("--out: goes with --csv; one point is printed")
+    count = 15 if points is None else int(points) if re.fullmatch("[0-9]{1,3}", points) else 0
+    if points is not None and (not table or not 2 <= count <= MOST_POINTS):
+        raise _bad_input(f"--points {points}: goes with --table, a whole number between 2 and {MOST_POINTS}")
+    settings = read_experiment(experiment, overrides or [])
+    nominal = ApexMap(settings.robot, settings.gains, settings.command)
+    if csv:
+        _map_rows(nominal, csv, out)
+    elif table:
+        _map_table(nominal, table, count, settings.seed)
+    else:
+        _map_point(nominal, {name: POINT[name] if value is None else value for name, value in single.items()})
+
+
+def _map_point(nominal: "StepMap", point: dict[str, float]) -> None:
+    """Prints the next apex of one step and its derivatives."""
+    from stepgap.map_verb import describe_step
+
+    if not all(map(isfinite, point.values())):
+        given = " ".join(f"--{name} {value:g}" for name, value in point.items())
+        raise _bad_input(f"{given}: all must be finite numbers")
+    state, command = [point["speed"], point["height"]], [point["fx"], point["fy"]]
+    print(describe_step(nominal.space, nominal(state, command), nominal.jacobian(state, command)))
+
+
+def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
+    """Evaluates the rows of a CSV file."""
+    from stepgap.map_verb import outcome_rows, read_points
+
+    if out:
+        _check_new(out, "--out")
+    try:
+        points = read_points(rows, nominal.space)
+    except ValueError as error:
+        raise _bad_input(str(error)) from None
+    n = len(nominal.space.state)
+    text = outcome_rows(nominal.space, points, nominal.evaluate(points[:, :n], points[:, n:]))
+    if out is None:
+        print(text, end="")
+        return
+    with _writing(out, "--out"), out.open("x", encoding="utf-8") as file:
+        file.write(text)
+    print(out)
+
+
+def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
+    """Builds a table of commands, measures what interpolation costs, and saves it."""
+    from stepgap.control.command_table import build_table, measure_table
+    from stepgap.control.command_table_file import write_table
+    from stepgap.map_verb import describe_table
+    from stepgap.progress import shown_count
+
+    _check_new(file, "--table")
+    with shown_count("commands") as tell:
+        table = build_table(nominal, points, tell)
+    file = _free_name(file)  # another process may have taken the name by now
+    with _writing(file, "--table"):
+        write_table(file, table)
+    try:
+        print(describe_table(table, measure_table(table, nominal, np.random.default_rng(seed))))
+    except ValueError as error:
+        print(error)
+    print(file)
+
+
+def _check_new(path: Path, option: str) -> None:
+    """Raises InputError where a file would be overwritten or cannot be written."""
+    if path.exists():
+        raise _bad_input(f"{path}: exists already; choose another {option}")
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise _bad_input(f"{path}: cannot be written: no folder to write in; choose another {option}")
+
+
+@contextmanager
+def _writing(path: Path, option: str) -> Iterator[None]:
+    """Says in one line that a file could not be written."""
+    try:
+        yield
+    except OSError as error:
+        raise _bad_input(f"{path}: cannot be written: {error.strerror}; choose another {option}") from None
+
+
+bench = App(name="bench", help="Measure how fast and how exact parts of StepGap are on this machine.")
+app.command(bench)
+
+
+@bench.command(name="map")
+def bench_map_(
+    experiment: Path | None = None,
+    /,
+    *,
+    quick: bool = False,
+    out: Path | None = None,
+    overrides: Overrides = None,
+) -> None:
+    """Time the nominal map beside other ways to compute it, and what is built on it; some minutes.
+
+    Args:
+        experiment: TOML file of settings.
+        quick: Take half a minute, with few points and few peers.
+        out: JSON file for the result; without it bench_map.json or the next free name.
+    """
+    from stepgap.bench_map import bench_map, describe_bench
+    from stepgap.experiment import read_experiment
+    from stepgap.hopper.apex_map import ApexMap
+
+    settings = read_experiment(experiment, overrides or [])
+    if out:
+        _check_new(out, "--out")
+    nominal = ApexMap(settings.robot, settings.gains, settings.command)
+    result = bench_map(nominal, settings.seed, quick, lambda line: print(f"{line} …", file=sys.stderr))
+    print(describe_bench(result))
+    file = out or _free_name(Path("bench_map.json"))
+    with _writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
+        json.dump(result, stream, indent=2)
+    print(file)
 
 
 @app.command

@@ -1,5 +1,7 @@
 """What a run shows on the terminal while it goes on."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Self
 
 import numpy as np
@@ -10,6 +12,16 @@ from rich.progress import Progress as Bars
 from stepgap.learning.step_log import LoggedStep
 from stepgap.sim_to_real import Deployment, Observer
 from stepgap.step import Reason, StepSpace
+
+
+@contextmanager
+def shown_count(description: str, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal, elsewhere nothing; gives the function to tell of how many of how many are done."""
+    console = Console(stderr=True, highlight=False)
+    columns = TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn()
+    with Bars(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bars:
+        task = bars.add_task(description, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
 
 
 class Progress:

@@ -1,5 +1,6 @@
 """What to command next, of any `StepMap`: no robot is known here.
 
 Read `reference` (what is wanted, step by step), then `step_controller` (the command that brings it about), then
-`limit_cycle` (which states can be held, whether they are stable, and what lies within reach).
+`solve_many` and `command_table` (the same for many states and targets, and from a grid), then `limit_cycle` (which
+states can be held, whether they are stable, and what lies within reach).
 """

@@ -1,0 +1,66 @@
+"""What MuJoCo needs for the steps of one hop, and how far the twin it steps is from the model.
+
+Another contact model: the foot meets a soft constraint in place of an impact. Timed is `mj_step` alone, for as many
+steps of 1 ms as a hop lasts, the robot falling with limp motors: no controller, no sensors. Compared is the twin
+without any gap, whose controller holds torques for 1 ms and whose physics takes steps of a quarter of that.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.rigs.twin.model import build_model
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
+from stepgap.step import Array, StepMap
+
+STEP = 1e-3
+"""Physics step that is timed [s]."""
+
+
+def measure_twin(nominal: StepMap, robot: RobotParameters, gains: Gains, hops: int) -> tuple[int, Array]:
+    """Median ticks of a hop, and the largest relative error of the next state; shape (n,)."""
+    ticks, errors, rng = [0], [], np.random.default_rng(1)
+    twin, bounds = Twin(robot, RealityGap.none(), rng, tick=STEP), CommandBounds()
+
+    def count(_: object) -> None:
+        ticks[-1] += 1
+
+    with RigPlant(twin, robot, gains, bounds, on_tick=count) as plant:
+        state = plant.start()
+        for _ in range(hops):
+            ticks.append(0)
+            record = plant.take_step(rng.uniform([-8, -14], [2, -6]))
+            expected = nominal(state, record.applied)
+            scale = np.maximum(np.abs(expected), nominal.space.state_scale)
+            errors.append((record.next_state - expected) / scale)
+            state = record.next_state
+    return int(np.median(ticks[1:])), np.abs(errors).max(axis=0)
+
+
+def make_stepper(robot: RobotParameters, steps: int) -> Callable[[Any, Any], None]:
+    """A function that takes as many physics steps as a hop lasts, whatever it is given."""
+    gap = RealityGap.none()
+    twin = Twin(robot, gap, np.random.default_rng(0), tick=STEP)
+    twin.connect()
+    start = twin.true_state().qpos
+    model = build_model(robot, gap, STEP)
+    data = mujoco.MjData(model)
+    held = [index for index in range(model.neq) if model.eq(index).name.startswith("hold_")]
+
+    def step(_state: Any, _command: Any) -> None:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = start
+        data.eq_active[held] = 0
+        mujoco.mj_step(model, data, nstep=steps)
+        if not np.isfinite(data.qpos).all():
+            raise FloatingPointError("MuJoCo diverged")
+
+    return step

@@ -1,0 +1,207 @@
+"""The step controller's answers on a regular grid over (state, target), interpolated.
+
+A table asks no map when it is used, so an answer costs the same whatever the map does. What it gives up for that
+is measured by `measure_table`: interpolated commands against solved ones, on random points.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepgap.control.solve_many import Answers, solve_many
+from stepgap.control.step_controller import StepPlan, as_vector, box_grid
+from stepgap.step import Array, Codes, Reason, StepFailed, StepMap, StepSpace
+
+BATCH = 4096
+"""About how many nodes are solved together, at least one state's."""
+
+Told = Callable[[int, int], None]
+"""Is told how many nodes are solved, and of how many."""
+
+
+@dataclass(frozen=True, eq=False)
+class CommandTable:
+    """Answers of the step controller at even points over the range of use of state and target; used like it.
+
+    Attributes:
+        space: Names, units and ranges of the map it was built for.
+        commands: Within the bounds, NaN where no command makes a step; one axis for each coordinate of the state,
+            then of the target, each of `points` points. Shape (points, …, points, m).
+        predicted: Next state of these commands; shape (points, …, points, n).
+        reached: Whether that is the target; shape (points, …, points).
+        reasons: Why no command makes a step, else OK; shape (points, …, points).
+    """
+
+    space: StepSpace
+    commands: Array
+    predicted: Array
+    reached: NDArray[np.bool_]
+    reasons: Codes
+
+    def __post_init__(self) -> None:
+        n, m = len(self.space.state), len(self.space.command)
+        grid = self.reached.shape
+        if len(grid) != 2 * n or len(set(grid)) != 1 or grid[0] < 2:
+            raise ValueError(f"the grid has shape {grid}; it must be {2 * n} axes of equally many points, at least 2")
+        wanted = {"commands": (*grid, m), "predicted": (*grid, n), "reasons": grid}
+        for name, shape in wanted.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}; it must be {shape}")
+        if not np.isin(self.reasons, list(Reason)).all():
+            raise ValueError("reasons must be values of Reason")
+        works = self.reasons == Reason.OK
+        if not (np.isfinite(self.commands[works]).all() and np.isfinite(self.predicted[works]).all()):
+            raise ValueError("commands and predicted must be finite numbers where a step is made")
+        if not _within(self.commands[works], self.space) or (self.reached & ~works).any():
+            raise ValueError("commands must lie within their bounds, and what is reached must be a step")
+
+    @property
+    def points(self) -> int:
+        """Points along each axis."""
+        return self.reached.shape[0]
+
+    def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> StepPlan:  # noqa: ARG002
+        """The command for a state and target, interpolated linearly along each axis.
+
+        Outside the range of use it is that of the nearest point inside, and counts as not reached. `reached` says
+        that every node around is; near the border of reach it may be false of a target within.
+
+        Args:
+            state: State at this apex; shape (n,).
+            target: State wanted at the next apex; shape (n,).
+            guess: Not needed; there so that a table stands where a `StepController` does.
+
+        Raises:
+            StepFailed: From a node around no command makes a step, or the state is not finite.
+            ValueError: State or target has the wrong size, or the target is not finite.
+        """
+        n = len(self.space.state)
+        state, target = as_vector("state", state, n), as_vector("target", target, n)
+        if not np.isfinite(state).all():
+            raise StepFailed(Reason.INVALID)
+        if not np.isfinite(target).all():
+            raise ValueError(f"target {target} must be finite numbers")
+        found = self.interpolate(state, target)
+        if found.reason != Reason.OK:
+            raise StepFailed(Reason(int(found.reason)))
+        distance = float(np.linalg.norm((found.predicted - target) / self.space.state_scale))
+        return StepPlan(found.command, found.predicted, bool(found.reached), distance)
+
+    def interpolate(self, states: ArrayLike, targets: ArrayLike) -> Answers:
+        """Many answers at once, without exceptions; states and targets (…, n) broadcast."""
+        points = np.concatenate(np.broadcast_arrays(np.asarray(states, float), np.asarray(targets, float)), axis=-1)
+        lower = np.tile([quantity.lower for quantity in self.space.state], 2)
+        place = (points - lower) / np.tile(2 * self.space.state_scale, 2) * (self.points - 1)
+        inside = (np.abs(place - (self.points - 1) / 2) <= (self.points - 1) / 2 * (1 + 1e-12)).all(axis=-1)
+        place = np.clip(place, 0, self.points - 1)
+        place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)  # a node is not its neighbours'
+        corner = np.minimum(place.astype(int), self.points - 2)
+        node, weight = _corners(place - corner, corner, self.points)
+        used = weight > 0
+
+        def mean(values: Array) -> Array:
+            terms = weight[..., None] * values.reshape(-1, values.shape[-1])[node]
+            return np.where(used[..., None], terms, 0.0).sum(axis=-2)
+
+        command = np.clip(mean(self.commands), self.space.command_lower, self.space.command_upper)
+        reason = np.where(used, self.reasons.reshape(-1)[node], 0).max(axis=-1)
+        command = np.where((reason == Reason.OK)[..., None], command, np.nan)
+        reached = inside & np.all(self.reached.reshape(-1)[node] | ~used, axis=-1)
+        return Answers(command, mean(self.predicted), reached, reason)
+
+
+def _corners(place: Array, corner: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64], Array]:
+    """Numbers and weights of the 2ᵈ nodes around a place in its cell (…, d) with its lowest corner; (…, 2ᵈ) each."""
+    d = place.shape[-1]
+    offsets = np.array(list(product((0, 1), repeat=d)))
+    strides = points ** np.arange(d - 1, -1, -1)
+    weight = np.where(offsets == 1, place[..., None, :], 1 - place[..., None, :]).prod(axis=-1)
+    return (corner @ strides)[..., None] + offsets @ strides, weight
+
+
+def _within(commands: Array, space: StepSpace) -> bool:
+    return bool(((commands >= space.command_lower) & (commands <= space.command_upper)).all())
+
+
+def build_table(step_map: StepMap, points: int = 15, tell: Told = lambda done, total: None) -> CommandTable:
+    """Solves every node of a grid over the range of use of state and target.
+
+    Args:
+        step_map: The map to command; its nodes are asked for state by state.
+        points: Points along each of the 2n axes, at least 2.
+        tell: Is called after every batch.
+    """
+    if points < 2:
+        raise ValueError(f"points = {points}, but it must be at least 2: both ends of each axis")
+    space = step_map.space
+    n, m = len(space.state), len(space.command)
+    lower = np.array([quantity.lower for quantity in space.state])
+    nodes = (lower + space.state_scale * (1 + box_grid(points, n))).reshape(-1, n)
+    batches = np.array_split(nodes, min(len(nodes), max(1, len(nodes) ** 2 // BATCH)))
+    answers, done = [], 0
+    for batch in batches:
+        answers.append(solve_many(step_map, batch, nodes))
+        done += len(batch) * len(nodes)
+        tell(done, len(nodes) ** 2)
+    grid = (points,) * (2 * n)
+    return CommandTable(
+        space,
+        np.concatenate([answer.command for answer in answers]).reshape(*grid, m),
+        np.concatenate([answer.predicted for answer in answers]).reshape(*grid, n),
+        np.concatenate([answer.reached for answer in answers]).reshape(grid),
+        np.concatenate([answer.reason for answer in answers]).reshape(grid),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class TableError:
+    """What interpolation costs, on random states and targets that solving reaches.
+
+    Attributes:
+        samples: Points compared of which the table says that they are reached.
+        worst_command: Their largest difference to the solved command; shape (m,).
+        worst_state: Their largest difference of the next state to the target; shape (n,).
+        median_state: Median of that difference; shape (n,).
+        border_samples: Points compared in cells that reach only in part.
+        border_state: Their largest difference of the next state to the target, NaN if there are none; shape (n,).
+    """
+
+    samples: int
+    worst_command: Array
+    worst_state: Array
+    median_state: Array
+    border_samples: int
+    border_state: Array
+
+
+def measure_table(table: CommandTable, step_map: StepMap, rng: np.random.Generator, samples: int = 1000) -> TableError:
+    """Compares a table with solving, on random states and targets of the range of use.
+
+    Args:
+        table: The table.
+        step_map: The map it was built from.
+        rng: Draws the points.
+        samples: How many to draw; those that no command reaches say nothing and are left out.
+
+    Raises:
+        ValueError: None of the points lies in a cell that reaches throughout.
+    """
+    lower = np.array([quantity.lower for quantity in table.space.state])
+    states, targets = rng.uniform(lower, lower + 2 * table.space.state_scale, (2, samples, len(lower)))
+    found, solved = table.interpolate(states, targets), solve_many(step_map, states, targets[:, None])
+    inside = found.reached & solved.reached[:, 0]
+    border = ~found.reached & solved.reached[:, 0] & (found.reason == Reason.OK)
+    if not inside.any():
+        raise ValueError(f"none of {samples} random states and targets is within the table's reach; take more points")
+    off = np.abs(step_map.evaluate(states, found.command).next_state - targets)
+    return TableError(
+        int(inside.sum()),
+        np.abs(found.command - solved.command[:, 0])[inside].max(axis=0),
+        off[inside].max(axis=0),
+        np.median(off[inside], axis=0),
+        int(border.sum()),
+        off[border].max(axis=0) if border.any() else np.full(len(lower), np.nan),
+    )

@@ -1,0 +1,87 @@
+"""Command tables as files: plain arrays in NumPy's npz, checked in full before they are used."""
+
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepgap.control.command_table import CommandTable
+from stepgap.files import write_whole
+from stepgap.step import Quantity, StepSpace
+
+LARGEST_FILE = 2**30
+"""Largest table that is read, packed or not [bytes]."""
+SCHEMA = 1
+KINDS = {
+    "schema": "i", "state": "U", "command": "U", "units": "U", "ranges": "f",
+    "commands": "f", "predicted": "f", "reached": "b", "reasons": "i",
+}  # fmt: skip
+"""Arrays of a file and the kind of their entries, in NumPy's letters."""
+
+
+def write_table(path: str | Path, table: CommandTable) -> None:
+    """Writes a table; its size is about 8 (m + n) bytes for each node."""
+    space, content = table.space, BytesIO()
+    quantities = (*space.state, *space.command)
+    np.savez(
+        content,
+        schema=np.array(SCHEMA),
+        state=np.array(space.state_names),
+        command=np.array(space.command_names),
+        units=np.array([quantity.unit for quantity in quantities]),
+        ranges=np.array([[quantity.lower, quantity.upper] for quantity in quantities]),
+        commands=table.commands,
+        predicted=table.predicted,
+        reached=table.reached,
+        reasons=table.reasons,
+    )
+    write_whole(Path(path), content.getvalue())
+
+
+def read_table(path: str | Path) -> CommandTable:
+    """Reads a table.
+
+    Raises:
+        ValueError: The file is no table; the message names it and says why.
+        OSError: The file cannot be read.
+    """
+    wanted = "it must be a command table as `stepgap map --table` writes it"
+    try:
+        if Path(path).stat().st_size > LARGEST_FILE:
+            raise ValueError(f"larger than {LARGEST_FILE} bytes")
+        with ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > LARGEST_FILE:
+                raise ValueError(f"it unpacks to more than {LARGEST_FILE} bytes")
+        with np.load(path, allow_pickle=False) as members:
+            arrays = {name: members[name] for name in members.files}
+        return _table_of(arrays)
+    except (BadZipFile, EOFError, NotImplementedError, SyntaxError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())}; {wanted}") from None
+
+
+def _table_of(arrays: Mapping[str, NDArray[np.generic]]) -> CommandTable:
+    """The table of a file's arrays; ValueError if they are none."""
+    if arrays.keys() != KINDS.keys():
+        raise ValueError(f"it holds {', '.join(arrays) or 'nothing'} in place of {', '.join(KINDS)}")
+    for name, kind in KINDS.items():
+        if arrays[name].dtype.kind != kind:
+            raise ValueError(f"{name} has entries of type {arrays[name].dtype}")
+    if arrays["schema"].shape != () or arrays["schema"] != SCHEMA:
+        raise ValueError(f"its schema is {arrays['schema']}, but this version reads {SCHEMA}")
+    n, names = len(arrays["state"]), [*arrays["state"].tolist(), *arrays["command"].tolist()]
+    if arrays["units"].shape != (len(names),) or arrays["ranges"].shape != (len(names), 2):
+        raise ValueError("units and ranges must be given for each coordinate")
+    ranges = arrays["ranges"].astype(float).tolist()
+    quantities = [
+        Quantity(*row) for row in zip(names, arrays["units"].tolist(), *zip(*ranges, strict=True), strict=True)
+    ]
+    return CommandTable(
+        StepSpace(tuple(quantities[:n]), tuple(quantities[n:])),
+        arrays["commands"].astype(float),
+        arrays["predicted"].astype(float),
+        arrays["reached"].astype(bool),
+        arrays["reasons"].astype(np.int64),
+    )

@@ -1,0 +1,107 @@
+"""What `stepgap map` reads and says: points in CSV, next states, Jacobians and errors in words."""
+
+import csv
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.control.command_table import CommandTable, TableError
+from stepgap.step import Array, Outcome, Quantity, Reason, StepSpace
+
+LARGEST_FILE = 2**28
+"""Largest file of points that is read [bytes]."""
+
+
+def read_points(path: Path, space: StepSpace) -> Array:
+    """States and commands from a CSV file: a header of their names in any order, one point a row, SI units.
+
+    Returns:
+        Shape (rows, n + m), in the order of `space`.
+
+    Raises:
+        ValueError: Naming file, line and column, and what would be right.
+    """
+    names = [*space.state_names, *space.command_names]
+    wanted = f"it must be a CSV file with the columns {','.join(names)}"
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise ValueError(f"{path}: larger than {LARGEST_FILE} bytes; {wanted}")
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}; {wanted}") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: this is not text; {wanted}") from None
+    rows = csv.reader(StringIO(text, newline=""), strict=True)
+    try:
+        header = [cell.strip() for cell in next(rows, [])]
+        if sorted(header) != sorted(names):
+            raise ValueError(f"{path}, line 1: the header is {','.join(header)!r:.80}; it must be {','.join(names)!r}")
+        quantities = {quantity.name: quantity for quantity in (*space.state, *space.command)}
+        columns = [quantities[name] for name in header]
+        points = [_point(row, columns, f"{path}, line {rows.line_num}") for row in rows if row]
+    except csv.Error as error:
+        raise ValueError(f"{path}, line {rows.line_num}: {error}; {wanted}") from None
+    if not points:
+        raise ValueError(f"{path}, line 2: there is no point; it must have at least one row below the header")
+    return np.array(points)[:, [header.index(name) for name in names]]
+
+
+def _point(row: list[str], columns: list[Quantity], place: str) -> list[float]:
+    if len(row) != len(columns):
+        names = ",".join(quantity.name for quantity in columns)
+        raise ValueError(f"{place}: {len(row)} values; it must have {len(columns)}, one for each of {names}")
+    return [_number(cell, quantity, place) for cell, quantity in zip(row, columns, strict=True)]
+
+
+def _number(cell: str, quantity: Quantity, place: str) -> float:
+    """The finite number in a cell."""
+    try:
+        value = float(cell)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise ValueError(
+            f"{place}, column {quantity.name!r}: {cell.strip()!r:.40}; it must be a finite number in {quantity.unit}, "
+            f"for example {(quantity.lower + quantity.upper) / 2:g}"
+        )
+    return value
+
+
+def outcome_rows(space: StepSpace, points: Array, outcome: Outcome) -> str:
+    """CSV of points, their next states, NaN where there is none, and their status; every number to its last bit."""
+    names = [*space.state_names, *space.command_names, *(f"next_{name}" for name in space.state_names), "status"]
+    numbers = np.hstack([points, outcome.next_state]).tolist()
+    statuses = [Reason(code).status for code in outcome.reason.tolist()]
+    rows = [",".join([*map(repr, row), status]) for row, status in zip(numbers, statuses, strict=True)]
+    return "\n".join([",".join(names), *rows]) + "\n"
+
+
+def describe_step(space: StepSpace, next_state: Array, jacobian: Array) -> str:
+    """The next state and its derivatives by state and command, in words."""
+    inputs = (*space.state, *space.command)
+    lines = [f"next state    {_named(space.state, next_state)}", "", "derivative" + " " * 14]
+    lines[-1] += "".join(f"{f'by {q.name} [{q.unit}]':>18}" for q in inputs)
+    for quantity, row in zip(space.state, jacobian, strict=True):
+        lines.append(f"{f'of next {quantity.name} [{quantity.unit}]':24}" + "".join(f"{value:18.6g}" for value in row))
+    return "\n".join(lines)
+
+
+def describe_table(table: CommandTable, error: TableError) -> str:
+    """How much of a table is within reach and what interpolation costs there, in words."""
+    space = table.space
+    return "\n".join(
+        [
+            f"{table.reached.size} commands, {table.reached.mean():.0%} of them reach their target",
+            f"interpolated, on {error.samples} random points between nodes within reach:",
+            f"  worst error of the command       {_named(space.command, error.worst_command, '.2g')}",
+            f"  worst error of the next state    {_named(space.state, error.worst_state, '.2g')}",
+            f"  median error of the next state   {_named(space.state, error.median_state, '.2g')}",
+            f"on {error.border_samples} at the border of reach:",
+            f"  worst error of the next state    {_named(space.state, error.border_state, '.2g')}",
+        ]
+    )
+
+
+def _named(quantities: tuple[Quantity, ...], values: Array, form: str = ".6f") -> str:
+    return ", ".join(f"{q.name} {value:{form}} {q.unit}" for q, value in zip(quantities, values, strict=True))
