@@ -3,15 +3,13 @@
 Exit codes: 0 done; 2 bad input, with one line that says what would be right; 130 Ctrl-C; 1 any other failure.
 """
 
-import fcntl
 import json
 import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from datetime import datetime
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,8 +19,6 @@ import numpy as np
 from cyclopts import App, Parameter
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
-    from stepgap.control.reference import Reference
-    from stepgap.experiment import Experiment
     from stepgap.plants.plant import Plant
     from stepgap.step import StepMap
 
@@ -144,12 +140,13 @@ def run(
     from stepgap.progress import Progress
     from stepgap.report import write_report
     from stepgap.rigs.twin import GroundProfile, Twin
+    from stepgap.run_verb import check_reach, check_twin, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
 
     quoted = None if reference is None else json.dumps(reference, ensure_ascii=False)
     shorthand = [("reference", quoted), ("seed", seed), ("learning.iterations", iterations)]
     changes = [*(overrides or []), *((name, value) for name, value in shorthand if value is not None)]
-    folder = _folder_to_resume(experiment, out, changes) if resume else out or _free_name(_dated_folder())
+    folder = folder_to_resume(experiment, out, changes) if resume else out or _free_name(dated_folder())
     settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     targets = load_reference(settings, nominal.space)
@@ -160,10 +157,10 @@ def run(
         twin = Twin(settings.robot, settings.gap, rng, ground=ground)
         return RigPlant(twin, settings.robot, settings.gains, settings.command)
 
-    _check_reach(nominal, targets, settings.reference)
-    _check_twin(make_plant)
+    check_reach(nominal, targets, settings.reference)
+    check_twin(make_plant)
     if not resume:
-        _start_folder(folder, settings, targets)
+        start_folder(folder, settings, targets)
     try:
         with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
             run_experiment(nominal, make_plant, targets, settings.learning, folder, settings.seed, progress.observer)
@@ -396,10 +393,6 @@ def report(folder: Path, /) -> None:
     print(write_report(folder))
 
 
-def _dated_folder() -> Path:
-    return Path("runs") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-
-
 def _free_name(path: Path) -> Path:
     """The first of NAME.SUFFIX, NAME_2.SUFFIX, … that does not exist."""
     free, number = path, 1
@@ -407,73 +400,3 @@ def _free_name(path: Path) -> Path:
         number += 1
         free = path.with_stem(f"{path.stem}_{number}")
     return free
-
-
-def _start_folder(folder: Path, settings: "Experiment", reference: "Reference") -> None:
-    """Makes the run's folder with its resolved settings; never takes one that holds a run."""
-    from stepgap.experiment import write_experiment
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder):
-            if any((folder / name).exists() for name in ("experiment.toml", "steps.csv", "summary.json", "models")):
-                raise _bad_input(f"{folder}: holds a run already; go on with it by --resume, or choose another --out")
-            write_experiment(folder, settings, reference)
-    except OSError as error:
-        raise _bad_input(f"{folder}: cannot be written: {error.strerror}; choose another --out") from None
-    latest = folder.parent / "latest"
-    if folder.parent.name == "runs" and (latest.is_symlink() or not latest.exists()):
-        with suppress(OSError):  # only for convenience
-            latest.unlink(missing_ok=True)
-            latest.symlink_to(folder.name)
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Keeps other processes from starting a run in the folder at the same moment."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):  # a file system without locks
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _folder_to_resume(experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]]) -> Path:
-    """The folder of a run that was broken off."""
-    if out is None:
-        raise _bad_input("--resume: say which run by --out RUN")
-    if experiment or changes:
-        raise _bad_input("--resume: the run goes on with the settings it has; give no others")
-    if not (out / "experiment.toml").is_file():
-        raise _bad_input(f"{out}: no experiment.toml there, so there is no run to resume; start one without --resume")
-    return out
-
-
-def _check_reach(nominal: "StepMap", reference: "Reference", name: str) -> None:
-    """Raises InputError where the nominal map cannot hold a target."""
-    from stepgap.control.limit_cycle import fixed_point
-    from stepgap.step import StepFailed
-
-    for step in [0, *reference.changes]:
-        target = reference.targets[step]
-        try:
-            held = fixed_point(nominal, target).held
-        except StepFailed:
-            held = False
-        if not held:
-            state = nominal.space.state
-            wanted = ", ".join(f"{q.name} {value:g} {q.unit}" for q, value in zip(state, target, strict=True))
-            raise _bad_input(
-                f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
-                f"command bounds; `stepgap gait` shows what it can"
-            )
-
-
-def _check_twin(make_plant: "Callable[[np.random.Generator], Plant]") -> None:
-    """Raises InputError where settings that are right one by one make no twin."""
-    try:
-        make_plant(np.random.default_rng(0))
-    except ValueError as error:
-        raise _bad_input(f"the settings [robot] and [gap] make no twin: {error}") from None
