@@ -33,7 +33,7 @@ SCUFF_DEPTH = 1e-4  # how far the foot may dip below the ground as it leaves it 
 FLIGHT_LIMIT, STANCE_LIMIT = 2.0, 1.0  # longest phases [s]
 MOST_PIECES = 100  # of one phase
 STANDSTILL = 1e-9  # ẏ that a body may have by rounding alone [m/s]
-FIRST_STEP = 1e-3  # tried at the start of a phase [s]
+FIRST_STEP = 3e-3  # tried at the start of a phase [s]
 
 OK = int(Reason.OK)
 FELL = int(Reason.FELL)

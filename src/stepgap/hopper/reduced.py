@@ -134,9 +134,8 @@ def stance_motion(system, state):
     bar = four_bar(system.masses.leg, state[1])
     toe = foot(system.masses.leg, bar, state[0])
     m = terms(system.masses, bar, state[0], state[1], state[2], state[3])
-    torque_1, torque_2 = stance_torque(
-        system.law, bar, toe, np.sin(state[0]), np.cos(state[0]), system.force_x, system.force_y
-    )
+    sin_1, cos_1 = np.sin(state[0]), np.cos(state[0])
+    torque_1, torque_2 = stance_torque(system.law, bar, toe, sin_1, cos_1, system.force_x, system.force_y)
     limit = system.law.torque_limit
     torques = limited(torque_1, system.mode_1, limit), limited(torque_2, system.mode_2, limit)
     motion = stance_acceleration(m, toe, state[2], state[3], torques[0], torques[1])

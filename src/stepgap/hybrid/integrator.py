@@ -25,10 +25,16 @@ TIME_OUT = -1
 BROKEN = -2
 """`integrate` met a state or rate that is not finite, or needed too many steps."""
 
-DIP_MARGIN = 0.2
-LEAVING = 1e-3
 MAX_STEPS = 20_000
 MAX_PIECES = 200
+GROWTH = 5.0
+"""By how much a step may be longer than the one before."""
+AIM = 1e-5
+"""How well an event is located on the interpolant of a step, relative to the guard's values around it."""
+DIP_MARGIN = 0.2
+"""How near zero the parabola through three values of a guard must come for its vertex to be looked at."""
+LEAVING = 1e-3
+"""Fraction of a step after which a guard that the piece began on must be positive."""
 
 
 class Tolerance(NamedTuple):
@@ -161,21 +167,24 @@ def _root(system, span, which, low, g_low, high, g_high):
 
     A piece that begins on a guard leaves it first: that zero is not the one sought.
     """
-    aim = 1e-6 * (g_low - g_high)
+    aim = AIM * (g_low - g_high)
     if low == 0.0 and g_low <= aim:
         low = LEAVING
         g_low = _guard_at(system, span, low)[which]
         if not g_low > 0.0:
             return 0.0
+    side = 0
     for _ in range(30):
         s = (low * g_high - high * g_low) / (g_high - g_low)
         g = _guard_at(system, span, s)[which]
         if abs(g) <= aim:
             return s
         if g < 0.0:
-            high, g_high, g_low = s, g, 0.5 * g_low
+            high, g_high, g_low = s, g, 0.5 * g_low if side < 0 else g_low
+            side = -1
         else:
-            low, g_low, g_high = s, g, 0.5 * g_high
+            low, g_low, g_high = s, g, 0.5 * g_high if side > 0 else g_high
+            side = 1
     return high
 
 
@@ -254,7 +263,7 @@ def integrate(system, time, state, time_limit, tolerance, h, trace):
             event = TIME_OUT
             break
         slope = slopes(system, state, here)
-        h *= min(5.0, 0.9 * max(size, 1e-8) ** -0.2)
+        h *= min(GROWTH, 0.9 * max(size, 1e-8) ** -0.2)
     if trace.place[1] < MAX_PIECES:
         trace.pieces[trace.place[1], 0], trace.pieces[trace.place[1], 1] = trace.place[0], event
         trace.place[1] += 1
