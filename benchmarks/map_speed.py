@@ -56,7 +56,7 @@ def report_jacobian(apex_map: ApexMap, points: np.ndarray) -> None:
     """Prints the largest error of the Jacobian relative to its largest entry."""
     exact_map = ApexMap(apex_map.robot, apex_map.gains, tolerances=EXACT)
     arguments = points[:, :2], points[:, 2:]
-    wide, narrow = (difference_jacobian(exact_map, *arguments, step) for step in (2e-4, 1e-4))
+    wide, narrow = (difference_jacobian(exact_map, *arguments, step) for step in (5e-5, 2.5e-5))
     exact = (4 * narrow - wide) / 3
     error = np.abs(apex_map.jacobian(*arguments) - exact).max(axis=(1, 2)) / np.abs(exact).max(axis=(1, 2))
     print(f"Jacobian at {len(points)} points: largest error {error.max():.2g}, median {np.median(error):.2g}")

@@ -202,7 +202,7 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
     k = len(lower)
     if damping == 0.0 and matrix.shape == (k, k):
         with suppress(np.linalg.LinAlgError):
-            step = np.linalg.solve(matrix, -value)
+            step = np.asarray(np.linalg.solve(matrix, -value), float)
             if ((lower <= step) & (step <= upper)).all():
                 return step
     matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(k)])

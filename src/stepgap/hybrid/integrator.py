@@ -213,7 +213,7 @@ def _drop(system, time, state, seen, which, begin, most):
         delay = min(latest, max(earliest, time + delay)) - time
         half = 0.5 * delay / moment
         state, time = moved(state, delay, (1.0 - half, half), (here, later)), time + delay
-        if abs(delay) < 1e-8:
+        if abs(delay) < 1e-10:
             break
         seen = observe(system, time, state)
     return time, state
