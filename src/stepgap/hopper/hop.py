@@ -111,7 +111,7 @@ def _stance_switched(system, time, state, motor):
 
 
 @compiled
-def _run_phase(system, state, time_limit, tolerance, h, trace, again):
+def _run_phase(system, state, time_limit, tolerance, trace, again):
     """Goes on through saturation switches until the contact changes or ẏ changes sign.
 
     Args:
@@ -119,14 +119,13 @@ def _run_phase(system, state, time_limit, tolerance, h, trace, again):
         state: Leg angles and rates at the start.
         time_limit: Longest duration [s].
         tolerance: `Tolerance`.
-        h: Size of the first step to try [s].
         trace: `Trace`.
         again: Whether to retrace the steps of a neighbouring motion; then nothing can fail.
 
     Returns:
-        (reason, event, time, state, h): OK and CONTACT or RISING, or a reason that is common to both phases.
+        (reason, event, time, state): OK and CONTACT or RISING, or a reason that is common to both phases.
     """
-    guards, time, event = observe(system, 0.0, state)[1], 0.0, BROKEN
+    guards, time, event, h = observe(system, 0.0, state)[1], 0.0, BROKEN, FIRST_STEP
     if guards[MOTOR_1] <= 0.0:
         system = switched(system, time, state, 1)
     if guards[MOTOR_2] <= 0.0:
@@ -134,11 +133,11 @@ def _run_phase(system, state, time_limit, tolerance, h, trace, again):
     guards = observe(system, 0.0, state)[1]
     if not again:
         if guards[FALLING_OVER] <= 0.0:
-            return FELL, event, time, state, h
+            return FELL, event, time, state
         if guards[STRETCHING] <= 0.0:
-            return FULL_STRETCH, event, time, state, h
+            return FULL_STRETCH, event, time, state
         if guards[CONTACT] <= 0.0:  # the ground never pulls: a stance that begins without load ends at once
-            return OK, CONTACT, time, state, h
+            return OK, CONTACT, time, state
     for _ in range(MOST_PIECES):
         if again:
             time, state, event = retrace(system, time, state, trace)
@@ -148,9 +147,9 @@ def _run_phase(system, state, time_limit, tolerance, h, trace, again):
             break
         system = switched(system, time, state, 1 if event == MOTOR_1 else 2)
     if event == CONTACT or event == RISING:
-        return OK, event, time, state, h
+        return OK, event, time, state
     reason = FELL if event == FALLING_OVER else FULL_STRETCH if event == STRETCHING else NO_APEX
-    return reason, event, time, state, h
+    return reason, event, time, state
 
 
 @compiled
@@ -177,9 +176,7 @@ def descend(masses, law, tolerances, speed, height, trace, again):
     falling = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
     if not again and observe(falling, 0.0, state)[1][CONTACT] <= 0.0:
         return FOOT_SCUFFED, state
-    reason, event, time, state, _ = _run_phase(
-        falling, state, FLIGHT_LIMIT, tolerances.flight, FIRST_STEP, trace, again
-    )
+    reason, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
     if reason != OK or event != CONTACT:
         return reason if reason != OK else NO_APEX, state
 
@@ -191,7 +188,7 @@ def descend(masses, law, tolerances, speed, height, trace, again):
     if speed_y >= 0.0:
         return OK, state
     loading = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
-    reason, event, _, state, _ = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, FIRST_STEP, trace, again)
+    reason, event, _, state = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, trace, again)
     if reason == NO_APEX or event == CONTACT:
         reason = NO_TAKE_OFF
     return reason, state
@@ -218,7 +215,7 @@ def ascend(masses, law, tolerances, state, force_x, force_y, trace, again):
     pushing = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
     if not np.isfinite(force_x + force_y):
         return INVALID, np.nan, np.nan
-    reason, event, _, state, _ = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, FIRST_STEP, trace, again)
+    reason, event, _, state = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, trace, again)
     hip = stance_motion(pushing, state)[1]
     if reason == NO_APEX or (reason == OK and (event == RISING or hip.speed_y <= STANDSTILL)):
         reason = NO_TAKE_OFF
@@ -226,7 +223,7 @@ def ascend(masses, law, tolerances, state, force_x, force_y, trace, again):
         return reason, np.nan, np.nan
 
     rising = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
-    reason, event, time, state, _ = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, FIRST_STEP, trace, again)
+    reason, event, time, state = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
     if reason != OK or event == CONTACT:
         return FOOT_SCUFFED if reason == OK else reason, np.nan, np.nan
     _, hip, _, _ = flight_motion(rising, time, state)
