@@ -20,7 +20,7 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 SMALLEST_SHARE = 16
 """Fewest steps worth a thread of their own."""
-NUDGE = 3e-8
+NUDGE = 8e-8
 """How far from a point its neighbours lie that give the Jacobian [half ranges]."""
 FINER = 0.01
 """Tolerance of stance for the Jacobian relative to that for the map: where a motor hardly saturates, it errs more."""
