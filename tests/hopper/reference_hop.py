@@ -2,7 +2,7 @@
 
 Equations 4, 5 and 8 are assembled from the SymPy oracle and solved as they stand; the torque laws are
 written from Sec. 4.1 and the table of notation. Shared with `stepgap.hopper` are the numbers alone: the
-robot's, the gains' and the limits in `hop` that say what counts as a failure.
+robot's, the gains' and the limits in `hop` and `reduced` that say what counts as a failure.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,8 @@ from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from stepgap.hopper import Gains, RobotParameters
-from stepgap.hopper.hop import FLIGHT_LIMIT, FOLD_ANGLE, LEAN_ANGLE, SCUFF_DEPTH, STANCE_LIMIT, STRETCH_ANGLE
+from stepgap.hopper.hop import FLIGHT_LIMIT, SCUFF_DEPTH, STANCE_LIMIT
+from stepgap.hopper.reduced import FOLD_ANGLE, LEAN_ANGLE, STRETCH_ANGLE
 from stepgap.step import Reason
 from tests.hopper.lagrangian import oracle
 

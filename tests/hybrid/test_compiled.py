@@ -27,21 +27,28 @@ def value(x):
 """
 MOTION = """
 from typing import NamedTuple
-import numpy as np
 from stepgap.hybrid.compiled import implements
-from stepgap.hybrid.integrator import guards, make_workspace, take_sides
+from stepgap.hybrid.integrator import Tolerance, integrate, make_trace
+from stepgap.hybrid.motion import observe, rate, slopes
 
 class Ball(NamedTuple):
     gravity: float
 
-@implements(guards, Ball)
-def _guards(system, state, out):
-    out[0] = state[0]
+@implements(rate, Ball)
+def _rate(system, state):
+    return state[2], state[3], -system.gravity, 0.0
 
-def side():
-    work = make_workspace(2, 1)
-    take_sides(Ball(2.0), np.array([1.0, 0.0]), work)
-    return work.signs[0]
+@implements(observe, Ball)
+def _observe(system, time, state):
+    return rate(system, state), (state[0],)
+
+@implements(slopes, Ball)
+def _slopes(system, state, here):
+    return None
+
+def duration():
+    start = (1.0, 0.0, 0.0, 0.0)
+    return round(integrate(Ball(2.0), 0.0, start, 9.0, Tolerance(1e-6, 1e-6), 0.1, make_trace())[0], 9)
 """
 
 
@@ -97,7 +104,7 @@ def test_a_change_of_a_constant_from_a_file_without_compiled_functions_is_notice
 def test_system_types_of_one_program_do_not_break_another(package, tmp_path) -> None:
     """The integrator's cache must not name a type that the next program cannot import."""
     cache = str(tmp_path / "cache")
-    code = "from {}.motion import side; print(side())"
+    code = "from {}.motion import duration; print(duration())"
     assert run(code.format("robot"), package.parent) == "1.0"
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()

@@ -6,6 +6,7 @@ All points here are scaled: the command bounds are -1 and 1, and residuals count
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,8 @@ class StepController:
         """
         space = self.step_map.space
         n, m = len(space.state), len(space.command)
-        centre, scale = space.command_centre, space.command_scale
+        centre, scale, state_scale = space.command_centre, space.command_scale, space.state_scale
+        lower, upper = space.command_lower, space.command_upper
         state, target = as_vector("state", state, n), as_vector("target", target, n)
         start = centre if guess is None else as_vector("guess", guess, m)
         if not np.isfinite(state).all():
@@ -80,19 +82,26 @@ class StepController:
             raise ValueError(f"target {target} and guess {start} must be finite numbers")
 
         def command_at(point: Array) -> Array:
-            return np.clip(centre + scale * point, space.command_lower, space.command_upper)
+            return np.minimum(np.maximum(centre + scale * point, lower), upper)
+
+        known: dict[bytes, Array] = {}
 
         def residual(point: Array) -> Array:
-            return (self.step_map.evaluate(state, command_at(point)).next_state - target) / space.state_scale
+            next_state = self.step_map.evaluate(state, command_at(point)).next_state
+            if point.ndim == 1:
+                known[point.tobytes()] = next_state
+            return (next_state - target) / state_scale
 
         def slope(point: Array) -> Array:
             jacobian = self.step_map.jacobian(state, command_at(point))[:, n:]
-            return jacobian * scale / space.state_scale[:, None]
+            return jacobian * scale / state_scale[:, None]
 
         solution = solve(residual, slope, (start - centre) / scale, bound=1.0)
         command = command_at(solution.point)
-        predicted = self.step_map(state, command)
-        distance = float(np.linalg.norm((predicted - target) / space.state_scale))
+        predicted = known.get(solution.point.tobytes())
+        if predicted is None or not np.isfinite(predicted).all():
+            predicted = self.step_map(state, command)
+        distance = float(np.linalg.norm((predicted - target) / state_scale))
         return StepPlan(command, predicted, distance <= REACHED, distance)
 
 
@@ -191,6 +200,11 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
         damping: Not negative.
     """
     k = len(lower)
+    if damping == 0.0 and matrix.shape == (k, k):
+        with suppress(np.linalg.LinAlgError):
+            step = np.asarray(np.linalg.solve(matrix, -value), float)
+            if ((lower <= step) & (step <= upper)).all():
+                return step
     matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(k)])
     value = np.append(value, np.zeros(k))
     step, free = np.zeros(k), np.ones(k, bool)

@@ -1,6 +1,6 @@
 """What the robot is and how it hops: the physics model of Sec. 3 with the joint control of Sec. 4.1.
 
-Read in this order: `parameters`, `leg`, `dynamics`, `joint_control`, `hop`, `apex_map`.
+Read in this order: `parameters`, `leg`, `dynamics`, `joint_control`, `reduced`, `hop`, `apex_map`.
 """
 
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters

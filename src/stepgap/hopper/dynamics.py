@@ -143,24 +143,23 @@ def terms(masses, bar, alpha_1, alpha_2, rate_1, rate_2):
 @compiled
 def solve_symmetric(a, b, d, p, q):
     """Solves [[a, b], [b, d]] z = (p, q)."""
-    determinant = a * d - b * b
-    return (d * p - b * q) / determinant, (a * q - b * p) / determinant
+    inverse = 1.0 / (a * d - b * b)
+    return (d * p - b * q) * inverse, (a * q - b * p) * inverse
 
 
 @compiled
 def flight_acceleration(m, torque_1, torque_2):
     """Accelerations (ẍ, ÿ, α̈₁, α̈₂) in flight (Eq. 5), with `m` from `terms` and motor torques [N·m]."""
-    p = torque_1 + torque_2 - m.n_1 + m.x_1 * m.n_x / m.x + m.y_1 * m.n_y / m.y
-    q = torque_1 - torque_2 - m.n_2 + m.x_2 * m.n_x / m.x + m.y_2 * m.n_y / m.y
+    x_1, x_2, y_1, y_2 = m.x_1 / m.x, m.x_2 / m.x, m.y_1 / m.y, m.y_2 / m.y
     acc_1, acc_2 = solve_symmetric(
-        m.a - m.x_1 * m.x_1 / m.x - m.y_1 * m.y_1 / m.y,
-        -m.x_1 * m.x_2 / m.x - m.y_1 * m.y_2 / m.y,
-        m.d - m.x_2 * m.x_2 / m.x - m.y_2 * m.y_2 / m.y,
-        p,
-        q,
+        m.a - x_1 * m.x_1 - y_1 * m.y_1,
+        -x_1 * m.x_2 - y_1 * m.y_2,
+        m.d - x_2 * m.x_2 - y_2 * m.y_2,
+        torque_1 + torque_2 - m.n_1 + x_1 * m.n_x + y_1 * m.n_y,
+        torque_1 - torque_2 - m.n_2 + x_2 * m.n_x + y_2 * m.n_y,
     )
-    acc_x = -(m.n_x + m.x_1 * acc_1 + m.x_2 * acc_2) / m.x
-    acc_y = -(m.n_y + m.y_1 * acc_1 + m.y_2 * acc_2) / m.y
+    acc_x = -m.n_x / m.x - x_1 * acc_1 - x_2 * acc_2
+    acc_y = -m.n_y / m.y - y_1 * acc_1 - y_2 * acc_2
     return acc_x, acc_y, acc_1, acc_2
 
 

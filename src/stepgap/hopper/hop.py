@@ -1,37 +1,39 @@
 """One hop of the model: apex → touchdown → mid-stance → take-off → next apex (Fig. 2).
 
-The chain of smooth pieces and what ends each of them; `hybrid.integrator` moves along a piece. The
-integrator's state is (x, y, α₁, α₂, ẋ, ẏ, α̇₁, α̇₂).
+The chain of smooth pieces and what ends each of them; `hybrid.integrator` moves along a piece of the reduced motion.
+The hop is cut at mid-stance, where the command sets in: `descend` knows nothing of it, `ascend` does the rest.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepgap.hopper.dynamics import Masses, flight_acceleration, impact, stance_acceleration, terms
-from stepgap.hopper.joint_control import JointLaw, flight_torque, landing_posture, saturate, stance_torque
+from stepgap.hopper.dynamics import impact, terms
+from stepgap.hopper.joint_control import landing_posture
 from stepgap.hopper.leg import foot, four_bar
-from stepgap.hybrid.compiled import compiled, implements
-from stepgap.hybrid.integrator import (
-    BROKEN,
-    TIME_OUT,
-    Tolerance,
-    guards,
-    integrate,
-    make_workspace,
-    rate,
-    take_sides,
+from stepgap.hopper.reduced import (
+    Flight,
+    Hip,
+    Stance,
+    flight_motion,
+    flight_of,
+    hip_in_flight,
+    piece_guards,
+    stance_motion,
 )
+from stepgap.hybrid.compiled import compiled, implements
+from stepgap.hybrid.integrator import BROKEN, Tolerance, integrate, retrace, rewind
+from stepgap.hybrid.motion import observe, rate, slopes
+from stepgap.hybrid.rosenbrock import difference_slopes
 from stepgap.step import Reason
 
-STATES, GUARDS = 8, 6
-CONTACT, RISING, FALLING_OVER, STRETCHING = 0, 1, 2, 3  # guards 4 and 5: saturation of either motor
+CONTACT, RISING, FALLING_OVER, STRETCHING, MOTOR_1, MOTOR_2 = range(6)  # guards, as `piece_guards` has them
 
-STRETCH_ANGLE = 0.02  # α₂ at which the leg counts as fully stretched [rad]
-LEAN_ANGLE = 1.0  # |α₁| at which the robot counts as fallen [rad]
-FOLD_ANGLE = 2.5  # α₂ at which the leg has collapsed [rad]
 SCUFF_DEPTH = 1e-4  # how far the foot may dip below the ground as it leaves it [m]
 FLIGHT_LIMIT, STANCE_LIMIT = 2.0, 1.0  # longest phases [s]
+MOST_PIECES = 100  # of one phase
+STANDSTILL = 1e-9  # ẏ that a body may have by rounding alone [m/s]
+FIRST_STEP = 3e-3  # tried at the start of a phase [s]
 
 OK = int(Reason.OK)
 FELL = int(Reason.FELL)
@@ -43,146 +45,116 @@ INVALID = int(Reason.INVALID)
 
 
 class Tolerances(NamedTuple):
-    """Local error per step in flight and in stance.
-
-    In flight the step size is held by the stability of the servoed leg, not by accuracy.
-    """
+    """Local error per step in flight and in stance."""
 
     flight: Tolerance
     stance: Tolerance
 
 
-class Flight(NamedTuple):
-    """Constants of a flight.
-
-    Attributes:
-        masses: Mass properties.
-        law: Torque laws.
-        depth: Depth below the ground at which the foot counts as touching it [m].
-    """
-
-    masses: Masses
-    law: JointLaw
-    depth: float
-
-
-class Stance(NamedTuple):
-    """Constants of one half of a stance.
-
-    Attributes:
-        masses: Mass properties.
-        law: Torque laws.
-        force_x: Forward command force [N]; zero before mid-stance.
-        force_y: Upward command force [N]; zero before mid-stance.
-    """
-
-    masses: Masses
-    law: JointLaw
-    force_x: float
-    force_y: float
-
-
-@compiled
-def uprightness(leg, height, alpha_1, alpha_2):
-    """Positive until the robot has fallen: hip low enough for a knee to touch, leg far over, or leg collapsed.
-
-    Hip height [m], leg angles [rad].
-    """
-    return min(height - leg.top, LEAN_ANGLE - abs(alpha_1), FOLD_ANGLE - alpha_2)
-
-
 @implements(rate, Flight)
-def _flight_rate(system, state, out):
-    torque_1, torque_2 = flight_torque(system.law, state[2], state[3], state[6], state[7], state[4])
-    bar = four_bar(system.masses.leg, state[3])
-    m = terms(system.masses, bar, state[2], state[3], state[6], state[7])
-    limit = system.law.torque_limit
-    out[0], out[1], out[2], out[3] = state[4], state[5], state[6], state[7]
-    out[4], out[5], out[6], out[7] = flight_acceleration(m, saturate(torque_1, limit), saturate(torque_2, limit))
+def _flight_rate(system, state):
+    return flight_motion(system, 0.0, state)[0]
 
 
-@implements(guards, Flight)
-def _flight_guards(system, state, out):
-    torque_1, torque_2 = flight_torque(system.law, state[2], state[3], state[6], state[7], state[4])
-    toe = foot(system.masses.leg, four_bar(system.masses.leg, state[3]), state[2])
-    out[CONTACT] = state[1] + toe.y + system.depth
-    _body_guards(system, state, torque_1, torque_2, out)
+@implements(observe, Flight)
+def _flight_observe(system, time, state):
+    motion, hip, clearance, torques = flight_motion(system, time, state)
+    return motion, piece_guards(system, clearance + system.depth, hip, state, torques)
 
 
-@compiled
-def _stance(system, state):
-    """Accelerations, ground force and unsaturated motor torques in stance."""
-    bar = four_bar(system.masses.leg, state[3])
-    toe = foot(system.masses.leg, bar, state[2])
-    m = terms(system.masses, bar, state[2], state[3], state[6], state[7])
-    torque_1, torque_2 = stance_torque(
-        system.law, bar, toe, np.sin(state[2]), np.cos(state[2]), system.force_x, system.force_y
-    )
-    limit = system.law.torque_limit
-    motion = stance_acceleration(m, toe, state[6], state[7], saturate(torque_1, limit), saturate(torque_2, limit))
-    return motion, torque_1, torque_2
+@implements(slopes, Flight)
+def _flight_slopes(system, state, here):
+    return difference_slopes(system, state, here)
 
 
 @implements(rate, Stance)
-def _stance_rate(system, state, out):
-    motion, _, _ = _stance(system, state)
-    out[0], out[1], out[2], out[3] = state[4], state[5], state[6], state[7]
-    out[4], out[5], out[6], out[7] = motion[0], motion[1], motion[2], motion[3]
+def _stance_rate(system, state):
+    return stance_motion(system, state)[0]
 
 
-@implements(guards, Stance)
-def _stance_guards(system, state, out):
-    motion, torque_1, torque_2 = _stance(system, state)
-    out[CONTACT] = motion[5]
-    _body_guards(system, state, torque_1, torque_2, out)
+@implements(observe, Stance)
+def _stance_observe(system, time, state):
+    motion, hip, force, torques = stance_motion(system, state)
+    return motion, piece_guards(system, force, hip, state, torques)
 
 
-@compiled
-def _body_guards(system, state, torque_1, torque_2, out):
-    limit = system.law.torque_limit
-    out[RISING] = state[5]
-    out[FALLING_OVER] = uprightness(system.masses.leg, state[1], state[2], state[3])
-    out[STRETCHING] = state[3] - STRETCH_ANGLE
-    out[4] = 1.0 - (torque_1 / limit) ** 2
-    out[5] = 1.0 - (torque_2 / limit) ** 2
+@implements(slopes, Stance)
+def _stance_slopes(system, state, here):
+    return None
+
+
+def switched(system, time, state, motor) -> Any:
+    """The system after motor 1 or 2 has begun or ceased to saturate."""
+    raise TypeError(f"{type(system).__name__} has no motors")
 
 
 @compiled
-def _run_phase(system, state, time_limit, tolerance, work, side):
+def _next_mode(mode, torque):
+    """Of a motor that switches while its law asks for this torque."""
+    return 0.0 if mode != 0.0 else np.sign(torque)
+
+
+@implements(switched, Flight)
+def _flight_switched(system, time, state, motor):
+    s, torques = system, flight_motion(system, time, state)[3]
+    mode_1 = _next_mode(s.mode_1, torques[0]) if motor == 1 else s.mode_1
+    mode_2 = _next_mode(s.mode_2, torques[1]) if motor == 2 else s.mode_2
+    return Flight(s.masses, s.law, s.side, s.depth, s.momentum_x, s.momentum_y, s.moment_y, mode_1, mode_2)
+
+
+@implements(switched, Stance)
+def _stance_switched(system, time, state, motor):
+    s, torques = system, stance_motion(system, state)[3]
+    mode_1 = _next_mode(s.mode_1, torques[0]) if motor == 1 else s.mode_1
+    mode_2 = _next_mode(s.mode_2, torques[1]) if motor == 2 else s.mode_2
+    return Stance(s.masses, s.law, s.side, s.force_x, s.force_y, mode_1, mode_2)
+
+
+@compiled
+def _run_phase(system, state, time_limit, tolerance, trace, again):
     """Goes on through saturation switches until the contact changes or ẏ changes sign.
 
-    Args other than the integrator's:
-        side: Sign of ẏ during the phase, ±1; at its start ẏ may be zero.
+    Args:
+        system: `Flight` or `Stance` with both motors obeying their laws.
+        state: Leg angles and rates at the start.
+        time_limit: Longest duration [s].
+        tolerance: `Tolerance`.
+        trace: `Trace`.
+        again: Whether to retrace the steps of a neighbouring motion; then nothing can fail.
 
     Returns:
-        CONTACT or RISING, or −1 − reason for a failure common to both phases.
+        (reason, event, time, state): OK and CONTACT or RISING, or a reason that is common to both phases.
     """
-    take_sides(system, state, work)
-    work.signs[RISING] = side
-    if work.signs[FALLING_OVER] < 0:
-        return -1 - FELL
-    if work.signs[STRETCHING] < 0:
-        return -1 - FULL_STRETCH
-    if work.signs[CONTACT] < 0:  # the ground never pulls: a stance that begins without load ends at once
-        return CONTACT
-    left = time_limit
-    for _ in range(100):
-        elapsed, event = integrate(system, state, left, tolerance, work)
-        left -= elapsed
-        if event == CONTACT or event == RISING:
-            return event
-        if event == FALLING_OVER:
-            return -1 - FELL
-        if event == STRETCHING:
-            return -1 - FULL_STRETCH
-        if event == TIME_OUT or event == BROKEN:
+    guards, time, event, h = observe(system, 0.0, state)[1], 0.0, BROKEN, FIRST_STEP
+    if guards[MOTOR_1] <= 0.0:
+        system = switched(system, time, state, 1)
+    if guards[MOTOR_2] <= 0.0:
+        system = switched(system, time, state, 2)
+    guards = observe(system, 0.0, state)[1]
+    if not again:
+        if guards[FALLING_OVER] <= 0.0:
+            return FELL, event, time, state
+        if guards[STRETCHING] <= 0.0:
+            return FULL_STRETCH, event, time, state
+        if guards[CONTACT] <= 0.0:  # the ground never pulls: a stance that begins without load ends at once
+            return OK, CONTACT, time, state
+    for _ in range(MOST_PIECES):
+        if again:
+            time, state, event = retrace(system, time, state, trace)
+        else:
+            time, state, event, h = integrate(system, time, state, time_limit, tolerance, h, trace)
+        if event != MOTOR_1 and event != MOTOR_2:
             break
-    return -1 - NO_APEX
+        system = switched(system, time, state, 1 if event == MOTOR_1 else 2)
+    if event == CONTACT or event == RISING:
+        return OK, event, time, state
+    reason = FELL if event == FALLING_OVER else FULL_STRETCH if event == STRETCHING else NO_APEX
+    return reason, event, time, state
 
 
 @compiled
-def hop(masses, law, tolerances, speed, height, force_x, force_y, out):
-    """Runs one hop (Eq. 10) and writes (next speed, next height) into `out` if there is a next apex.
+def descend(masses, law, tolerances, speed, height, trace, again):
+    """From the apex through the impact to mid-stance, where ẏ = 0.
 
     Args:
         masses: `Masses`.
@@ -190,62 +162,69 @@ def hop(masses, law, tolerances, speed, height, force_x, force_y, out):
         tolerances: `Tolerances`.
         speed: Forward speed at the apex ẋ [m/s]; the leg is at rest in its landing posture.
         height: Hip height at the apex y [m].
-        force_x: Forward command force [N].
-        force_y: Upward command force [N].
-        out: Shape (2,).
+        trace: `Trace` for the steps.
+        again: Whether to retrace the steps it holds.
 
     Returns:
-        `Reason` as an integer.
+        (reason, state): `Reason` as an integer, and leg angles and rates at mid-stance.
     """
-    if not np.isfinite(speed + height + force_x + force_y):
-        return INVALID
-    state = np.zeros(STATES)
-    state[1], state[4] = height, speed
-    state[2], state[3] = landing_posture(law, speed)
-    work = make_workspace(STATES, GUARDS)
+    rewind(trace)
+    alpha_1, alpha_2 = landing_posture(law, speed)
+    state = (alpha_1, alpha_2, 0.0, 0.0)
+    if not np.isfinite(speed + height):
+        return INVALID, state
+    falling = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
+    if not again and observe(falling, 0.0, state)[1][CONTACT] <= 0.0:
+        return FOOT_SCUFFED, state
+    reason, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
+    if reason != OK or event != CONTACT:
+        return reason if reason != OK else NO_APEX, state
 
-    falling = Flight(masses, law, 0.0)
-    guards(falling, state, work.guard)
-    if work.guard[CONTACT] <= 0.0:
-        return FOOT_SCUFFED
-    event = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, work, -1.0)
-    if event != CONTACT:
-        return -1 - event if event < 0 else NO_APEX
-
-    reason = _stand(masses, law, tolerances, state, force_x, force_y, work)
-    if reason != OK:
-        return reason
-
-    rising = Flight(masses, law, SCUFF_DEPTH)
-    event = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, work, 1.0)
-    if event < 0:
-        return -1 - event
-    if event == CONTACT:
-        return FOOT_SCUFFED
-    out[0], out[1] = state[4], state[1]
-    return OK
+    bar = four_bar(masses.leg, state[1])
+    toe, m = foot(masses.leg, bar, state[0]), terms(masses, bar, state[0], state[1], state[2], state[3])
+    hip = hip_in_flight(falling, m, time, state)
+    _, speed_y, rate_1, rate_2 = impact(m, toe, hip.speed_x, hip.speed_y, state[2], state[3])
+    state = (state[0], state[1], rate_1, rate_2)
+    if speed_y >= 0.0:
+        return OK, state
+    loading = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
+    reason, event, _, state = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, trace, again)
+    if reason == NO_APEX or event == CONTACT:
+        reason = NO_TAKE_OFF
+    return reason, state
 
 
 @compiled
-def _stand(masses, law, tolerances, state, force_x, force_y, work):
-    """From touchdown through the impact to take-off; the command acts after mid-stance."""
-    bar = four_bar(masses.leg, state[3])
-    m = terms(masses, bar, state[2], state[3], state[6], state[7])
-    state[4], state[5], state[6], state[7] = impact(
-        m, foot(masses.leg, bar, state[2]), state[4], state[5], state[6], state[7]
-    )
-    loading = Stance(masses, law, 0.0, 0.0)
-    pushing = Stance(masses, law, force_x, force_y)
-    if state[5] < 0.0:
-        event = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, work, -1.0)
-        if event < 0:
-            return NO_TAKE_OFF if event == -1 - NO_APEX else -1 - event
-        if event == CONTACT:
-            return NO_TAKE_OFF
-        state[5] = 0.0
-    event = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, work, 1.0)
-    if event < 0:
-        return NO_TAKE_OFF if event == -1 - NO_APEX else -1 - event
-    if event == RISING or state[5] <= 0.0:
-        return NO_TAKE_OFF
-    return OK
+def ascend(masses, law, tolerances, state, force_x, force_y, trace, again):
+    """From mid-stance, where the command sets in, through take-off to the next apex.
+
+    Args:
+        masses: `Masses`.
+        law: `JointLaw`.
+        tolerances: `Tolerances`.
+        state: Leg angles and rates at mid-stance.
+        force_x: Forward command force [N].
+        force_y: Upward command force [N].
+        trace: `Trace` for the steps.
+        again: Whether to retrace the steps it holds.
+
+    Returns:
+        (reason, next speed, next height): `Reason` as an integer; NaN if there is no next apex.
+    """
+    rewind(trace)
+    pushing = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
+    if not np.isfinite(force_x + force_y):
+        return INVALID, np.nan, np.nan
+    reason, event, _, state = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, trace, again)
+    hip = stance_motion(pushing, state)[1]
+    if reason == NO_APEX or (reason == OK and (event == RISING or hip.speed_y <= STANDSTILL)):
+        reason = NO_TAKE_OFF
+    if reason != OK:
+        return reason, np.nan, np.nan
+
+    rising = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
+    reason, event, time, state = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
+    if reason != OK or event == CONTACT:
+        return FOOT_SCUFFED if reason == OK else reason, np.nan, np.nan
+    _, hip, _, _ = flight_motion(rising, time, state)
+    return OK, hip.speed_x, hip.height

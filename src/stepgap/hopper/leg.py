@@ -69,8 +69,9 @@ def four_bar(leg, alpha_2):
     ratio = leg.top / leg.bottom
     sin_beta = ratio * sin_2
     cos_beta = np.sqrt(1.0 - sin_beta * sin_beta)
-    d_beta = ratio * cos_2 / cos_beta
-    dd_beta = (sin_beta * d_beta * d_beta - ratio * sin_2) / cos_beta
+    secant = 1.0 / cos_beta
+    d_beta = ratio * cos_2 * secant
+    dd_beta = sin_beta * (d_beta * d_beta - 1.0) * secant
     return FourBar(
         leg.top * cos_2 + leg.bottom * cos_beta,
         -leg.top * sin_2 * (1.0 + d_beta),

@@ -1,12 +1,13 @@
 """Adaptive integration up to the next event, accurate at the event; knows no robot.
 
-A motion with impacts and switches is a chain of smooth pieces. `integrate` runs one piece: from a
-state to the first sign change of any of its *guards*, scalar functions of the state that mark where
-the smooth piece ends (contact, a switch in the control law, saturation). A step never straddles a
-guard, so the order of the method is kept (see Hairer, Nørsett, Wanner, Solving ODEs I, II.6).
+A motion with impacts and switches is a chain of smooth pieces. `integrate` runs one piece: from a state to where the
+first of its *guards* ceases to be positive, scalar functions of the state that mark where the smooth piece ends
+(contact, a switch in the control law, saturation). A step never straddles a guard, so the order of the method is kept
+(see Hairer, Nørsett, Wanner, Solving ODEs I, II.6).
 
-Method: Tsitouras 5(4), first same as last (Ch. Tsitouras, Computers & Mathematics with Applications
-62, 2011).
+It notes the sizes of its steps. `retrace` takes the same steps from a neighbouring state and ends where that motion
+meets the guard itself: a smooth function of the state, whose differences are free of the noise that step size control
+makes. They are the derivatives of the motion, events included (H. G. Bock's internal differentiation).
 """
 
 from typing import NamedTuple
@@ -15,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.hybrid.compiled import compiled, generic
-
-Array = NDArray[np.float64]
+from stepgap.hybrid.motion import between, moved, observe, slopes
+from stepgap.hybrid.rosenbrock import rosenbrock_step
+from stepgap.hybrid.tsitouras import tsitouras_step
 
 TIME_OUT = -1
 """`integrate` reached the time limit before any event."""
@@ -24,35 +26,15 @@ BROKEN = -2
 """`integrate` met a state or rate that is not finite, or needed too many steps."""
 
 MAX_STEPS = 20_000
-
-A21 = 0.161
-A31, A32 = -0.008480655492356989, 0.335480655492357
-A41, A42, A43 = 2.8971530571054935, -6.359448489975075, 4.3622954328695815
-A51, A52, A53, A54 = 5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525
-A61, A62, A63, A64, A65 = (
-    5.86145544294642,
-    -12.92096931784711,
-    8.159367898576159,
-    -0.071584973281401,
-    -0.028269050394068383,
-)
-B1, B2, B3, B4, B5, B6 = (
-    0.09646076681806523,
-    0.01,
-    0.4798896504144996,
-    1.379008574103742,
-    -3.290069515436081,
-    2.324710524099774,
-)
-E1, E2, E3, E4, E5, E6, E7 = (
-    -0.00178001105222577714,
-    -0.0008164344596567469,
-    0.007880878010261995,
-    -0.1447110071732629,
-    0.5823571654525552,
-    -0.45808210592918697,
-    0.015151515151515152,
-)
+MAX_PIECES = 200
+GROWTH = 5.0
+"""By how much a step may be longer than the one before."""
+AIM = 1e-5
+"""How well an event is located on the interpolant of a step, relative to the guard's values around it."""
+DIP_MARGIN = 0.2
+"""How near zero the parabola through three values of a guard must come for its vertex to be looked at."""
+LEAVING = 1e-3
+"""Fraction of a step after which a guard that the piece began on must be positive."""
 
 
 class Tolerance(NamedTuple):
@@ -62,207 +44,247 @@ class Tolerance(NamedTuple):
     absolute: float
 
 
-class Workspace(NamedTuple):
-    """Scratch arrays, allocated once per chain of pieces.
+class Trace(NamedTuple):
+    """The steps taken by a chain of pieces; allocated once, for any number of chains.
 
     Attributes:
-        stages: Rates at the stages of a step; shape (7, n).
-        trial: State at the end of a trial step; shape (n,).
-        point: State inside a step; shape (n,).
-        guard: Guard values there; shape (k,).
-        seen: Guard values where a crossing was looked for; shape (k,).
-        signs: Side of each guard the motion is on, ±1; shape (k,).
+        sizes: Sizes of the steps of all pieces [s]; shape (MAX_STEPS,).
+        pieces: For each piece the place in `sizes` where it ends, and its event; shape (MAX_PIECES, 2).
+        place: Steps and pieces noted or retraced so far; shape (2,).
     """
 
-    stages: Array
-    trial: Array
-    point: Array
-    guard: Array
-    seen: Array
-    signs: Array
+    sizes: NDArray[np.float64]
+    pieces: NDArray[np.int64]
+    place: NDArray[np.int64]
 
 
-def rate(system, state, out):
-    """Writes the time derivative of `state` into `out`; see `implements`.
+@compiled
+def make_trace():
+    """An empty `Trace`."""
+    return Trace(np.empty(MAX_STEPS), np.empty((MAX_PIECES, 2), np.int64), np.zeros(2, np.int64))
+
+
+@compiled
+def rewind(trace):
+    """Goes back to the start of the trace: to note a new chain, or to retrace the one that is noted."""
+    trace.place[:] = 0
+
+
+@generic
+def _step(system, time, state, here, slope, h):
+    """A step of size h by the method that suits the piece: (end, (rate, guards) there, local error)."""
+    if slope is None:
+        return tsitouras_step(system, time, state, here, h)
+    return rosenbrock_step(system, time, state, here, slope, h)
+
+
+@compiled
+def _scaled(error, start, end, tolerance):
+    """Root-mean-square local error over the tolerance; 1 is just allowed."""
+    total = 0.0
+    for i in range(4):
+        scale = tolerance.absolute + tolerance.relative * max(abs(start[i]), abs(end[i]))
+        total += (error[i] / scale) ** 2
+    size = np.sqrt(0.25 * total)
+    return size if np.isfinite(size + end[0] + end[1] + end[2] + end[3]) else np.inf
+
+
+class Span(NamedTuple):
+    """A step that was taken, with its cubic interpolant.
+
+    Attributes:
+        time: At its start [s].
+        h: Its size [s].
+        start: State at its start.
+        here: Rate there.
+        end: State at its end.
+        there: Rate there.
+    """
+
+    time: float
+    h: float
+    start: tuple
+    here: tuple
+    end: tuple
+    there: tuple
+
+
+@generic
+def _guard_at(system, span, s):
+    """Guards at fraction s of a step."""
+    return observe(system, span.time + s * span.h, between(span.start, span.here, span.end, span.there, span.h, s))[1]
+
+
+@compiled
+def _dip(first, middle, last):
+    """Fraction of a step where a guard that is positive at three places may touch zero in between; 0 if nowhere.
+
+    That is the vertex of a parabola, if it comes near zero.
+    """
+    bend = 2.0 * (first + last - 2.0 * middle)
+    slope = 4.0 * middle - 3.0 * first - last
+    if not (bend > 0.0 and -2.0 * bend < slope < 0.0):
+        return 0.0
+    return -0.5 * slope / bend if first - 0.25 * slope * slope / bend < DIP_MARGIN * max(first, last) else 0.0
+
+
+@generic
+def _crossing(system, span, first, last):
+    """Earliest end of a guard's positive side within a step: (fraction of the step, guard), guard −1 if none.
+
+    The guards are looked at in the middle of the step, too, and where they come near zero in between: one that is
+    met there and left again before the end has been met all the same.
 
     Args:
-        system: A NamedTuple of the constants of one smooth piece; its type selects the implementation.
-        state: Shape (n,).
-        out: Shape (n,).
+        system: Constants of the piece.
+        span: The step.
+        first: Guards at its start.
+        last: Guards at its end.
     """
-    raise TypeError(f"no rate is implemented for {type(system).__name__}")
-
-
-def guards(system, state, out):
-    """Writes the guard values at `state` into `out`, shape (k,); see `implements`."""
-    raise TypeError(f"no guards are implemented for {type(system).__name__}")
-
-
-@compiled
-def make_workspace(states, guards):
-    """Workspace for up to `states` states and `guards` guards."""
-    return Workspace(
-        np.empty((7, states)),
-        np.empty(states),
-        np.empty(states),
-        np.empty(guards),
-        np.empty(guards),
-        np.empty(guards),
-    )
-
-
-@generic
-def take_sides(system, state, work):
-    """Sets the side of each guard from the state; call it once at the start of a piece."""
-    guards(system, state, work.guard)
-    for i in range(work.signs.size):
-        work.signs[i] = 1.0 if work.guard[i] > 0 else -1.0
-
-
-@generic
-def _step(system, state, h, work):
-    """One Tsitouras step of size h from `state`, whose rate is in stages[0], into `trial`."""
-    k, y, z, n = work.stages, work.trial, work.point, state.size
-    for i in range(n):
-        z[i] = state[i] + h * A21 * k[0, i]
-    rate(system, z, k[1])
-    for i in range(n):
-        z[i] = state[i] + h * (A31 * k[0, i] + A32 * k[1, i])
-    rate(system, z, k[2])
-    for i in range(n):
-        z[i] = state[i] + h * (A41 * k[0, i] + A42 * k[1, i] + A43 * k[2, i])
-    rate(system, z, k[3])
-    for i in range(n):
-        z[i] = state[i] + h * (A51 * k[0, i] + A52 * k[1, i] + A53 * k[2, i] + A54 * k[3, i])
-    rate(system, z, k[4])
-    for i in range(n):
-        z[i] = state[i] + h * (A61 * k[0, i] + A62 * k[1, i] + A63 * k[2, i] + A64 * k[3, i] + A65 * k[4, i])
-    rate(system, z, k[5])
-    for i in range(n):
-        y[i] = state[i] + h * (B1 * k[0, i] + B2 * k[1, i] + B3 * k[2, i] + B4 * k[3, i] + B5 * k[4, i] + B6 * k[5, i])
-    rate(system, y, k[6])
-
-
-@compiled
-def _scaled_error(state, h, tolerance, work):
-    """Root-mean-square local error of the last step over the tolerance; 1 is just allowed."""
-    k, y, total = work.stages, work.trial, 0.0
-    for i in range(state.size):
-        error = h * (
-            E1 * k[0, i] + E2 * k[1, i] + E3 * k[2, i] + E4 * k[3, i] + E5 * k[4, i] + E6 * k[5, i] + E7 * k[6, i]
-        )
-        scale = tolerance.absolute + tolerance.relative * max(abs(state[i]), abs(y[i]))
-        if not np.isfinite(scale):
-            return np.inf
-        total += (error / scale) ** 2
-    return np.sqrt(total / state.size)
-
-
-@generic
-def _first_crossing(system, state, h, work):
-    """Earliest guard crossing within the last step: (fraction of the step, guard, end), guard −1 if none.
-
-    The guards are looked at in the middle of the step, too: one that is crossed there and crossed back
-    before the end has been met all the same. The fraction is found on the cubic Hermite interpolant of
-    the step; `end` is ½ or 1, where the guard is seen to be crossed.
-    """
-    earliest, which = 2.0, -1
-    for end in (0.5, 1.0):
-        _interpolate(state, h, end, work)
-        guards(system, work.point, work.seen)
-        for j in range(work.signs.size):
-            if not work.seen[j] * work.signs[j] < 0:  # nor NaN
+    middle, earliest, which = _guard_at(system, span, 0.5), 2.0, -1
+    for j in range(len(last)):
+        low, g_low, high, g_high = 0.0, max(first[j], 0.0), 0.5, middle[j]
+        if not g_high < 0.0:  # nor NaN
+            low, g_low, high, g_high = 0.5, g_high, 1.0, last[j]
+        if not g_high < 0.0:
+            high = _dip(first[j], middle[j], last[j])
+            if high == 0.0:
                 continue
-            low, high = end - 0.5, end
-            for _ in range(30):
-                s = 0.5 * (low + high)
-                _interpolate(state, h, s, work)
-                guards(system, work.point, work.guard)
-                if work.guard[j] * work.signs[j] < 0:
-                    high = s
-                else:
-                    low = s
-            if high < earliest:
-                earliest, which = high, j
-        if which >= 0:
-            return earliest, which, end
-    return earliest, which, 1.0
-
-
-@compiled
-def _interpolate(state, h, s, work):
-    """Cubic Hermite interpolant of the last step at fraction s into `point`."""
-    h00, h10 = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2
-    h01, h11 = s * s * (3 - 2 * s), s * s * (s - 1)
-    for i in range(state.size):
-        work.point[i] = h00 * state[i] + h01 * work.trial[i] + h * (h10 * work.stages[0, i] + h11 * work.stages[6, i])
+            g_high = _guard_at(system, span, high)[j]
+            if not g_high < 0.0:
+                continue
+            if high < 0.5:
+                low, g_low = 0.0, max(first[j], 0.0)
+        fraction = _root(system, span, j, low, g_low, high, g_high)
+        if fraction < earliest:
+            earliest, which = fraction, j
+    return earliest, which
 
 
 @generic
-def _land_on(system, state, h, crossing, work):
-    """Shortens the last step so that it ends on the guard of `crossing`; returns its size."""
-    fraction, which, end = crossing
-    low, high = 0.0, end * h
-    size, value = high, work.seen[which]
-    better = fraction * h
-    for _ in range(12):
-        previous, previous_value, size = size, value, better
-        _step(system, state, size, work)
-        guards(system, work.trial, work.guard)
-        value = work.guard[which]
-        if value * work.signs[which] < 0:
-            high = size
+def _root(system, span, which, low, g_low, high, g_high):
+    """Fraction of a step where a guard is zero, by the Illinois method between two where its signs differ.
+
+    A piece that begins on a guard leaves it first: that zero is not the one sought.
+    """
+    aim = AIM * (g_low - g_high)
+    if low == 0.0 and g_low <= aim:
+        low = LEAVING
+        g_low = _guard_at(system, span, low)[which]
+        if not g_low > 0.0:
+            return 0.0
+    side = 0
+    for _ in range(30):
+        s = (low * g_high - high * g_low) / (g_high - g_low)
+        g = _guard_at(system, span, s)[which]
+        if abs(g) <= aim:
+            return s
+        if g < 0.0:
+            high, g_high, g_low = s, g, 0.5 * g_low if side < 0 else g_low
+            side = -1
         else:
-            low = size
-        change = value - previous_value
-        better = size - value * (size - previous) / change if change != 0.0 else size
-        if not low <= better <= high:
-            better = 0.5 * (low + high)
-        if abs(value) < 1e-13 or abs(better - size) < 1e-15:
-            break
-    return size
+            low, g_low, g_high = s, g, 0.5 * g_high if side > 0 else g_high
+            side = 1
+    return high
 
 
 @generic
-def integrate(system, state, time_limit, tolerance, work):
-    """Moves `state` along the flow to the first event.
+def _drop(system, time, state, seen, which, begin, most):
+    """Moves along the flow onto a guard nearby by Newton's method: (time, state) there.
+
+    Rate and guard are observed once more a moment later; the differences give the slope of the guard and the second
+    derivative of the state.
 
     Args:
-        system: Constants of the piece, for whose type `rate` and `guards` are implemented.
-        state: Start, overwritten by the end; shape (n,).
-        time_limit: Longest duration [s].
+        system: Constants of the piece.
+        time: Since the start of the phase.
+        state: Close to the guard.
+        seen: (rate, guards) there.
+        which: The guard.
+        begin: Start of the piece [s].
+        most: Farthest to go either way [s].
+    """
+    moment, earliest, latest = 1e-6, max(begin, time - most), time + most
+    for _ in range(8):
+        here, guards = seen
+        later, guards_later = observe(system, time + moment, moved(state, moment, (1.0,), (here,)))
+        fall = (guards[which] - guards_later[which]) / moment
+        delay = guards[which] / fall if fall != 0.0 else 0.0
+        delay = min(latest, max(earliest, time + delay)) - time
+        half = 0.5 * delay / moment
+        state, time = moved(state, delay, (1.0 - half, half), (here, later)), time + delay
+        if abs(delay) < 1e-10:
+            break
+        seen = observe(system, time, state)
+    return time, state
+
+
+@generic
+def integrate(system, time, state, time_limit, tolerance, h, trace):
+    """Follows the flow to the first event and notes the steps.
+
+    Args:
+        system: Constants of the piece, for whose type `rate`, `observe` and `slopes` are implemented.
+        time: Start, since the beginning of the phase that the piece belongs to [s].
+        state: State there.
+        time_limit: Latest end [s].
         tolerance: `Tolerance` of a step.
-        work: `Workspace`; its `signs` must be set by `take_sides` at the start of the piece. The
-            sign of the guard that was met is flipped, so that the piece can be gone on with.
+        h: Size of the first step to try [s].
+        trace: `Trace`.
 
     Returns:
-        (elapsed, event): duration [s]; index of the guard met, TIME_OUT or BROKEN.
+        (time, state, event, h): the end; index of the guard met there, TIME_OUT or BROKEN; size of the step to go on
+        with.
     """
-    elapsed, h, k = 0.0, 1e-4, work.stages
-    rate(system, state, k[0])
-    for _ in range(MAX_STEPS):
-        h = min(h, time_limit - elapsed)
-        _step(system, state, h, work)
-        error = _scaled_error(state, h, tolerance, work)
-        if not np.isfinite(error):
-            h *= 0.1
+    event, begin = BROKEN, time
+    here, guards = observe(system, time, state)
+    slope = slopes(system, state, here)
+    while trace.place[0] < MAX_STEPS and trace.place[1] < MAX_PIECES:
+        h = min(h, time_limit - time)
+        end, seen, error = _step(system, time, state, here, slope, h)
+        size = _scaled(error, state, end, tolerance)
+        if not size <= 1.0:
+            h *= max(0.2, 0.9 * size**-0.2) if np.isfinite(size) else 0.1
             if h < 1e-12:
-                return elapsed, BROKEN
+                break
             continue
-        if error > 1.0:
-            h *= max(0.2, 0.9 * error**-0.2)
-            continue
-        crossing = _first_crossing(system, state, h, work)
-        which = crossing[1]
+        fraction, which = _crossing(system, Span(time, h, state, here, end, seen[0]), guards, seen[1])
+        trace.sizes[trace.place[0]] = h
+        trace.place[0] += 1
         if which >= 0:
-            elapsed += _land_on(system, state, h, crossing, work)
-            state[:] = work.trial
-            work.signs[which] = -work.signs[which]
-            return elapsed, which
-        elapsed += h
-        state[:] = work.trial
-        k[0, :] = k[6]
-        if elapsed >= time_limit:
-            return elapsed, TIME_OUT
-        h *= min(5.0, 0.9 * max(error, 1e-8) ** -0.2)
-    return elapsed, BROKEN
+            part = max(fraction, 1e-9) * h
+            trace.sizes[trace.place[0] - 1] = part
+            end, seen, _ = _step(system, time, state, here, slope, part)
+            time, state = _drop(system, time + part, end, seen, which, begin, h)
+            event = which
+            break
+        time, state, (here, guards) = time + h, end, seen
+        if time >= time_limit:
+            event = TIME_OUT
+            break
+        slope = slopes(system, state, here)
+        h *= min(GROWTH, 0.9 * max(size, 1e-8) ** -0.2)
+    if trace.place[1] < MAX_PIECES:
+        trace.pieces[trace.place[1], 0], trace.pieces[trace.place[1], 1] = trace.place[0], event
+        trace.place[1] += 1
+    return time, state, event, h
+
+
+@generic
+def retrace(system, time, state, trace):
+    """Takes the noted steps of the next piece from another state, and ends on the same guard.
+
+    Returns:
+        (time, state, event) as `integrate`, whose event is the noted one.
+    """
+    begin, h = time, 0.0
+    stop, event = trace.pieces[trace.place[1], 0], trace.pieces[trace.place[1], 1]
+    seen = observe(system, time, state)
+    while trace.place[0] < stop:
+        h = trace.sizes[trace.place[0]]
+        end, seen, _ = _step(system, time, state, seen[0], slopes(system, state, seen[0]), h)
+        time, state = time + h, end
+        trace.place[0] += 1
+    trace.place[1] += 1
+    time, state = _drop(system, time, state, seen, event, begin, h)
+    return time, state, event

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from stepgap.hopper.dynamics import leg_inertia, masses_of
-from stepgap.hopper.hop import uprightness
 from stepgap.hopper.joint_control import flight_torque, joint_law, stance_torque
 from stepgap.hopper.leg import foot, four_bar
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.hopper.reduced import uprightness
 from stepgap.hybrid.compiled import compiled
 from stepgap.plants.estimator import FlightFit, JointRates
 from stepgap.plants.phases import Phase, next_phase
