@@ -1,8 +1,8 @@
 """The same hop by heyoka's Taylor integrator: the reduced systems as expressions, compiled just in time.
 
 Four unknown accelerations in flight and two in stance, written out as `full_system` says, with the leg's first moment
-S and inertias A, D. Torques are not limited here: with the default gains no motor comes to its limit within the range of
-use.
+S and inertias A, D. Torques are not limited here: with the default gains no motor comes to its limit within the
+range of use.
 """
 
 # pyright: reportMissingImports=false

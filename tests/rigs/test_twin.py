@@ -385,7 +385,7 @@ def test_layout_tells_how_to_read_the_counts():
     layout = make(RealityGap(), tick=5e-4).layout
     assert (layout.tick, layout.boom_length, layout.pivot_height) == (5e-4, 1.854, RealityGap().boom_pivot_height)
     assert (layout.motor_counts, layout.boom_counts_horizontal, layout.boom_counts_vertical) == (16384, 5000, 16384)
-    assert (layout.touchdown_force, layout.takeoff_length) == (5.0, 0.287)
+    assert (layout.touchdown_force, layout.takeoff_length) == (5.0, 0.28)
     assert make().layout.motor_counts < inf
 
 
