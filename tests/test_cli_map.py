@@ -9,6 +9,7 @@ import pytest
 from stepgap.control.command_table_file import read_table
 from stepgap.hopper import Gains
 from stepgap.hopper.apex_map import ApexMap
+from stepgap.hopper.sampled_map import SampledApexMap
 from stepgap.step import Reason
 from tests.command_line import Command, refused
 
@@ -31,6 +32,14 @@ def test_one_step_and_its_derivatives(stepgap: Command) -> None:
     ]
     found = np.array([numbers(row.partition("]")[2]) for row in rows])
     np.testing.assert_allclose(found, apex_map.jacobian([0.1, 0.56], [-3, 2.5]), rtol=1e-5)
+
+
+def test_a_tick_holds_the_torques(stepgap: Command) -> None:
+    said = stepgap("map", "--tick", "0.0005")
+    assert said.code == 0
+    expected = SampledApexMap(tick=5e-4)([0.2, 0.58], [0, 0])
+    assert numbers(said.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
+    refused(stepgap("map", "--tick", "0.1"), "--tick: tick = 0.1, but it must lie between")
 
 
 def test_settings_change_the_map(stepgap: Command) -> None:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from stepgap.hopper.parameters import CommandBounds as CommandBounds
     from stepgap.hopper.parameters import Gains as Gains
     from stepgap.hopper.parameters import RobotParameters as RobotParameters
+    from stepgap.hopper.sampled_map import SampledApexMap as SampledApexMap
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
     from stepgap.learning.residual import fit_residual as fit_residual
     from stepgap.plants.model_plant import ModelPlant as ModelPlant
@@ -51,6 +52,7 @@ _HOMES = {
     "Rig": "rigs.rig",
     "RigPlant": "plants.rig_plant",
     "RobotParameters": "hopper.parameters",
+    "SampledApexMap": "hopper.sampled_map",
     "StepController": "control.step_controller",
     "StepFailed": "step",
     "StepMap": "step",

@@ -232,6 +232,7 @@ def map_(
     out: Path | None = None,
     table: Path | None = None,
     points: str | None = None,
+    tick: float | None = None,
     overrides: Overrides = None,
 ) -> None:
     """Evaluate the nominal map: the next apex and its derivatives, many rows of a file, or a table of commands.
@@ -246,9 +247,11 @@ def map_(
         out: File for their next apexes; without it they are printed.
         table: File for a table of the step controller's commands, to be built and measured.
         points: Grid points along each axis of the table, a whole number; without it 15.
+        tick: Time for which torques are held, as on a robot [s], such as 0.001; without it they act continuously.
     """
     from stepgap.experiment import read_experiment
     from stepgap.hopper.apex_map import ApexMap
+    from stepgap.hopper.sampled_map import SampledApexMap
 
     single = {"speed": speed, "height": height, "fx": fx, "fy": fy}
     ways = {
@@ -265,6 +268,11 @@ def map_(
         raise _bad_input(f"--points {points}: goes with --table, a whole number between 2 and {MOST_POINTS}")
     settings = read_experiment(experiment, overrides or [])
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
+    if tick is not None:
+        try:
+            nominal = SampledApexMap(settings.robot, settings.gains, settings.command, tick)
+        except ValueError as error:
+            raise _bad_input(f"--tick: {error}") from None
     if csv:
         _map_rows(nominal, csv, out)
     elif table:

@@ -122,9 +122,9 @@ class ApexMap(StepMap):
         Raises:
             ValueError: The last axis of state or command has not two numbers.
         """
-        points, leading = _points(state, command)
+        points, leading = as_points(state, command)
         next_state, reason = np.full((len(points), 2), np.nan), np.zeros(len(points), dtype=np.int64)
-        _on_all_cores(_hop_all, self._constants, points, next_state, reason)
+        on_all_cores(_hop_all, self._constants, points, next_state, reason)
         return Outcome(next_state.reshape(*leading, 2), reason.reshape(leading))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
@@ -135,16 +135,16 @@ class ApexMap(StepMap):
         Raises:
             ValueError: The last axis of state or command has not two numbers.
         """
-        points, leading = _points(state, command)
+        points, leading = as_points(state, command)
         jacobian = np.full((len(points), 2, 4), np.nan)
         nudge = NUDGE * np.concatenate([self.space.state_scale, self.space.command_scale])
         masses, law, (flight, stance) = self._constants
         finer = Tolerances(flight, Tolerance(FINER * stance.relative, FINER * stance.absolute))
-        _on_all_cores(_differentiate_all, (masses, law, finer, nudge), points, jacobian)
+        on_all_cores(_differentiate_all, (masses, law, finer, nudge), points, jacobian)
         return jacobian.reshape(*leading, 2, 4)
 
 
-def _points(state: ArrayLike, command: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+def as_points(state: ArrayLike, command: ArrayLike) -> tuple[Array, tuple[int, ...]]:
     """Points (speed, height, fx, fy) of shape (n, 4), and the leading shape of state and command."""
     state, command = np.asarray(state, float), np.asarray(command, float)
     if state.shape[-1:] != (2,) or command.shape[-1:] != (2,):
@@ -157,7 +157,7 @@ def _points(state: ArrayLike, command: ArrayLike) -> tuple[Array, tuple[int, ...
     return points.reshape(-1, 4), leading
 
 
-def _on_all_cores(kernel: Callable[..., None], constants: tuple[object, ...], *arrays: NDArray[Any]) -> None:
+def on_all_cores(kernel: Callable[..., None], constants: tuple[object, ...], *arrays: NDArray[Any]) -> None:
     """Runs a kernel on shares of the arrays' first axis, each in a thread of its own."""
     size = len(arrays[0])
     shares = min(os.cpu_count() or 1, size // SMALLEST_SHARE) if size >= 2 * SMALLEST_SHARE else 1

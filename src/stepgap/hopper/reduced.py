@@ -157,13 +157,17 @@ def uprightness(leg, height, alpha_1, alpha_2):
 def piece_guards(system, contact, hip, state, torques):
     """What stays positive within a piece: contact, ±ẏ, uprightness, bend of the leg, mode of either motor."""
     return (
-        contact,
-        system.side * hip.speed_y,
-        uprightness(system.masses.leg, hip.height, state[0], state[1]),
-        state[1] - STRETCH_ANGLE,
+        *body_guards(system, contact, hip, state),
         _motor_guard(torques[0], system.mode_1, system.law.torque_limit),
         _motor_guard(torques[1], system.mode_2, system.law.torque_limit),
     )
+
+
+@compiled
+def body_guards(system, contact, hip, state):
+    """What stays positive within a piece whatever the motors do: contact, ±ẏ, uprightness, bend of the leg."""
+    upright = uprightness(system.masses.leg, hip.height, state[0], state[1])
+    return contact, system.side * hip.speed_y, upright, state[1] - STRETCH_ANGLE
 
 
 @compiled
