@@ -5,7 +5,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -256,6 +256,15 @@ def trouble(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], N
     return make
 
 
+@pytest.fixture
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C interrupts, though a shell in the background lets its children ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_interruptible")
 def test_ctrl_c_says_how_to_go_on(finished: Path, stepgap: Command, trouble: Callable) -> None:
     trouble(lambda: signal.raise_signal(signal.SIGINT))
     said = stepgap("run", finished / "short.toml", "--out", "my run", "--quiet")
