@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.control.command_table import CommandTable, TableError
+from stepgap.control.reference import numbers_in_row
 from stepgap.step import Array, Outcome, Quantity, Reason, StepSpace
 
 LARGEST_FILE = 2**28
@@ -39,33 +40,12 @@ def read_points(path: Path, space: StepSpace) -> Array:
             raise ValueError(f"{path}, line 1: the header is {','.join(header)!r:.80}; it must be {','.join(names)!r}")
         quantities = {quantity.name: quantity for quantity in (*space.state, *space.command)}
         columns = [quantities[name] for name in header]
-        points = [_point(row, columns, f"{path}, line {rows.line_num}") for row in rows if row]
+        points = [numbers_in_row(row, columns, f"{path}, line {rows.line_num}") for row in rows if row]
     except csv.Error as error:
         raise ValueError(f"{path}, line {rows.line_num}: {error}; {wanted}") from None
     if not points:
         raise ValueError(f"{path}, line 2: there is no point; it must have at least one row below the header")
     return np.array(points)[:, [header.index(name) for name in names]]
-
-
-def _point(row: list[str], columns: list[Quantity], place: str) -> list[float]:
-    if len(row) != len(columns):
-        names = ",".join(quantity.name for quantity in columns)
-        raise ValueError(f"{place}: {len(row)} values; it must have {len(columns)}, one for each of {names}")
-    return [_number(cell, quantity, place) for cell, quantity in zip(row, columns, strict=True)]
-
-
-def _number(cell: str, quantity: Quantity, place: str) -> float:
-    """The finite number in a cell."""
-    try:
-        value = float(cell)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise ValueError(
-            f"{place}, column {quantity.name!r}: {cell.strip()!r:.40}; it must be a finite number in {quantity.unit}, "
-            f"for example {(quantity.lower + quantity.upper) / 2:g}"
-        )
-    return value
 
 
 def outcome_rows(space: StepSpace, points: Array, outcome: Outcome) -> str:

@@ -153,14 +153,22 @@ def parse_reference(text: str, space: StepSpace, source: str = "reference") -> R
     for row in rows:
         if not any(cell.strip() for cell in row):
             continue
-        place = f"{source}, line {rows.line_num}"
-        if len(row) != len(header):
-            wanted = f"{len(header)}, one for each of {','.join(header)}"
-            raise ValueError(f"{place}: {len(row)} values; it must have {wanted}")
-        targets.append([_number(cell, quantity, place) for cell, quantity in zip(row, quantities, strict=True)])
+        targets.append(numbers_in_row(row, quantities, f"{source}, line {rows.line_num}"))
     if not targets:
         raise ValueError(f"{source}, line 2: there is no step; it must have at least one row below the header")
     return Reference(names, np.array(targets)[:, [header.index(name) for name in names]])
+
+
+def numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], place: str) -> list[float]:
+    """The numbers in a row of CSV, one for each quantity.
+
+    Raises:
+        ValueError: Naming the place and column, and what would be right.
+    """
+    if len(row) != len(quantities):
+        names = ",".join(quantity.name for quantity in quantities)
+        raise ValueError(f"{place}: {len(row)} values; it must have {len(quantities)}, one for each of {names}")
+    return [_number(cell, quantity, place) for cell, quantity in zip(row, quantities, strict=True)]
 
 
 def _number(cell: str, quantity: Quantity, place: str) -> float:
@@ -172,7 +180,7 @@ def _number(cell: str, quantity: Quantity, place: str) -> float:
     if not np.isfinite(value):
         example = (quantity.lower + quantity.upper) / 2
         raise ValueError(
-            f"{place}, column {quantity.name!r}: {cell.strip()!r}; "
+            f"{place}, column {quantity.name!r}: {cell.strip()!r:.40}; "
             f"it must be a finite number in {quantity.unit}, for example {example:g}"
         )
     return value

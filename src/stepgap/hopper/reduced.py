@@ -115,6 +115,12 @@ def hip_in_flight(system, m, time, state):
 
 
 @compiled
+def hip_in_stance(toe, state):
+    """`Hip` over a foot that rests at the origin, with `toe` from `leg.foot`."""
+    return Hip(-toe.y, -toe.x_1 * state[2] - toe.x_2 * state[3], -toe.y_1 * state[2] - toe.y_2 * state[3])
+
+
+@compiled
 def flight_motion(system, time, state):
     """(rate, hip, clearance of the foot [m], torques that the law asks for [N·m]) in flight."""
     bar = four_bar(system.masses.leg, state[1])
@@ -139,9 +145,8 @@ def stance_motion(system, state):
     limit = system.law.torque_limit
     torques = limited(torque_1, system.mode_1, limit), limited(torque_2, system.mode_2, limit)
     motion = stance_acceleration(m, toe, state[2], state[3], torques[0], torques[1])
-    speed_x = -toe.x_1 * state[2] - toe.x_2 * state[3]
-    speed_y = -toe.y_1 * state[2] - toe.y_2 * state[3]
-    return (state[2], state[3], motion[2], motion[3]), Hip(-toe.y, speed_x, speed_y), motion[5], (torque_1, torque_2)
+    rate = (state[2], state[3], motion[2], motion[3])
+    return rate, hip_in_stance(toe, state), motion[5], (torque_1, torque_2)
 
 
 @compiled

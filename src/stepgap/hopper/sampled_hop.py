@@ -38,6 +38,7 @@ from stepgap.hopper.reduced import (
     flight_motion,
     flight_of,
     hip_in_flight,
+    hip_in_stance,
     stance_motion,
 )
 from stepgap.hybrid.compiled import compiled, implements
@@ -60,7 +61,7 @@ class HeldStance(NamedTuple):
         stance: Its constants.
         torque_1: Of motor 1.
         torque_2: Of motor 2.
-        loaded: Ground force that counts as zero [N]: −inf while the body comes down, when contact is not given up.
+        loaded: Negative while the body comes down, when contact is not given up; zero after mid-stance.
     """
 
     stance: Stance
@@ -69,19 +70,27 @@ class HeldStance(NamedTuple):
     loaded: float
 
 
+@compiled
+def _held_flight(system, state):
+    """Rate, and what of the dynamics else is of use."""
+    masses = system.flight.masses
+    bar = four_bar(masses.leg, state[1])
+    m = terms(masses, bar, state[0], state[1], state[2], state[3])
+    acceleration = flight_acceleration(m, system.torque_1, system.torque_2)
+    return (state[2], state[3], acceleration[2], acceleration[3]), bar, m
+
+
 @implements(rate, HeldFlight)
 def _flight_rate(system, state):
-    m = terms(
-        system.flight.masses, four_bar(system.flight.masses.leg, state[1]), state[0], state[1], state[2], state[3]
-    )
-    acceleration = flight_acceleration(m, system.torque_1, system.torque_2)
-    return state[2], state[3], acceleration[2], acceleration[3]
+    return _held_flight(system, state)[0]
 
 
 @implements(observe, HeldFlight)
 def _flight_observe(system, time, state):
-    _, hip, clearance, _ = flight_motion(system.flight, time, state)
-    return rate(system, state), body_guards(system.flight, clearance + system.flight.depth, hip, state)
+    motion, bar, m = _held_flight(system, state)
+    hip = hip_in_flight(system.flight, m, time, state)
+    clearance = hip.height + foot(system.flight.masses.leg, bar, state[0]).y
+    return motion, body_guards(system.flight, clearance + system.flight.depth, hip, state)
 
 
 @implements(slopes, HeldFlight)
@@ -91,23 +100,23 @@ def _flight_slopes(system, state, here):
 
 @compiled
 def _held_stance(system, state):
-    leg = system.stance.masses.leg
-    bar = four_bar(leg, state[1])
-    m = terms(system.stance.masses, bar, state[0], state[1], state[2], state[3])
-    return stance_acceleration(m, foot(leg, bar, state[0]), state[2], state[3], system.torque_1, system.torque_2)
+    """Rate, hip and upward ground force [N]."""
+    masses = system.stance.masses
+    bar = four_bar(masses.leg, state[1])
+    toe, m = foot(masses.leg, bar, state[0]), terms(masses, bar, state[0], state[1], state[2], state[3])
+    motion = stance_acceleration(m, toe, state[2], state[3], system.torque_1, system.torque_2)
+    return (state[2], state[3], motion[2], motion[3]), hip_in_stance(toe, state), motion[5]
 
 
 @implements(rate, HeldStance)
 def _stance_rate(system, state):
-    motion = _held_stance(system, state)
-    return state[2], state[3], motion[2], motion[3]
+    return _held_stance(system, state)[0]
 
 
 @implements(observe, HeldStance)
 def _stance_observe(system, time, state):
-    motion, hip = _held_stance(system, state), stance_motion(system.stance, state)[1]
-    contact = 1.0 if system.loaded < 0.0 else motion[5]
-    return (state[2], state[3], motion[2], motion[3]), body_guards(system.stance, contact, hip, state)
+    motion, hip, force = _held_stance(system, state)
+    return motion, body_guards(system.stance, 1.0 if system.loaded < 0.0 else force, hip, state)
 
 
 @implements(slopes, HeldStance)
