@@ -55,19 +55,11 @@ class HeldFlight(NamedTuple):
 
 
 class HeldStance(NamedTuple):
-    """A stance during which the motors give constant torques [N·m].
-
-    Attributes:
-        stance: Its constants.
-        torque_1: Of motor 1.
-        torque_2: Of motor 2.
-        loaded: Negative while the body comes down, when contact is not given up; zero after mid-stance.
-    """
+    """A stance during which the motors give constant torques [N·m]; contact is not given up before mid-stance."""
 
     stance: Stance
     torque_1: float
     torque_2: float
-    loaded: float
 
 
 @compiled
@@ -116,7 +108,7 @@ def _stance_rate(system, state):
 @implements(observe, HeldStance)
 def _stance_observe(system, time, state):
     motion, hip, force = _held_stance(system, state)
-    return motion, body_guards(system.stance, 1.0 if system.loaded < 0.0 else force, hip, state)
+    return motion, body_guards(system.stance, 1.0 if system.stance.side < 0.0 else force, hip, state)
 
 
 @implements(slopes, HeldStance)
@@ -166,20 +158,20 @@ def _stand(masses, law, state, left, tick, tolerance, trace, force_x, force_y):
     Returns:
         (event, state, left): CONTACT at take-off, or what else ended it.
     """
-    stance, loaded = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0), -1.0
+    stance = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
     if stance_motion(stance, state)[1].speed_y >= 0.0:
-        stance, loaded = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0), 0.0
+        stance = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
     time, (rest, torque_1, torque_2), limit = 0.0, left, law.torque_limit
     while time < STANCE_LIMIT:
         if rest <= 0.0:
             asked_1, asked_2 = stance_motion(stance, state)[3]
             rest, torque_1, torque_2 = tick, saturate(asked_1, limit), saturate(asked_2, limit)
         rewind(trace)
-        begin, held = time, HeldStance(stance, torque_1, torque_2, loaded)
+        begin, held = time, HeldStance(stance, torque_1, torque_2)
         time, state, event, _ = integrate(held, time, state, begin + rest, tolerance, FIRST_STEP, trace)
         rest = 0.0 if event == TIME_OUT else rest - (time - begin)
-        if event == RISING and loaded < 0.0:
-            stance, loaded = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0), 0.0
+        if event == RISING and stance.side < 0.0:
+            stance = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
         elif event != TIME_OUT:
             return event, state, (rest, torque_1, torque_2)
     return BROKEN, state, (rest, torque_1, torque_2)
