@@ -36,10 +36,6 @@ SAME_AGAIN = "resume with the record, settings, versions and machine that it was
 """What to do when a replay does not give the recorded steps."""
 
 
-Steps = Generator[LoggedStep, None, None]
-"""Steps as they are executed; closing it stops the plant."""
-
-
 @dataclass(frozen=True)
 class LearningSettings:
     """How often is learnt, and what.
@@ -64,54 +60,6 @@ class LearningSettings:
             raise ValueError(f"least_gain = {self.least_gain}, but it must be at least 0 and less than 1")
 
 
-@dataclass(frozen=True, eq=False)
-class Deployment:
-    """Tracking errors of one deployment, next state − target, over the steps that ended with an apex.
-
-    Attributes:
-        iteration: Its number.
-        residual: Kind of the residual model that the controller used.
-        steps: Steps executed.
-        falls: Steps that ended without an apex; at most one, because the deployment ends with it.
-        rmse: Root-mean-square error; shape (n,).
-        mae: Mean absolute error; shape (n,).
-        bias: Mean error; shape (n,).
-        steady_rmse: RMSE over `Reference.steady`; NaN where there are none; shape (n,).
-        transient_rmse: RMSE over `Reference.transient`; shape (n,).
-    """
-
-    iteration: int
-    residual: str
-    steps: int
-    falls: int
-    rmse: Array
-    mae: Array
-    bias: Array
-    steady_rmse: Array
-    transient_rmse: Array
-
-
-def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment:
-    """The errors of one deployment's steps."""
-    numbers = np.array([logged.step - 1 for logged in steps.completed()], dtype=int)
-    error = steps.completed().next_state - steps.completed().target
-
-    def rms(rows: Array) -> Array:
-        return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)
-
-    return Deployment(
-        iteration=steps.iterations[0],
-        residual=residual,
-        steps=len(steps),
-        falls=steps.falls,
-        rmse=rms(error),
-        mae=np.mean(np.abs(error), axis=0) if len(error) else rms(error),
-        bias=np.mean(error, axis=0) if len(error) else rms(error),
-        steady_rmse=rms(error[np.isin(numbers, reference.steady)]),
-        transient_rmse=rms(error[np.isin(numbers, reference.transient)]),
-    )
-
-
 def repeatability(steps: StepLog, reference: Reference) -> Array:
     """Spread of the next state at equal state and command, at most about this [state units]; shape (n,).
 
@@ -127,40 +75,6 @@ def repeatability(steps: StepLog, reference: Reference) -> Array:
         return np.full(len(steps.space.state), np.nan)
     fitted = inputs @ np.linalg.lstsq(inputs, steady.next_state, rcond=None)[0]
     return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / freedom)
-
-
-def deploy(step_map: CorrectedMap, plant: Plant, reference: Reference, iteration: int) -> Steps:
-    """Tracks the reference with the controller of a map, until its end or a fall.
-
-    Where the map knows no command that makes a step, the middle of the bounds is tried.
-    """
-    controller, command = StepController(step_map), None
-    with plant:
-        state = plant.start()
-        for number, target in enumerate(reference.targets, start=1):
-            try:
-                plan = controller(state, target, guess=command)
-                command, predicted = plan.command, plan.predicted
-            except StepFailed:
-                command, predicted = step_map.space.command_centre, np.full_like(target, np.nan)
-            std = step_map.std(state, command, include_noise=True)
-            record = plant.take_step(command)
-            yield LoggedStep(iteration, number, target, predicted, std, record)
-            if record.reason != Reason.OK:
-                return
-            state = record.next_state
-
-
-def learn(nominal: StepMap, log: StepLog, kind: ResidualKind) -> Residual:
-    """Fits the residual to actual − nominal over all steps of the log (Eq. 12), at the commands applied.
-
-    Without a step to learn from, the nominal map stays as it is.
-    """
-    known = log.completed()
-    error = known.next_state - nominal.evaluate(known.state, known.applied).next_state
-    usable = np.isfinite(error).all(axis=1)  # a step that the nominal map says must fail has no error to learn
-    kind = kind if usable.any() else "none"
-    return fit_residual(kind, nominal.space, known.state[usable], known.applied[usable], error[usable])
 
 
 @dataclass(frozen=True)
@@ -211,15 +125,14 @@ def run(
         recorded = deque(writer.recorded)
         vouched = _vouched_deployments(folder / "summary.json", writer.recorded, seed)
         for iteration in range(learning.iterations + 1):
-            residual = learn(nominal, log, learning.residual if iteration > 0 else "none")
-            model = residual.to_dict()
+            learner = learning.learner(nominal, log, iteration)
             if iteration > 0:
-                write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(model))
+                write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(learner.residual.to_dict()))
             if iteration < vouched:
                 steps = _taken_as_recorded(recorded, iteration)
             else:
                 plant = make_plant(np.random.default_rng([seed, iteration]))
-                steps = deploy(CorrectedMap(nominal, residual), plant, reference, iteration)
+                steps = deploy(learner, plant, reference, iteration, 0 if iteration else learning.calibration)
                 steps = _recorded_once(steps, recorded, writer, path)
             with closing(steps):  # so that an error here stops the plant at once
                 for logged in steps:

@@ -1,0 +1,123 @@
+"""What to command where a map may be wrong: the least expected squared error, by a step that hardly can fail.
+
+The squared distance of the next state from the target is expected to be |mean − target|² + variance. Where a map knows
+its error well the variance is the same for all commands, and its least is where mean = target (Eq. 13). Where it does
+not, the least lies nearer to the commands that have been tried: the data themselves bound how far a command leaves
+them. The command of the nominal map is always among those compared, so under the map's own uncertainty a correction
+never makes a step worse.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stepgap.control.step_controller import REACHED, StepController, StepPlan, as_vector, box_grid, descend
+from stepgap.step import Array, Reason, StepFailed, StepMap
+
+RISK = 2.0
+"""Standard deviations by which the next state may be off while the robot must still be able to hop on."""
+APART = 0.2
+"""A step is not taken that lies closer than this to one that failed, in every coordinate [half ranges]."""
+SEARCHED = 9
+"""Commands along each axis of the grid that is searched where no better one is safe."""
+ONWARD = 3
+"""Commands along each axis of which one must lead on from the next state."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarefulController:
+    """Finds the safe command of least expected squared distance to the target.
+
+    Attributes:
+        step_map: Predicts steps and says how sure it is.
+        nominal: What it corrects; it may be the same map.
+        failures: Points (state, command) of steps that failed; shape (k, n + m).
+    """
+
+    step_map: StepMap
+    nominal: StepMap
+    failures: Array
+
+    def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> StepPlan:
+        """Plans one step.
+
+        Args:
+            state: State at this apex; shape (n,).
+            target: State wanted at the next apex; shape (n,).
+            guess: Command to start from; the middle of the bounds if none. Shape (m,).
+
+        Raises:
+            StepFailed: No command that was searched makes a step.
+            ValueError: State, target or guess has the wrong size, or the target or guess is not finite.
+        """
+        exact = StepController(self.step_map)(state, target, guess)
+        if self._sure(state, exact.command) and self.is_safe(state, exact.command):
+            return exact
+        state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
+        commands = np.array([exact.command, *self._cautious_commands(state, target, exact.command)])
+        best = self._best(state, target, commands)
+        if best is None:
+            space = self.step_map.space
+            grid = box_grid(SEARCHED, len(space.command)).reshape(-1, len(space.command))
+            best = self._best(state, target, space.command_centre + space.command_scale * grid)
+        command = exact.command if best is None else best
+        predicted = self.step_map(state, command)
+        distance = float(np.linalg.norm((predicted - target) / self.step_map.space.state_scale))
+        return StepPlan(command, predicted, distance <= REACHED, distance)
+
+    def _sure(self, state: ArrayLike, command: Array) -> bool:
+        """Whether the map errs less there than one measured step scatters."""
+        map_std = self.step_map.std(state, command)
+        return bool((2 * map_std**2 <= self.step_map.std(state, command, include_noise=True) ** 2).all())
+
+    def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
+        """The nominal command, and the nearest ones of least expected squared distance from it and from `start`."""
+        try:
+            nominal = StepController(self.nominal)(state, target, start).command
+        except StepFailed:
+            return [self._descended(state, target, start)]
+        return [nominal, *(self._descended(state, target, command) for command in (start, nominal))]
+
+    def _descended(self, state: Array, target: Array, start: Array) -> Array:
+        space, n = self.step_map.space, len(target)
+        scale = np.concatenate([space.state_scale, space.state_scale])
+
+        def command_at(point: Array) -> Array:
+            return np.clip(space.command_centre + space.command_scale * point, space.command_lower, space.command_upper)
+
+        def residual(point: Array) -> Array:
+            command = command_at(point)
+            mean = self.step_map.evaluate(state, command).next_state
+            return np.concatenate([mean - target, self.step_map.std(state, command)], axis=-1) / scale
+
+        def slope(point: Array) -> Array:
+            command = command_at(point)
+            parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
+            return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
+
+        begin = (start - space.command_centre) / space.command_scale
+        return command_at(descend(residual, slope, begin, bound=1.0).point)
+
+    def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
+        """Of commands (k, m) the safe one of least expected squared distance, None if none is safe."""
+        mean, std = self.step_map.evaluate(state, commands).next_state, self.step_map.std(state, commands)
+        expected = np.sum(((mean - target) ** 2 + std**2) / self.step_map.space.state_scale**2, axis=-1)
+        for i in np.argsort(expected):  # NaN, where the step fails, comes last
+            if self.is_safe(state, commands[i]):
+                return commands[i]
+        return None
+
+    def is_safe(self, state: ArrayLike, command: Array) -> bool:
+        """Whether the step makes an apex from which the robot can hop on, also if it errs, and resembles no failure."""
+        space = self.step_map.space
+        mean, reason = self.step_map.evaluate(state, command)
+        scale = np.concatenate([space.state_scale, space.command_scale])
+        apart = np.abs(self.failures - np.concatenate([state, command])) / scale
+        if reason != Reason.OK or (apart.max(axis=-1, initial=0.0) < APART).any():
+            return False
+        error = np.diag(RISK * self.step_map.std(state, command, include_noise=True))
+        places = np.concatenate([mean[None], mean + error, mean - error])
+        grid = space.command_centre + space.command_scale * box_grid(ONWARD, len(space.command))
+        onward = self.nominal.evaluate(places[:, None], grid.reshape(1, -1, len(space.command))).reason
+        return bool((onward == Reason.OK).any(axis=1).all())

@@ -1,0 +1,138 @@
+"""Against a fine grid over the commands: least expected squared distance, and no step that may fail."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from stepgap.control.careful_controller import APART, RISK, CarefulController
+from stepgap.control.step_controller import StepController
+from stepgap.step import Array, Codes, Reason, StepMap, difference_jacobian
+from tests.control.maps import ClosedFormMap, LossyHopper
+
+NONE = np.empty((0, 4))
+STATE, TARGET = np.array([0.2, 0.58]), np.array([0.3, 0.6])
+
+
+@dataclass(frozen=True)
+class Guessed(ClosedFormMap):
+    """A map whose uncertainty grows with the distance of the command from one that was tried."""
+
+    truth: LossyHopper = LossyHopper(loss=0.45)
+    tried: tuple[float, float] = (0.0, 0.0)
+    growth: tuple[float, float] = (0.004, 0.002)
+    least: float = 0.0005
+    noise: float = 0.001
+
+    @property
+    def space(self):  # noqa: ANN201
+        return self.truth.space
+
+    def next_state(self, state: Array, command: Array) -> Array:
+        return self.truth.next_state(state, command)
+
+    def std(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:
+        state, command = np.broadcast_arrays(np.asarray(state, float), np.asarray(command, float))
+        distance = np.sqrt(1 + np.sum((command - self.tried) ** 2, axis=-1, keepdims=True))
+        std = self.least * np.ones(2) + np.array(self.growth) * (distance - 1)
+        return np.hypot(std, self.noise) if include_noise else std
+
+    def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
+        command = np.asarray(command, float)
+        away = command - self.tried
+        slope = away / np.sqrt(1 + np.sum(away**2, axis=-1, keepdims=True))
+        gradient = np.zeros((*np.shape(command)[:-1], 2, 4))
+        gradient[..., 2:] = np.array(self.growth)[:, None] * slope[..., None, :]
+        return gradient
+
+
+def expected(step_map: StepMap, state: Array, target: Array, command: Array) -> Array:
+    error = step_map.evaluate(state, command).next_state - target
+    return np.sum((error**2 + step_map.std(state, command) ** 2) / step_map.space.state_scale**2, axis=-1)
+
+
+def commands_on_a_grid(step_map: StepMap, count: int) -> Array:
+    axes = [np.linspace(quantity.lower, quantity.upper, count) for quantity in step_map.space.command]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def test_a_map_that_is_sure_gets_the_exact_command() -> None:
+    sure = LossyHopper()
+    careful = CarefulController(sure, sure, NONE)(STATE, TARGET)
+    np.testing.assert_array_equal(careful.command, StepController(sure)(STATE, TARGET).command)
+    assert careful.reached
+
+
+def test_the_gradient_of_the_tests_own_map() -> None:
+    guessed, command, d = Guessed(), np.array([3.0, -7.0]), 1e-6
+    numeric = [(guessed.std(STATE, command + e) - guessed.std(STATE, command - e)) / (2 * d) for e in d * np.eye(2)]
+    np.testing.assert_allclose(guessed.std_gradient(STATE, command)[:, 2:], np.transpose(numeric), rtol=1e-6)
+    assert difference_jacobian(guessed, STATE, command).shape == (2, 4)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_an_unsure_map_gets_the_least_expected_squared_distance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    guessed = Guessed(tried=tuple(rng.uniform([-10, -15], [10, 15])), growth=tuple(rng.uniform(0.001, 0.02, 2)))
+    state, target = rng.uniform([0.0, 0.54], [0.4, 0.62]), rng.uniform([0.0, 0.54], [0.4, 0.62])
+    plan = CarefulController(guessed, LossyHopper(), NONE)(state, target)
+    grid = commands_on_a_grid(guessed, 201)
+    assert expected(guessed, state, target, plan.command) <= expected(guessed, state, target, grid).min() * (1 + 1e-6)
+
+
+def test_never_worse_than_the_command_of_the_nominal_map() -> None:
+    rng, nominal = np.random.default_rng(0), LossyHopper()
+    for _ in range(50):
+        guessed = Guessed(tried=tuple(rng.uniform([-10, -15], [10, 15])), growth=tuple(rng.uniform(0.001, 0.05, 2)))
+        state, target = rng.uniform([0.0, 0.54], [0.4, 0.62]), rng.uniform([0.0, 0.54], [0.4, 0.62])
+        careful = CarefulController(guessed, nominal, NONE)(state, target).command
+        uncorrected = StepController(nominal)(state, target).command
+        assert expected(guessed, state, target, careful) <= expected(guessed, state, target, uncorrected) + 1e-12
+
+
+def test_a_step_like_one_that_failed_is_not_taken_again() -> None:
+    sure = LossyHopper()
+    exact = StepController(sure)(STATE, TARGET).command
+    failed = np.array([[*STATE, *exact]])
+    plan = CarefulController(sure, sure, failed)(STATE, TARGET)
+    apart = np.abs(plan.command - exact) / sure.space.command_scale
+    assert apart.max() >= APART
+    grid = commands_on_a_grid(sure, 9)
+    allowed = (np.abs(grid - exact) / sure.space.command_scale).max(axis=1) >= APART
+    assert expected(sure, STATE, TARGET, plan.command) <= expected(sure, STATE, TARGET, grid[allowed]).min() + 1e-12
+
+
+@dataclass(frozen=True)
+class Cliff(LossyHopper):
+    """From above a height no command leads on."""
+
+    edge: float = 0.62
+
+    def reason(self, state: Array, command: Array) -> Codes:
+        high = np.broadcast_to(state[..., 1] > self.edge, np.broadcast_shapes(state.shape, command.shape)[:-1])
+        return np.where(high, Reason.FELL, Reason.OK)
+
+
+@dataclass(frozen=True)
+class GuessedCliff(Guessed):
+    """The same, unsure."""
+
+    truth: LossyHopper = Cliff()
+
+    def reason(self, state: Array, command: Array) -> Codes:
+        return self.truth.reason(state, command)
+
+
+def test_it_keeps_clear_of_states_from_which_nothing_leads_on() -> None:
+    cliff, target = GuessedCliff(growth=(0.0, 0.0), least=0.002), np.array([0.2, 0.618])
+    plan = CarefulController(cliff, cliff.truth, NONE)(STATE, target)
+    spread = RISK * cliff.std(STATE, plan.command, include_noise=True)[1]
+    assert plan.predicted[1] + spread <= Cliff().edge
+    assert StepController(cliff)(STATE, target).predicted[1] + spread > Cliff().edge
+
+
+def test_where_no_command_is_safe_the_one_that_is_best_is_taken() -> None:
+    cliff = GuessedCliff(growth=(0.0, 0.0), least=0.5)
+    plan = CarefulController(cliff, cliff.truth, NONE)(STATE, TARGET)
+    assert np.isfinite(plan.command).all()
