@@ -21,7 +21,8 @@ from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.files import write_whole
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.residual import KINDS, Residual, ResidualKind, fit_residual
+from stepgap.learning.residual import Residual, fit_residual
+from stepgap.learning.settings import LearningSettings, ResidualKind
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
 from stepgap.plants.plant import Plant
 from stepgap.step import Array, Reason, StepFailed, StepMap
@@ -38,30 +39,6 @@ SAME_AGAIN = "resume with the record, settings, versions and machine that it was
 
 Steps = Generator[LoggedStep, None, None]
 """Steps as they are executed; closing it stops the plant."""
-
-
-@dataclass(frozen=True)
-class LearningSettings:
-    """How often is learnt, and what.
-
-    Attributes:
-        residual: Model of the map's error from the first redeployment on.
-        iterations: Redeployments at most; the first deployment, number 0, uses the nominal map.
-        least_gain: Redeploying stops when the tracking error has not fallen by this fraction of the
-            best so far; judged from the second redeployment on.
-    """
-
-    residual: ResidualKind = "gp"
-    iterations: int = 4
-    least_gain: float = 0.01
-
-    def __post_init__(self) -> None:
-        if self.residual not in KINDS:
-            raise ValueError(f"residual = {self.residual!r}, but it must be one of {', '.join(KINDS)}")
-        if not 0 <= self.iterations <= 1000:
-            raise ValueError(f"iterations = {self.iterations}, but it must lie between 0 and 1000")
-        if not 0 <= self.least_gain < 1:
-            raise ValueError(f"least_gain = {self.least_gain}, but it must be at least 0 and less than 1")
 
 
 @dataclass(frozen=True, eq=False)
