@@ -8,11 +8,12 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import wraps
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import cyclopts
 from cyclopts import App, Parameter
@@ -110,7 +111,25 @@ def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str
     return rest, overrides
 
 
+def says_if_it_compiles(verb: Callable[..., None]) -> Callable[..., None]:
+    """Has a verb that hops say on stderr, unless --quiet, why it takes longer the first time."""
+
+    @wraps(verb)
+    def saying(*arguments: Any, **options: Any) -> None:
+        from stepgap.hybrid.compiling import telling_of_compilation
+
+        def tell() -> None:
+            if not options.get("quiet"):
+                _say("compiling for this machine; takes about half a minute, once")
+
+        with telling_of_compilation(tell):
+            verb(*arguments, **options)
+
+    return saying
+
+
 @app.command
+@says_if_it_compiles
 def run(
     experiment: Path | None = None,
     /,
@@ -173,6 +192,7 @@ def run(
 
 
 @app.command
+@says_if_it_compiles
 def gait(
     experiment: Path | None = None,
     /,
@@ -223,6 +243,7 @@ def gait(
 
 
 @app.command(name="map")
+@says_if_it_compiles
 def map_(
     experiment: Path | None = None,
     /,
@@ -359,6 +380,7 @@ app.command(bench)
 
 
 @bench.command(name="map")
+@says_if_it_compiles
 def bench_map_(
     experiment: Path | None = None,
     /,
