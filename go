@@ -111,7 +111,9 @@ set_up() { # python is the interpreter to make it with
     uv=$(command -v uv || echo bin/uv)
     [ -x "$uv" ] || fetch_uv
     use_pip_mirror
-    "$uv" pip sync --quiet --python bin/python --require-hashes --no-build made-from.new/requirements.lock || fail_to_download
+    # Where Python is told to write no bytecode, every start would compile all it imports anew: numba's takes a second.
+    "$uv" pip sync --quiet ${PYTHONDONTWRITEBYTECODE:+--compile-bytecode} --python bin/python --require-hashes --no-build \
+        made-from.new/requirements.lock || fail_to_download
     "$uv" pip install --quiet --python bin/python --offline --no-deps --no-build-isolation --editable "$root" ||
         fail "the project itself could not be installed; the reason stands above."
     mv made-from.new made-from

@@ -10,13 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from stepgap.cli import main
+from stepgap.hopper.apex_map import ApexMap
 from stepgap.hopper.parameters import CommandBounds
+from stepgap.hybrid.compiled import generic
 from stepgap.learning.step_log import StepWriter
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import RigFault
-from stepgap.step import StepRecord
+from stepgap.step import Outcome, StepRecord
 from tests.command_line import Command, Said, refused
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
@@ -274,6 +277,19 @@ def test_ctrl_c_says_how_to_go_on(finished: Path, stepgap: Command, trouble: Cal
     assert record(Path("my run")) == record(finished / "run")
 
 
+def test_a_verb_says_once_that_it_compiles(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    evaluate = ApexMap.evaluate
+
+    def compiling(nominal: ApexMap, state: ArrayLike, command: ArrayLike) -> Outcome:
+        for function in (lambda x: x, lambda x: 2 * x):
+            generic(function)(1.0)
+        return evaluate(nominal, state, command)
+
+    monkeypatch.setattr(ApexMap, "evaluate", compiling)
+    main(["map"])
+    assert capfd.readouterr().err == "stepgap: compiling for this machine; takes about half a minute, once\n"
+
+
 def raising(error: Exception) -> Callable[[], None]:
     def happen() -> None:
         raise error
@@ -326,9 +342,18 @@ def test_the_version_is_that_of_the_package(stepgap: Command) -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+\S*\n", stepgap("--version").out)
 
 
-def test_help_waits_for_nothing_heavy() -> None:
-    asked = (
-        "import sys, stepgap.cli; print([m for m in ('numba', 'scipy', 'mujoco', 'matplotlib') if m in sys.modules])"
-    )
+HEAVY = {"numpy", "numba", "scipy", "mujoco", "matplotlib", "rich.markdown"}
+
+
+@pytest.mark.parametrize("arguments", ["--help", "run --help", "--no-such-option", "run --no-such-option"])
+def test_help_and_a_wrong_option_wait_for_nothing_heavy(arguments: str) -> None:
+    asked = f"""
+import sys, stepgap.cli
+try:
+    stepgap.cli.main({arguments.split()})
+except SystemExit:
+    pass
+print({HEAVY} & sys.modules.keys(), file=sys.stderr)
+"""
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"
+    assert done.stderr.splitlines()[-1] == "set()"

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from stepgap.control.reference import paper_reference
 from stepgap.experiment import Experiment, InputError, load_reference, read_experiment, write_experiment
 from stepgap.hopper.parameters import CommandBounds, Gains
+from stepgap.learning.settings import LearningSettings
 from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.sim_to_real import LearningSettings
 
 SPACE = CommandBounds().space()
 

@@ -15,13 +15,13 @@ from stepgap.control.reference import Reference
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.residual import GaussianProcessResidual, NoResidual, residual_from_dict
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, read_step_log
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.rigs.rig import RigFault
 from stepgap.sim_to_real import (
     Deployment,
-    LearningSettings,
     Observer,
     deploy,
     learn,

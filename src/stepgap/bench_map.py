@@ -93,7 +93,7 @@ def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Say = lambda line: 
     size, rng = QUICK if quick else FULL, np.random.default_rng(seed)
     states, commands = draw(nominal, rng, size.points)
     with _peers() as catalogue:
-        say("compiling" if catalogue else "no checkout, so no peers: their code lies in benchmarks/peers")
+        say("peers" if catalogue else "no checkout, so no peers: their code lies in benchmarks/peers")
         found, skipped = catalogue.engines(nominal, quick) if catalogue else ([], {})
         reference = catalogue.reference(nominal, quick) if catalogue else None
         truth = None if reference is None else np.array([reference(*point) for point in zip(states, commands)])  # noqa: B905

@@ -8,14 +8,14 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import wraps
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import cyclopts
-import numpy as np
 from cyclopts import App, Parameter
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
@@ -41,6 +41,7 @@ app = App(
     help_epilogue="Any setting of an experiment can be given as --TABLE.KEY VALUE, such as --gains.stiffness 2400. "
     "Tables: robot, gains, command, learning, gap; the experiment.toml of any run lists every key. "
     "--debug shows where an error arose.",
+    help_format="plaintext",
     default_parameter=Parameter(negative=(), show_default=False),
 )
 
@@ -110,7 +111,25 @@ def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str
     return rest, overrides
 
 
+def says_if_it_compiles(verb: Callable[..., None]) -> Callable[..., None]:
+    """Has a verb that hops say on stderr, unless --quiet, why it takes longer the first time."""
+
+    @wraps(verb)
+    def saying(*arguments: Any, **options: Any) -> None:
+        from stepgap.hybrid.compiling import telling_of_compilation
+
+        def tell() -> None:
+            if not options.get("quiet"):
+                _say("compiling for this machine; takes about half a minute, once")
+
+        with telling_of_compilation(tell):
+            verb(*arguments, **options)
+
+    return saying
+
+
 @app.command
+@says_if_it_compiles
 def run(
     experiment: Path | None = None,
     /,
@@ -134,12 +153,15 @@ def run(
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
     """
+    import numpy as np
+
     from stepgap.experiment import load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.plants.rig_plant import RigPlant
     from stepgap.progress import Progress
     from stepgap.report import write_report
-    from stepgap.rigs.twin import GroundProfile, Twin
+    from stepgap.rigs.twin.model import GroundProfile
+    from stepgap.rigs.twin.twin import Twin
     from stepgap.run_verb import check_reach, check_twin, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
 
@@ -170,6 +192,7 @@ def run(
 
 
 @app.command
+@says_if_it_compiles
 def gait(
     experiment: Path | None = None,
     /,
@@ -220,6 +243,7 @@ def gait(
 
 
 @app.command(name="map")
+@says_if_it_compiles
 def map_(
     experiment: Path | None = None,
     /,
@@ -314,6 +338,8 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
 
 def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
     """Builds a table of commands, measures what interpolation costs, and saves it."""
+    import numpy as np
+
     from stepgap.control.command_table import build_table, measure_table
     from stepgap.control.command_table_file import write_table
     from stepgap.map_verb import describe_table
@@ -354,6 +380,7 @@ app.command(bench)
 
 
 @bench.command(name="map")
+@says_if_it_compiles
 def bench_map_(
     experiment: Path | None = None,
     /,

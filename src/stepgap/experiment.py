@@ -13,8 +13,8 @@ import tomli_w
 from stepgap.control.reference import Reference, paper_reference, read_reference
 from stepgap.files import write_whole
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.learning.settings import LearningSettings
 from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.sim_to_real import LearningSettings
 from stepgap.step import StepSpace
 
 LARGEST_FILE = 2**20

@@ -3,12 +3,15 @@
 import csv
 from io import StringIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stepgap.control.command_table import CommandTable, TableError
 from stepgap.control.reference import numbers_in_row
 from stepgap.step import Array, Outcome, Quantity, Reason, StepSpace
+
+if TYPE_CHECKING:  # imports SciPy, for which one point need not wait
+    from stepgap.control.command_table import CommandTable, TableError
 
 LARGEST_FILE = 2**28
 """Largest file of points that is read [bytes]."""
@@ -67,7 +70,7 @@ def describe_step(space: StepSpace, next_state: Array, jacobian: Array) -> str:
     return "\n".join(lines)
 
 
-def describe_table(table: CommandTable, error: TableError) -> str:
+def describe_table(table: "CommandTable", error: "TableError") -> str:
     """How much of a table is within reach and what interpolation costs there, in words."""
     space = table.space
     return "\n".join(

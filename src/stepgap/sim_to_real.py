@@ -6,7 +6,7 @@ It knows no robot: a nominal `StepMap`, something that makes a `Plant`, and a `R
 import json
 import platform
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -18,13 +18,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.control.reference import Reference
-from stepgap.control.step_controller import StepController
+from stepgap.deployment import Deployment, Steps, deploy, summarise
 from stepgap.files import write_whole
-from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.residual import KINDS, Residual, ResidualKind, fit_residual
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
 from stepgap.plants.plant import Plant
-from stepgap.step import Array, Reason, StepFailed, StepMap
+from stepgap.step import Array, StepMap
 
 SCHEMA = 1
 """Version of `summary.json`."""
@@ -34,30 +34,6 @@ RECORDED_VERSIONS = ("stepgap", "numpy", "scipy", "numba", "mujoco")
 
 SAME_AGAIN = "resume with the record, settings, versions and machine that it was started with"
 """What to do when a replay does not give the recorded steps."""
-
-
-@dataclass(frozen=True)
-class LearningSettings:
-    """How often is learnt, and what.
-
-    Attributes:
-        residual: Model of the map's error from the first redeployment on.
-        iterations: Redeployments at most; the first deployment, number 0, uses the nominal map.
-        least_gain: Redeploying stops when the tracking error has not fallen by this fraction of the
-            best so far; judged from the second redeployment on.
-    """
-
-    residual: ResidualKind = "gp"
-    iterations: int = 4
-    least_gain: float = 0.01
-
-    def __post_init__(self) -> None:
-        if self.residual not in KINDS:
-            raise ValueError(f"residual = {self.residual!r}, but it must be one of {', '.join(KINDS)}")
-        if not 0 <= self.iterations <= 1000:
-            raise ValueError(f"iterations = {self.iterations}, but it must lie between 0 and 1000")
-        if not 0 <= self.least_gain < 1:
-            raise ValueError(f"least_gain = {self.least_gain}, but it must be at least 0 and less than 1")
 
 
 def repeatability(steps: StepLog, reference: Reference) -> Array:
@@ -125,7 +101,7 @@ def run(
         recorded = deque(writer.recorded)
         vouched = _vouched_deployments(folder / "summary.json", writer.recorded, seed)
         for iteration in range(learning.iterations + 1):
-            learner = learning.learner(nominal, log, iteration)
+            learner = Learner(nominal, log, learning, iteration)
             if iteration > 0:
                 write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(learner.residual.to_dict()))
             if iteration < vouched:
@@ -138,7 +114,8 @@ def run(
                 for logged in steps:
                     log.append(logged)
                     observer.on_step(logged)
-            deployments.append(summarise(log.of_iteration(iteration), reference, model["kind"]))
+            kind = learning.residual if learning.lessons(iteration) else learner.residual.kind
+            deployments.append(summarise(log.of_iteration(iteration), reference, kind))
             if not recorded:
                 write_whole(folder / "summary.json", json.dumps(_summary(deployments, log, reference, seed), indent=1))
             observer.on_deployment(deployments[-1])

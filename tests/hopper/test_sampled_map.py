@@ -8,7 +8,8 @@ from stepgap.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.hopper.sampled_map import SampledApexMap
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.twin import RealityGap, Twin
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
 from stepgap.step import Reason
 
 CONTINUOUS = ApexMap()

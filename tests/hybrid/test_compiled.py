@@ -95,6 +95,17 @@ def test_a_second_process_compiles_only_what_changed_in_a_called_file(package) -
     assert run(CALL, package.parent) == "6.0 0"
 
 
+def test_only_a_process_that_compiles_tells(package) -> None:
+    told = """
+from stepgap.hybrid.compiling import telling_of_compilation
+from robot.outer import doubled
+with telling_of_compilation(lambda: print("compiling")):
+    print(doubled(1.0), doubled(2))
+"""
+    assert run(told, package.parent) == "compiling\n4.0 6.0"
+    assert run(told, package.parent) == "4.0 6.0"
+
+
 def test_a_change_of_a_constant_from_a_file_without_compiled_functions_is_noticed(package) -> None:
     assert run(CALL, package.parent) == "4.0 0"
     (package / "numbers.py").write_text("FACTOR = 3.0\n")

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 
 from stepgap.hopper.parameters import Gains, RobotParameters
 from stepgap.rigs.rig import Reading, RigFault
-from stepgap.rigs.twin import RealityGap, Twin
 from stepgap.rigs.twin.model import GroundProfile, build_model
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
 
 ROBOT = RobotParameters()
 NONE = RealityGap.none()

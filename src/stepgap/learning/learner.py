@@ -7,9 +7,10 @@ from typing import Self
 import numpy as np
 
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.fit_residual import ResidualKind, fit_residual
-from stepgap.learning.observations import observe
+from stepgap.learning.observations import next_context, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
+from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, Reason, StepMap
 
@@ -34,18 +35,20 @@ class Learner:
     Args:
         nominal: Map of the physics model.
         log: Steps known before the deployment.
-        kind: What models the error.
-        lessons: Steps of the deployment that it learns from; inf for all of them.
+        learning: What models the error, and whether steps of this deployment are learnt from.
+        iteration: Number of the deployment.
     """
 
-    def __init__(self, nominal: StepMap, log: StepLog, kind: ResidualKind, lessons: float = 0):
-        self.nominal, self._kind, self._lessons = nominal, kind, lessons
+    def __init__(self, nominal: StepMap, log: StepLog, learning: LearningSettings, iteration: int):
+        self.nominal, self._learning, self._iteration = nominal, learning, iteration
+        self._lessons = learning.lessons(iteration)
         self._log = StepLog(log.space, log)
-        self._residual = self._fitted(self._log)
+        self._residual = self._fitted(self._log, None)
         self._advantage: deque[float] = deque(maxlen=WATCHED)
         self._pool = ThreadPoolExecutor(1)
         self._fit: Future[Residual] | None = None
-        self._fitted_steps = self._due = len(self._log)
+        self._fit_from = self._due = len(self._log)
+        self._since: list[tuple[Array, Array, Array]] = []
 
     def __enter__(self) -> Self:
         return self
@@ -55,8 +58,8 @@ class Learner:
 
     @property
     def residual(self) -> Residual:
-        """Model of actual − nominal, as it stands."""
-        return self._residual
+        """Model of actual − nominal for the step to come."""
+        return self._residual.given(self._context())
 
     @property
     def failures(self) -> Array:
@@ -69,38 +72,41 @@ class Learner:
         """The map to plan the next step with."""
         advantage = np.array(self._advantage)
         worse = len(advantage) == WATCHED and advantage.sum() < -SIGNIFICANT * np.sqrt(np.sum(advantage**2))
-        return CorrectedMap(self.nominal, no_residual(*self._residual.sizes) if worse else self._residual)
+        return CorrectedMap(self.nominal, no_residual(*self._residual.sizes) if worse else self.residual)
 
     def observe(self, logged: LoggedStep) -> None:
         """Takes in the step just executed."""
-        record, scale = logged.record, self.nominal.space.state_scale
+        record, scale, context = logged.record, self.nominal.space.state_scale, self._context()
         self._log.append(logged)
         error = record.next_state - self.nominal.evaluate(record.state, record.applied).next_state
         if not np.isfinite(error).all():
             return
-        point = join_points(record.state, record.applied)
-        left = error - self._residual.mean(point)
+        residual, point = self._residual.given(context), join_points(record.state, record.applied)
+        left = error - residual.mean(point)
         self._advantage.append(float(np.sum((error / scale) ** 2) - np.sum((left / scale) ** 2)))
         if self._lessons > 0:
             self._lessons -= 1
-            self._residual = self._residual.append(point, error)
-            self._fit_beside()
+            self._residual = residual.append(point, error)
+            self._since.append((context, point, error))
+            self._fit_anew()
 
-    def _fit_beside(self) -> None:
+    def _fit_anew(self) -> None:
         """Begins a fit where the steps have grown in number, and takes over the one that is due."""
         count = len(self._log)
         if not self._lessons > 0:
-            self._residual, self._fit = self._fitted(self._log), None
-        elif self._fit is None and count >= GROWTH * self._fitted_steps:
-            self._fit = self._pool.submit(self._fitted, StepLog(self._log.space, self._log))
-            self._fitted_steps, self._due = count, count + 1 + count // FITTED_A_HOP
+            self._residual = self._fitted(self._log, self._residual)
+        elif self._fit is None and count >= GROWTH * self._fit_from:
+            self._fit = self._pool.submit(self._fitted, StepLog(self._log.space, self._log), self._residual)
+            self._fit_from, self._due, self._since = count, count + 1 + count // FITTED_A_HOP, []
         elif self._fit is not None and count >= self._due:
-            residual, self._fit = self._fit.result(), None
-            later = observe(StepLog(self._log.space, list(self._log)[self._fitted_steps :]), self.nominal)
-            for point, error in zip(later.points, later.error, strict=True):
-                residual = residual.append(point, error)
-            self._residual = residual
+            self._residual, self._fit = self._fit.result(), None
+            for context, point, error in self._since:
+                self._residual = self._residual.given(context).append(point, error)
 
-    def _fitted(self, log: StepLog) -> Residual:
-        observations = observe(log, self.nominal)
-        return fit_residual(self._kind if len(observations) else "none", observations)
+    def _fitted(self, log: StepLog, start: Residual | None) -> Residual:
+        learning, observations = self._learning, observe(log, self.nominal)
+        kind = learning.residual if len(observations) else "none"
+        return fit_residual(kind, observations, learning.features, learning.memory, start)
+
+    def _context(self) -> Array:
+        return next_context(self._log, self.nominal, self._iteration)

@@ -6,23 +6,15 @@ A residual takes points, which are a state and a command side by side; shape (â€
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, final, get_args
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_fit import fit_gaussian_process, fit_like_fitrgp
+from stepgap.learning.settings import KINDS, GaussianProcessKind, ResidualKind
 from stepgap.step import Array, StepSpace
-
-GaussianProcessKind = Literal["gp", "fitrgp"]
-"""Our Gaussian process, or the one that MATLAB's `fitrgp` would have given."""
-
-ResidualKind = Literal["none"] | GaussianProcessKind
-"""The models that `fit_residual` fits."""
-
-KINDS: tuple[str, ...] = ("none", *get_args(GaussianProcessKind))
-"""Their names."""
 
 
 class Residual(ABC):
