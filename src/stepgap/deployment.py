@@ -25,7 +25,7 @@ class Deployment:
     Attributes:
         iteration: Its number.
         residual: Kind of the residual model that the controller used.
-        steps: Steps executed.
+        steps: Steps executed, those of a calibration included, of which no errors are counted.
         falls: Steps that ended without an apex; at most one, because the deployment ends with it.
         rmse: Root-mean-square error; shape (n,).
         mae: Mean absolute error; shape (n,).
@@ -47,8 +47,9 @@ class Deployment:
 
 def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment:
     """The errors of one deployment's steps."""
-    numbers = np.array([logged.step - 1 for logged in steps.completed()], dtype=int)
-    error = steps.completed().next_state - steps.completed().target
+    tracked = StepLog(steps.space, (logged for logged in steps.completed() if logged.step > 0))
+    numbers = np.array([logged.step - 1 for logged in tracked], dtype=int)
+    error = tracked.next_state - tracked.target
 
     def rms(rows: Array) -> Array:
         return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)

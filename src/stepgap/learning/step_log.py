@@ -26,8 +26,8 @@ class LoggedStep:
 
     Attributes:
         iteration: Deployment it belongs to, from 0.
-        step: Its number within the deployment, from 1.
-        target: State wanted at its end; shape (n,).
+        step: Its number within the deployment, from 1; calibrating steps come before, up to number 0.
+        target: State wanted at its end; of a calibrating step the one predicted; shape (n,).
         predicted: State that the controller's map predicted for the command asked; NaN where it knew no
             command that makes a step; shape (n,).
         std: Standard deviation of that prediction, zero for a map without one; shape (n,).
@@ -89,7 +89,8 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
 def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
     """Raises ValueError unless a step can follow the one before it."""
     here = (logged.iteration, logged.step)
-    following = [(0, 1)] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, 1)]
+    first = (0, min(1, logged.step))
+    following = [first] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, 1)]
     if last is not None and last.record.reason != Reason.OK:
         del following[0]
     if here not in following:
