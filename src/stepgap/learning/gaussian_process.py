@@ -122,6 +122,11 @@ class GaussianProcess:
         """
         return self._std(self._blockwise(self._kriging_variance, point), include_noise)
 
+    def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+        """∂std/∂point; shape (…, d) [unit of the values per unit of each input]; see `kriging_std_gradient`."""
+        half = self._blockwise(lambda query: self._half_variance_gradient(query, self._whiten(query)), point)
+        return self._std_gradient(half, self.std(point, include_noise=include_noise))
+
     def kriging_std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """∂kriging_std/∂point; shape (…, d) [unit of the values per unit of each input].
 
@@ -131,10 +136,16 @@ class GaussianProcess:
             point: Shape (…, d).
             include_noise: As for `kriging_std`.
         """
-        signal_std = self.hyper_parameters.signal_std
-        half = signal_std**2 * self._blockwise(self._half_variance_gradient, point)
-        std = self.kriging_std(point, include_noise=include_noise)[..., None]
-        return np.divide(half, std, out=np.zeros_like(half), where=std != 0)
+        basis = self.least_squares.basis
+
+        def gradient(query: Array) -> Array:
+            whitened = self._whiten(query)
+            surplus = (1 - basis @ whitened) / (basis @ basis)
+            return self._half_variance_gradient(query, whitened + np.outer(basis, surplus))
+
+        return self._std_gradient(
+            self._blockwise(gradient, point), self.kriging_std(point, include_noise=include_noise)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Data and hyper-parameters as JSON-ready numbers; everything else follows from them."""
@@ -213,13 +224,16 @@ class GaussianProcess:
         whitened, basis = self._whiten(query), self.least_squares.basis
         return self._prior(query) - (whitened**2).sum(axis=0) + (1 - basis @ whitened) ** 2 / (basis @ basis)
 
-    def _half_variance_gradient(self, query: Array) -> Array:
-        """½ ∂(variance of universal kriging)/∂query; shape (Q, d)."""
-        whitened, basis = self._whiten(query), self.least_squares.basis
-        surplus = (1 - basis @ whitened) / (basis @ basis)
-        weights = self.least_squares.factor.solve_transposed(whitened + np.outer(basis, surplus)).T
+    def _half_variance_gradient(self, query: Array, whitened: Array) -> Array:
+        """½ ∂variance/∂query [signal²], given factorᵀ times the weights that values have (N, Q); shape (Q, d)."""
+        weights = self.least_squares.factor.solve_transposed(whitened).T
         lean = self._lean(query) - weights @ self._data_lean
         return lean * self._steepness - self._kernel_gradient(query, weights)
+
+    def _std_gradient(self, half: Array, std: Array) -> Array:
+        """∂std/∂point (…, d), given ½ ∂variance/∂point [signal²] (…, d) and the standard deviation (…)."""
+        half, std = self.hyper_parameters.signal_std**2 * half, std[..., None]
+        return np.divide(half, std, out=np.zeros_like(half), where=std != 0)
 
     def _kernel_gradient(self, query: Array, weights: Array) -> Array:
         """∂(k @ weights)/∂query for weights (N,) or (Q, N); shape (Q, d)."""

@@ -5,7 +5,7 @@ Equations marked RW are those of Rasmussen and Williams, Gaussian Processes for 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
@@ -57,6 +57,7 @@ def fit_gaussian_process(
     *,
     basis: Basis = "constant",
     start: HyperParameters | None = None,
+    last_length_scale: float | None = None,
 ) -> GaussianProcess:
     """Most probable hyper-parameters under weak priors, one length scale per input.
 
@@ -74,11 +75,13 @@ def fit_gaussian_process(
             it half the range of the values: then those that do not vary leave standard deviations that are tiny.
         basis: Constant, or constant and slopes whose size the data choose.
         start: Hyper-parameters of a former fit, from which this one then begins, besides a single cold start.
+        last_length_scale: Length scale of the last input, where it is given and not to be searched.
     """
     points, values, input_scale = checked_data(points, values, input_scale)
     if value_scale is None:
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
-    evidence = Evidence(points / input_scale, values, points.shape[1], LEAST_NOISE * value_scale, value_scale)
+    least_noise = LEAST_NOISE * value_scale
+    evidence = Evidence(points / input_scale, values, points.shape[1], least_noise, value_scale, last_length_scale)
     starts = cold_starts(points.shape[1], basis)
     if start is not None:
         starts = [_log_parameters(start, basis), starts[0]]
@@ -121,6 +124,7 @@ class Evidence:
         length_scales: How many there are: d, or 1 in common for all inputs.
         least_noise: Lower bound of the noise's standard deviation.
         value_scale: Scale of the signal's prior. None: no priors, and β not integrated out: maximum likelihood.
+        last_length_scale: Length scale of the last input, where it is not searched.
     """
 
     points: Array
@@ -128,6 +132,7 @@ class Evidence:
     length_scales: int
     least_noise: float
     value_scale: float | None
+    last_length_scale: float | None = None
 
     def loss(self, log_parameters: Array) -> tuple[float, Array]:
         """Negative log posterior and its gradient, of the shape of the parameters (RW Eqs. 2.45, 5.8, 5.9)."""
@@ -225,24 +230,27 @@ def _search(evidence: Evidence, starts: Sequence[Array]) -> Array:
     with threadpool_limits(limits=1, user_api="blas"):  # more threads only wait for each other at these sizes
         if len(evidence.values) > COLD_START_SIZE and len(starts) > 1:
             some = np.linspace(0, len(evidence.values) - 1, COLD_START_SIZE).astype(int)
-            part = Evidence(
-                evidence.points[some],
-                evidence.values[some],
-                evidence.length_scales,
-                evidence.least_noise,
-                evidence.value_scale,
-            )
+            part = replace(evidence, points=evidence.points[some], values=evidence.values[some])
             starts = [_descend(part, starts)]
         return _descend(evidence, starts)
 
 
 def _descend(evidence: Evidence, starts: Sequence[Array]) -> Array:
     bounds = [LENGTH_SCALE_BOUNDS] * evidence.length_scales + [NOISE_RATIO_BOUNDS, SLOPE_RATIO_BOUNDS]
+    if evidence.last_length_scale is not None:
+        bounds[evidence.length_scales - 1] = (evidence.last_length_scale, evidence.last_length_scale)
     log_bounds = np.log(bounds[: len(starts[0])])
     # The loss counts nats: 1e-8 of some hundreds or thousands is far less than matters.
     options = {"maxiter": 200, "ftol": 1e-8, "gtol": 1e-3}
     ends = [
-        minimize(evidence.loss, start, jac=True, method="L-BFGS-B", bounds=log_bounds, options=options)
+        minimize(
+            evidence.loss,
+            np.clip(start, *log_bounds.T),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=log_bounds,
+            options=options,
+        )
         for start in starts
     ]
     return min(ends, key=lambda end: end.fun).x

@@ -1,24 +1,23 @@
 """The Gaussian processes as regressions of a residual's coordinate."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, final
+from dataclasses import dataclass
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_triangular
 
-from stepgap.learning.gaussian_process import GaussianProcess
-from stepgap.learning.regression import DataRegression, Prediction
+from stepgap.learning.gaussian_process import GaussianProcess, append
+from stepgap.learning.regression import Prediction, Regression
 from stepgap.step import Array
 
-GaussianProcessKind = Literal["gp", "gp_on_linear", "fitrgp"]
-"""Ours with a constant or a linear basis, or the one that MATLAB's `fitrgp` would have given."""
+GAUSSIAN_PROCESSES = ("gp", "gp_on_linear", "fitrgp")
+"""Kinds: ours with a constant or a linear basis, or the one that MATLAB's `fitrgp` would have given."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class GaussianProcessRegression(DataRegression):
+class GaussianProcessRegression(Regression):
     """A Gaussian process.
 
     Attributes:
@@ -26,7 +25,7 @@ class GaussianProcessRegression(DataRegression):
         process: The process.
     """
 
-    kind: GaussianProcessKind
+    kind: str
     process: GaussianProcess
 
     @property
@@ -49,28 +48,29 @@ class GaussianProcessRegression(DataRegression):
 
     def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """∂std/∂point; shape (…, d)."""
-        raise NotImplementedError
+        gradient = self.process.std_gradient if self.kind == "fitrgp" else self.process.kriging_std_gradient
+        return gradient(point, include_noise=include_noise)
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Each value as predicted, with noise, from those outside its block (RW Eqs. 5.10–5.12, by blocks).
+        """Each value as predicted, with noise, from those outside its block (RW Eq. 5.12, block by block).
 
-        The basis is estimated anew without the block.
+        β is estimated from those alone, too. Of nothing nothing is predicted: NaN.
         """
         solved, values = self.process.least_squares, self.process.values
-        whitened = solve_triangular(solved.factor, np.eye(len(values)), lower=True)
-        basis, _ = np.linalg.qr(solved.basis.reshape(len(values), -1))
-        whitened -= basis @ (basis.T @ whitened)
-        precision, weights = whitened.T @ whitened, solved.weights
-        means, variances = np.empty(len(values)), np.empty(len(values))
+        mean, variance = np.full(len(values), np.nan), np.full(len(values), np.nan)
+        whitened = solved.factor.solve(np.eye(len(values)))
+        basis = solved.basis / np.linalg.norm(solved.basis)
+        whitened -= np.outer(basis, basis @ whitened)
         for block in blocks:
-            covariance = np.linalg.inv(precision[block, block])
-            means[block] = values[block] - covariance @ weights[block]
-            variances[block] = covariance.diagonal()
-        return Prediction(means, self.process.hyper_parameters.signal_std * np.sqrt(variances))
+            if len(values[block]) < len(values):
+                covariance = np.linalg.inv(whitened[:, block].T @ whitened[:, block])
+                mean[block] = values[block] - covariance @ solved.weights[block]
+                variance[block] = covariance.diagonal()
+        return Prediction(mean, self.process.hyper_parameters.signal_std * np.sqrt(variance))
 
     def append(self, point: ArrayLike, value: float) -> "GaussianProcessRegression":
-        """The same process, conditioned on one more value."""
-        raise NotImplementedError
+        """The same process, conditioned on one more value, in O(N²)."""
+        return GaussianProcessRegression(self.kind, append(self.process, point, value))
 
     def to_dict(self) -> dict[str, Any]:
         """Data and hyper-parameters."""

@@ -6,19 +6,13 @@ the last are in half ranges, from the middle of the range; the first step of a d
 """
 
 from dataclasses import dataclass
-from typing import Literal, final, get_args
+from typing import final
 
 import numpy as np
 
-from stepgap.learning.residual import join_points
+from stepgap.learning.residual import Hindsight
 from stepgap.learning.step_log import StepLog
 from stepgap.step import Array, StepMap, StepSpace
-
-Features = Literal["none", "previous_error", "previous_step"]
-"""What of the step before is an input: nothing, its error, or error, applied command and state."""
-
-FEATURES: tuple[Features, ...] = get_args(Features)
-"""Their names."""
 
 
 @final
@@ -59,6 +53,16 @@ class Observations:
     def __len__(self) -> int:
         return len(self.state)
 
+    def points(self, hindsight: Hindsight) -> Array:
+        """State, applied command, and what of the past is an input; shape (N, n + m + c)."""
+        n, m = len(self.space.state), len(self.space.command)
+        context = self.context
+        if context is None:
+            if hindsight.features != "none":
+                raise ValueError(f"features {hindsight.features!r} need the context of the steps; observe a log")
+            context = np.arange(float(len(self)))[:, None] * np.eye(2 * n + m + 1)[-1]
+        return np.hstack([self.state, self.applied_command, hindsight.inputs(context, n)])
+
 
 def observe(log: StepLog, nominal: StepMap) -> Observations:
     """The nominal map's error at the steps of a log that ended with an apex, at the commands applied.
@@ -69,7 +73,7 @@ def observe(log: StepLog, nominal: StepMap) -> Observations:
     told = _told(nominal.space, error, log.applied, log.state)
     follows = np.array([logged.step > 1 for logged in log], dtype=bool)
     before = np.where(follows[:, None], np.roll(told, 1, axis=0), 0.0)
-    context = np.hstack([before, np.arange(len(log))[:, None]])
+    context = np.hstack([before, np.arange(float(len(log)))[:, None]])
     known = np.isfinite(error).all(axis=1)
     return Observations(nominal.space, log.state[known], log.applied[known], error[known], context[known])
 

@@ -56,24 +56,20 @@ class Regression(ABC):
         """∂std/∂point; shape (…, d)."""
 
     @abstractmethod
+    def left_out(self, blocks: Sequence[slice]) -> Prediction:
+        """Each of the N values learnt from, as predicted from those outside its block, at the same hyper-parameters.
+
+        Args:
+            blocks: Consecutive parts of the N values.
+        """
+
+    @abstractmethod
     def append(self, point: ArrayLike, value: float) -> "Regression":
         """The same model with one more value, at the same hyper-parameters."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data with the `kind`."""
-
-
-class DataRegression(Regression):
-    """One that is conditioned on N values, so that it can tell how well it predicts those it has not seen."""
-
-    @abstractmethod
-    def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Each value as predicted, with noise, from those outside its block, at the same hyper-parameters.
-
-        Args:
-            blocks: A partition of the N values.
-        """
 
 
 @final
@@ -83,7 +79,7 @@ class Zero(Regression):
 
     Attributes:
         size: Number of inputs d.
-        noise_std: How far values lie from zero, as far as that is known; without values 0.
+        noise_std: How far noisy values lie from zero; 0 where that is not known.
     """
 
     kind = "none"
@@ -110,6 +106,11 @@ class Zero(Regression):
     def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:  # noqa: ARG002
         """Zero; shape (…, d)."""
         return self.mean_gradient(point)
+
+    def left_out(self, blocks: Sequence[slice]) -> Prediction:
+        """Zero, with the noise of all values."""
+        size = blocks[-1].stop
+        return Prediction(np.zeros(size), np.full(size, self.noise_std))
 
     def append(self, point: ArrayLike, value: float) -> "Zero":  # noqa: ARG002
         """The same."""

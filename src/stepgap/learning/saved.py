@@ -37,3 +37,14 @@ def whole(data: Mapping[str, Any], key: str, least: int = 1) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
         raise ValueError(f"{key} must be a whole number from {least} on, not {value!r:.40}")
     return value
+
+
+def truth(data: Mapping[str, Any], key: str) -> bool:
+    """The truth value saved under `key`.
+
+    Raises:
+        ValueError: The key is missing, or holds anything else.
+    """
+    if not isinstance(data.get(key), bool):
+        raise ValueError(f"{key} must be true or false, not {data.get(key)!r:.40}")
+    return data[key]
