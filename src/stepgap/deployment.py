@@ -78,12 +78,12 @@ def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int,
         calibration: Steps before that, numbered up to 0, whose commands are chosen for what they teach.
     """
     command = None
-    goals = goals_of(reference, learner.nominal) if calibration else None
     with learner, plant:
         state = plant.start()
         for number in range(1 - calibration, len(reference) + 1):
             controller = CarefulController(learner.step_map(), learner.nominal, learner.failures)
             if number < 1:
+                goals = goals_of(reference, controller.step_map)
                 plan = calibrating_plan(controller, learner.residual, state, goals)
             else:
                 plan = tracking_plan(controller, state, reference.targets[number - 1], command)

@@ -26,7 +26,7 @@ class Guessed(ClosedFormMap):
     noise: float = 0.001
 
     @property
-    def space(self):  # noqa: ANN201
+    def space(self):
         return self.truth.space
 
     def next_state(self, state: Array, command: Array) -> Array:
@@ -38,7 +38,7 @@ class Guessed(ClosedFormMap):
         std = self.least * np.ones(2) + np.array(self.growth) * (distance - 1)
         return np.hypot(std, self.noise) if include_noise else std
 
-    def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
+    def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:  # noqa: ARG002
         command = np.asarray(command, float)
         away = command - self.tried
         slope = away / np.sqrt(1 + np.sum(away**2, axis=-1, keepdims=True))

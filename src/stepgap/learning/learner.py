@@ -1,4 +1,4 @@
-"""What is known of the map's error at every step: a residual fitted to a log, watched and, on request, kept learning."""
+"""What is known of the map's error at every step: a residual fitted to a log, watched, and on request learning on."""
 
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,0 +1,125 @@
+"""Learning from hop to hop gives what a fit to the whole log gives, and a correction that misleads is left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepgap.learning.learner import WATCHED, Learner
+from stepgap.learning.observations import observe
+from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.settings import LearningSettings, ResidualKind
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.step import Array, Reason, StepMap, StepRecord
+from tests.control.maps import LossyHopper
+
+NOMINAL, REALITY = LossyHopper(), LossyHopper(loss=0.45, keep=0.6, drift=0.09)
+NOISE = np.array([0.004, 0.001])
+ONLINE = LearningSettings(online=True)
+
+
+def hops(reality: StepMap, count: int, seed: int, iteration: int = 0, first: int = 1) -> list[LoggedStep]:
+    """Random hops, each from where the one before ended."""
+    rng, space, state, steps = np.random.default_rng(seed), reality.space, np.array([0.2, 0.58]), []
+    for number in range(first, first + count):
+        command = rng.uniform(0.5 * space.command_lower, 0.5 * space.command_upper)
+        after = reality(state, command) + rng.normal(0, NOISE)
+        record = StepRecord(state, command, command, after, Reason.OK)
+        steps.append(LoggedStep(iteration, number, after, after, np.zeros(2), record))
+        state = after
+    return steps
+
+
+def log_of(steps: list[LoggedStep]) -> StepLog:
+    return StepLog(NOMINAL.space, steps)
+
+
+def taught(learner: Learner, steps: list[LoggedStep]) -> Learner:
+    with learner:
+        for logged in steps:
+            learner.observe(logged)
+    return learner
+
+
+def fitted(steps: list[LoggedStep], kind: ResidualKind = "gp"):
+    return fit_residual(kind, observe(log_of(steps), NOMINAL))
+
+
+POINTS = np.random.default_rng(9).uniform([0.0, 0.54, -10, -15], [0.4, 0.62, 10, 15], (20, 4))
+
+
+def test_before_a_deployment_it_knows_the_log() -> None:
+    steps = hops(REALITY, 40, seed=0)
+    learner = Learner(NOMINAL, log_of(steps), LearningSettings(), iteration=1)
+    np.testing.assert_array_equal(learner.residual.mean(POINTS), fitted(steps).mean(POINTS))
+
+
+def test_offline_a_deployment_teaches_nothing() -> None:
+    steps = hops(REALITY, 40, seed=0)
+    learner = Learner(NOMINAL, log_of(steps), LearningSettings(), iteration=1)
+    before = learner.residual.mean(POINTS)
+    taught(learner, hops(REALITY, 30, seed=1, iteration=1))
+    np.testing.assert_array_equal(learner.residual.mean(POINTS), before)
+
+
+@pytest.mark.parametrize("kind", ["constant", "linear", "gp", "auto"])
+def test_online_the_error_falls_from_hop_to_hop(kind: ResidualKind) -> None:
+    learner = Learner(NOMINAL, log_of([]), replace(ONLINE, residual=kind), iteration=0)
+    truth = REALITY.evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state
+
+    def error() -> Array:
+        missed = learner.step_map().evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state - truth
+        return np.sqrt(np.mean(missed**2, axis=0))
+
+    at_first = error()
+    taught(learner, hops(REALITY, 60, seed=2))
+    assert (error() < (0.9 if kind == "constant" else 0.35) * at_first).all()
+
+
+def test_the_newest_step_counts_for_the_next_one() -> None:
+    learner = Learner(NOMINAL, log_of(hops(REALITY, 30, seed=0)), ONLINE, iteration=1)
+    (logged,) = hops(REALITY, 1, seed=7, iteration=1)
+    point = np.concatenate([logged.record.state, logged.record.applied])
+    with learner:
+        before = learner.residual
+        learner.observe(logged)
+        error = logged.record.next_state - NOMINAL(logged.record.state, logged.record.applied)
+        np.testing.assert_allclose(learner.residual.mean(POINTS), before.append(point, error).mean(POINTS), atol=1e-12)
+
+
+def test_the_same_steps_give_the_same_model_however_long_fits_take() -> None:
+    steps = hops(REALITY, 50, seed=3)
+    one, other = (taught(Learner(NOMINAL, log_of([]), ONLINE, 0), steps).residual.mean(POINTS) for _ in range(2))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_calibration_teaches_its_steps_and_no_more() -> None:
+    settings = LearningSettings(calibration=12)
+    learner = Learner(NOMINAL, log_of([]), settings, iteration=0)
+    steps = hops(REALITY, 12, seed=4, first=-11)
+    taught(learner, steps)
+    known = learner.residual.mean(POINTS)
+    np.testing.assert_allclose(known, fitted(steps).mean(POINTS), rtol=1e-3, atol=1e-5)
+    learner = Learner(NOMINAL, log_of([]), settings, iteration=0)
+    taught(learner, hops(REALITY, 32, seed=4, first=-11))
+    np.testing.assert_allclose(learner.residual.mean(POINTS), known, atol=1e-12)
+
+
+def test_a_correction_that_predicts_worse_is_left_out_until_it_is_better() -> None:
+    learner = Learner(NOMINAL, log_of(hops(REALITY, 40, seed=0)), LearningSettings(), iteration=1)
+    with learner:
+        assert learner.step_map().residual.kind == "gp"
+        for logged in hops(NOMINAL, WATCHED, seed=5, iteration=1):
+            learner.observe(logged)
+        assert learner.step_map().residual.kind == "none"
+        for logged in hops(REALITY, WATCHED, seed=6, iteration=1, first=WATCHED + 1):
+            learner.observe(logged)
+        assert learner.step_map().residual.kind == "gp"
+
+
+def test_steps_that_failed_are_remembered() -> None:
+    (logged,) = hops(REALITY, 1, seed=0)
+    failed = replace(logged, record=replace(logged.record, next_state=np.full(2, np.nan), reason=Reason.FELL))
+    learner = Learner(NOMINAL, log_of([failed]), LearningSettings(), iteration=1)
+    np.testing.assert_array_equal(learner.failures, [[*failed.record.state, *failed.record.applied]])
+    assert Learner(NOMINAL, log_of([]), LearningSettings(), iteration=1).failures.shape == (0, 4)
