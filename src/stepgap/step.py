@@ -196,7 +196,7 @@ class StepMap(ABC):
             StepFailed: The arguments are one step and it fails. In a batch such a step gives NaN.
         """
         next_state, reason = self.evaluate(state, command)
-        if next_state.ndim == 1 and reason != Reason.OK:
+        if next_state.ndim == 1 and int(reason) != Reason.OK:
             raise StepFailed(Reason(int(reason)))
         return next_state
 

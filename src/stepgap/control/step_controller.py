@@ -6,11 +6,11 @@ All points here are scaled: the command bounds are -1 and 1, and residuals count
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import get_lapack_funcs
 from scipy.ndimage import minimum_filter
 
 from stepgap.step import Array, Reason, StepFailed, StepMap
@@ -29,6 +29,7 @@ GRID_POINTS = (81, 1089)
 """Points of the search grid; the second is tried where every step of the first fails."""
 BASINS = 3
 ZOOM_ROUNDS = 12
+(_gesv,) = get_lapack_funcs(("gesv",), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +161,12 @@ def descend(residual: Residual, slope: Slope, start: Array, bound: float) -> Sol
         cost = value @ value
         if cost <= TOLERANCE**2 or damping > MOST_DAMPING:
             break
-        step = box_step(matrix, value, -bound - point, bound - point, damping * np.sum(matrix**2))
+        weight = damping * np.sum(matrix**2) if damping else 0.0
+        step = box_step(matrix, value, -bound - point, bound - point, weight)
         linear = value + matrix @ step
         expected = cost - linear @ linear
-        exact = np.abs(point - origin).max() <= NEARBY
         if expected <= FLAT * cost:
-            if exact:
+            if _is_near(point, origin):
                 return Solution(point, float(_length(value)), settled=True)
             matrix, origin, damping = _renewed(slope, point, matrix), point, 0.0
             continue
@@ -173,7 +174,8 @@ def descend(residual: Residual, slope: Slope, start: Array, bound: float) -> Sol
         failed = not np.isfinite(trial).all()
         gain = -np.inf if failed else cost - trial @ trial
         if not failed:
-            matrix = matrix + np.outer(trial - linear, step) / (step @ step)
+            matrix = matrix + (trial - linear)[:, None] * (step / (step @ step))
+        before = point
         if gain > 1e-4 * expected:
             point, value = point + step, trial
         elif cost <= REACHED**2:
@@ -181,7 +183,7 @@ def descend(residual: Residual, slope: Slope, start: Array, bound: float) -> Sol
         if gain > 0.75 * expected:
             damping = damping / 8 if damping > 1e-2 else 0.0
         elif gain < 0.25 * expected:
-            if failed or exact:
+            if failed or _is_near(before, origin):
                 damping = max(8 * damping, 1e-2)
             else:
                 matrix, origin = _renewed(slope, point, matrix), point
@@ -201,10 +203,9 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
     """
     k = len(lower)
     if damping == 0.0 and matrix.shape == (k, k):
-        with suppress(np.linalg.LinAlgError):
-            step = np.asarray(np.linalg.solve(matrix, -value), float)
-            if ((lower <= step) & (step <= upper)).all():
-                return step
+        _, _, step, failure = _gesv(matrix, -value)
+        if not failure and ((lower <= step) & (step <= upper)).all():
+            return step
     matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(k)])
     value = np.append(value, np.zeros(k))
     step, free = np.zeros(k), np.ones(k, bool)
@@ -227,6 +228,10 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
             break
         free[worst] = True
     return np.clip(step, lower, upper)
+
+
+def _is_near(point: Array, origin: Array) -> bool:
+    return bool(np.abs(point - origin).max() <= NEARBY)
 
 
 def _renewed(slope: Slope, point: Array, matrix: Array) -> Array:

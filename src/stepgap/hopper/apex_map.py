@@ -8,11 +8,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.hopper.dynamics import Masses, masses_of
 from stepgap.hopper.hop import INVALID, OK, Tolerances, ascend, descend
 from stepgap.hopper.joint_control import JointLaw, joint_law
+from stepgap.hopper.leg import Leg
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.hybrid.compiled import compiled
 from stepgap.hybrid.integrator import Tolerance, make_trace
@@ -26,6 +28,19 @@ FINER = 0.01
 """Tolerance of stance for the Jacobian relative to that for the map: where a motor hardly saturates, it errs more."""
 
 
+def _packed(masses: Masses, law: JointLaw, tolerances: Tolerances) -> Array:
+    """The constants in a row: Python hands over an array ten times faster than nested tuples."""
+    return np.array([*masses.leg, *masses[1:], *law[1:], *tolerances.flight, *tolerances.stance])
+
+
+@compiled
+def _unpacked(constants):
+    """(masses, law, tolerances) again."""
+    numbers = to_fixed_tuple(constants, 24)  # pyright: ignore[reportCallIssue]  (Numba adds the first argument)
+    leg, flight, stance = Leg(*numbers[:3]), Tolerance(*numbers[20:22]), Tolerance(*numbers[22:])
+    return Masses(leg, *numbers[3:12]), JointLaw(leg, *numbers[12:20]), Tolerances(flight, stance)
+
+
 @compiled
 def _same_state(points, i):
     """Whether point i starts from the state of the one before it, so that the hop is the same up to mid-stance."""
@@ -33,14 +48,15 @@ def _same_state(points, i):
 
 
 @compiled
-def _hop_all(masses, law, tolerances, points, next_state, reason):
+def _hop_all(constants, points, next_state, reason):
     """Fills `next_state` (n, 2) and `reason` (n,) for points (speed, height, fx, fy) of shape (n, 4)."""
+    masses, law, tolerances = _unpacked(constants)
     trace, landed, middle = make_trace(), INVALID, (0.0, 0.0, 0.0, 0.0)
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
             landed, middle = descend(masses, law, tolerances, speed, height, trace, False)
-        reason[i] = landed if np.isfinite(force_x + force_y) else INVALID
+        reason[i], next_state[i] = landed if np.isfinite(force_x + force_y) else INVALID, np.nan
         if reason[i] == OK:
             reason[i], next_state[i, 0], next_state[i, 1] = ascend(
                 masses, law, tolerances, middle, force_x, force_y, trace, False
@@ -48,8 +64,9 @@ def _hop_all(masses, law, tolerances, points, next_state, reason):
 
 
 @compiled
-def _differentiate_all(masses, law, tolerances, nudge, points, jacobian):
+def _differentiate_all(constants, nudge, points, jacobian):
     """Fills `jacobian` (n, 2, 4): neighbours at a distance `nudge` (4,) retrace the steps of each point."""
+    masses, law, tolerances = _unpacked(constants)
     way_down, way_up = make_trace(), make_trace()
     landed, middle = INVALID, (0.0, 0.0, 0.0, 0.0)
     faster, higher = middle, middle
@@ -111,8 +128,18 @@ class ApexMap(StepMap):
         return self.bounds.space()
 
     @cached_property
-    def _constants(self) -> tuple[Masses, JointLaw, Tolerances]:
-        return masses_of(self.robot), joint_law(self.robot, self.gains), self.tolerances
+    def _constants(self) -> Array:
+        return _packed(masses_of(self.robot), joint_law(self.robot, self.gains), self.tolerances)
+
+    @cached_property
+    def _finer_constants(self) -> Array:
+        flight, stance = self.tolerances
+        finer = Tolerances(flight, Tolerance(FINER * stance.relative, FINER * stance.absolute))
+        return _packed(masses_of(self.robot), joint_law(self.robot, self.gains), finer)
+
+    @cached_property
+    def _nudge(self) -> Array:
+        return NUDGE * np.concatenate([self.space.state_scale, self.space.command_scale])
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next apexes and reason codes; state (…, 2) and command (…, 2) broadcast.
@@ -123,8 +150,8 @@ class ApexMap(StepMap):
             ValueError: The last axis of state or command has not two numbers.
         """
         points, leading = as_points(state, command)
-        next_state, reason = np.full((len(points), 2), np.nan), np.zeros(len(points), dtype=np.int64)
-        on_all_cores(_hop_all, self._constants, points, next_state, reason)
+        next_state, reason = np.empty((len(points), 2)), np.empty(len(points), np.int64)
+        on_all_cores(_hop_all, (self._constants,), points, next_state, reason)
         return Outcome(next_state.reshape(*leading, 2), reason.reshape(leading))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
@@ -137,10 +164,7 @@ class ApexMap(StepMap):
         """
         points, leading = as_points(state, command)
         jacobian = np.full((len(points), 2, 4), np.nan)
-        nudge = NUDGE * np.concatenate([self.space.state_scale, self.space.command_scale])
-        masses, law, (flight, stance) = self._constants
-        finer = Tolerances(flight, Tolerance(FINER * stance.relative, FINER * stance.absolute))
-        on_all_cores(_differentiate_all, (masses, law, finer, nudge), points, jacobian)
+        on_all_cores(_differentiate_all, (self._finer_constants, self._nudge), points, jacobian)
         return jacobian.reshape(*leading, 2, 4)
 
 
@@ -151,7 +175,7 @@ def as_points(state: ArrayLike, command: ArrayLike) -> tuple[Array, tuple[int, .
         raise ValueError(
             f"state {state.shape} and command {command.shape} must end with the axes (speed, height) and (fx, fy)"
         )
-    leading = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
+    leading = np.broadcast(state, command).shape[:-1]
     points = np.empty((*leading, 4))
     points[..., :2], points[..., 2:] = state, command
     return points.reshape(-1, 4), leading

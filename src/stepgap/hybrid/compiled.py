@@ -22,6 +22,12 @@ import numba
 from numba.core import config
 from numba.extending import overload
 
+OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
+"""No interpreter lock; IEEE division, by a reciprocal where that is shared; products may be fused with sums.
+
+Sums are not regrouped: Numba tests whether x is finite by x − x, which would always be 0 then.
+"""
+
 
 @lru_cache
 def _digest(package: Path) -> str:
@@ -74,11 +80,11 @@ def generic(function: Callable[..., Any]) -> Callable[..., Any]:
     Its cache would name that type, and whoever cannot import it could not read the cache any more. The
     compiled functions that call it are cached, with it inside.
     """
-    return numba.njit(nogil=True, error_model="numpy")(function)
+    return numba.njit(**OPTIONS)(function)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles `function` with Numba: no interpreter lock, IEEE division, cached on disk.
+    """Compiles `function` with Numba under `OPTIONS`, cached on disk.
 
     Functions compiled with it may call each other and take each other as arguments.
     """
@@ -90,7 +96,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     there = _digest(_package_folder(file))
     config.CACHE_DIR = str(cache / f"{here}-{there}")
     try:
-        return numba.njit(nogil=True, error_model="numpy", cache=True)(function)
+        return numba.njit(cache=True, **OPTIONS)(function)
     finally:
         config.CACHE_DIR = previous
 
