@@ -1,7 +1,7 @@
 """Settings: read strictly, refused with what would be right, written so that they are read back as they were."""
 
 import math
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +75,16 @@ def test_options_override_the_file(tmp_path: Path) -> None:
     assert type(experiment.gains.stiffness) is float
 
 
+def test_a_preset_of_the_gap_comes_before_single_keys(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text("[gap]\ndelay = 0.002\npreset = 'none'\n")
+    experiment = read_experiment(tmp_path / "e.toml", [("gap.torque_scale", "0.9")])
+    assert experiment.gap == replace(RealityGap.none(), delay=0.002, torque_scale=0.9)
+    assert read_experiment(tmp_path / "e.toml", [("gap.preset", "paper")]).gap == RealityGap()
+    write_experiment(tmp_path, experiment, paper_reference())
+    assert "preset" not in (tmp_path / "experiment.toml").read_text()
+    assert read_experiment(tmp_path / "experiment.toml").gap == experiment.gap
+
+
 def test_options_that_are_right_together_may_come_in_any_order() -> None:
     both = [("command.fx_lower", "20"), ("command.fx_upper", "30")]
     for overrides in (both, both[::-1]):
@@ -107,6 +117,9 @@ WRONG = {
     "[learning]\nresidual = 3": "[learning] residual = 3, but it must be a text in quotes",
     "[learning]\nleast_gain = nan": "[learning] least_gain = nan, but it must be",
     "[gap]\nboom_arc = 1": "[gap] boom_arc = 1, but it must be true or false",
+    "[gap]\npreset = 'papre'": "[gap] preset = 'papre', but it must be 'paper' or 'none'; did you mean 'paper'?",
+    "[gap]\npreset = [1]": "[gap] preset = [1], but it must be 'paper' or 'none'",
+    "[gap]\npreste = 'none'": "[gap] preste: unknown key; did you mean preset?",
     "[gap]\nground_friction = -1": "[gap] ground_friction = -1.0, but it must be positive",
     "[robot]\nbody_mass = -1": "[robot] body_mass = -1.0, but it must be positive",
     "[robot]\nbottom_length = 0.1": "[robot] bottom_length = 0.1, but it must exceed top_length = 0.11",

@@ -221,6 +221,7 @@ def test_the_folder_is_the_contract(unbroken: Path) -> None:
         assert [entry[key] for key in ("iteration", "residual", "steps", "falls")] == [number, residual, 16, 0]
         assert all(set(entry[measure]) == {"speed", "height"} for measure in measures)
     assert set(summary["repeatability"]) == {"speed", "height"}
+    assert summary["repeatability_measured"] is False
 
 
 def test_the_summary_holds_what_the_steps_say(unbroken: Path) -> None:
@@ -237,6 +238,25 @@ def test_same_seed_same_bytes_other_seed_others(unbroken: Path, tmp_path: Path) 
     run_in(tmp_path / "other", seed=4)
     assert contents(tmp_path / "same") == contents(unbroken)
     assert contents(tmp_path / "other")["steps.csv"] != contents(unbroken)["steps.csv"]
+
+
+def test_a_measured_repeatability_is_recorded_and_measured_once(tmp_path: Path) -> None:
+    told: list[tuple[StepMap, float]] = []
+
+    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
+        told.append((step_map, rng.random()))
+        return np.array([0.003, np.nan])
+
+    for _ in range(2):
+        run(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, tmp_path, 3, measure_spread=measure)
+        summary = json.loads((tmp_path / "summary.json").read_text())
+        assert summary["repeatability"] == {"speed": 0.003, "height": None}
+        assert summary["repeatability_measured"] is True
+    ((step_map, drawn),) = told
+    assert isinstance(step_map, CorrectedMap)
+    assert drawn == np.random.default_rng([3, 2, 1]).random()
+    learned = json.loads((tmp_path / "models" / "iteration_2.json").read_text())
+    assert step_map.residual.to_dict() == learned
 
 
 def test_every_step_is_on_disk_before_anyone_hears_of_it(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from cyclopts import App, Parameter
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
     from stepgap.plants.plant import Plant
-    from stepgap.step import StepMap
+    from stepgap.step import Array, StepMap
 
 Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
 """Settings given as `--table.key value`."""
@@ -159,6 +159,7 @@ def run(
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.plants.rig_plant import RigPlant
     from stepgap.progress import Progress
+    from stepgap.repeatability import measure_repeatability
     from stepgap.report import write_report
     from stepgap.rigs.twin.model import GroundProfile
     from stepgap.rigs.twin.twin import Twin
@@ -175,9 +176,15 @@ def run(
 
     ground = GroundProfile(settings.gap, settings.robot.boom_length, np.random.default_rng(settings.seed))
 
-    def make_plant(rng: np.random.Generator) -> "Plant":
+    def make_twin(rng: np.random.Generator) -> tuple[RigPlant, Twin]:
         twin = Twin(settings.robot, settings.gap, rng, ground=ground)
-        return RigPlant(twin, settings.robot, settings.gains, settings.command)
+        return RigPlant(twin, settings.robot, settings.gains, settings.command), twin
+
+    def make_plant(rng: np.random.Generator) -> "Plant":
+        return make_twin(rng)[0]
+
+    def measure_spread(step_map: "StepMap", rng: np.random.Generator) -> "Array":
+        return measure_repeatability(*make_twin(rng), step_map, targets, rng)
 
     check_reach(nominal, targets, settings.reference)
     check_twin(make_plant)
@@ -185,7 +192,16 @@ def run(
         start_folder(folder, settings, targets)
     try:
         with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
-            run_experiment(nominal, make_plant, targets, settings.learning, folder, settings.seed, progress.observer)
+            run_experiment(
+                nominal,
+                make_plant,
+                targets,
+                settings.learning,
+                folder,
+                settings.seed,
+                progress.observer,
+                measure_spread,
+            )
         print(write_report(folder))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"; go on with: stepgap run --out {shlex.quote(str(folder))} --resume") from None

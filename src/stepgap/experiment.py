@@ -23,6 +23,9 @@ LARGEST_FILE = 2**20
 PAPER = "paper"
 """Name of the built-in reference."""
 
+PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": RealityGap.none}
+"""What `[gap] preset` may name; a preset sets every difference before single keys change some."""
+
 LARGEST_WHOLE = 10**300
 """Whole numbers from here on are not taken for a number."""
 
@@ -170,12 +173,29 @@ def _with_table(name: str) -> str:
 
 def _changed(experiment: Experiment, table: Mapping[str, Any], place: Place) -> Experiment:
     """The experiment with the values of a TOML table; InputError if it is none then."""
-    experiment = _merge(experiment, table, place)
+    experiment = _merge(*_with_preset(experiment, table, place), place)
     try:
         experiment.gains.check(experiment.robot)
     except ValueError as error:
         raise _located(error, place, "gains.") from None
     return experiment
+
+
+def _with_preset(
+    experiment: Experiment, table: Mapping[str, Any], place: Place
+) -> tuple[Experiment, Mapping[str, Any]]:
+    """The experiment with the gap that `[gap] preset` names, and the table without that key."""
+    gap = table.get("gap")
+    if not isinstance(gap, Mapping) or "preset" not in gap:
+        return experiment, table
+    name = gap["preset"]
+    if name not in list(PRESETS):
+        close = get_close_matches(str(name), PRESETS, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        wanted = " or ".join(f"'{known}'" for known in PRESETS)
+        raise InputError(f"{place('gap.preset')} = {_shown(name)}, but it must be {wanted}{hint}")
+    rest = {key: value for key, value in gap.items() if key != "preset"}
+    return replace(experiment, gap=PRESETS[name]()), {**table, "gap": rest}
 
 
 def _merge(settings: Any, table: Mapping[str, Any], place: Place, prefix: str = "") -> Any:
@@ -186,6 +206,7 @@ def _merge(settings: Any, table: Mapping[str, Any], place: Place, prefix: str = 
     for key, value in table.items():
         here = place(prefix + key)
         if key not in known:
+            known += ["preset"] if type(settings) is RealityGap else []
             close = get_close_matches(key, known, n=1)
             hint = f"did you mean {close[0]}?" if close else f"the keys here are {', '.join(known)}"
             raise InputError(f"{here}: unknown key; {hint}")

@@ -36,6 +36,10 @@ SAME_AGAIN = "resume with the record, settings, versions and machine that it was
 """What to do when a replay does not give the recorded steps."""
 
 
+MeasureSpread = Callable[[StepMap, np.random.Generator], Array]
+"""Measures the repeatability of a plant under the step controller of a map; shape (n,)."""
+
+
 def repeatability(steps: StepLog, reference: Reference) -> Array:
     """Spread of the next state at equal state and command, at most about this [state units]; shape (n,).
 
@@ -74,6 +78,7 @@ def run(
     folder: Path,
     seed: int,
     observer: Observer = Observer(),
+    measure_spread: MeasureSpread | None = None,
 ) -> list[Deployment]:
     """Runs the experiment, or goes on with one that was broken off, and keeps its record in `folder`.
 
@@ -90,16 +95,19 @@ def run(
         folder: An existing folder.
         seed: Of all randomness; deployment K draws from `default_rng([seed, K])`.
         observer: Whom to tell.
+        measure_spread: Measures the repeatability under the last controller; drawing from `default_rng([seed, K, 1])`
+            after deployment K. Without it, it is estimated from the steady steps.
 
     Raises:
         ValueError: The reference is not one for this map.
         RecordError: The folder's record is not one of this experiment, or another process is writing it.
     """
     reference.check(nominal.space)
-    path, log, deployments = folder / "steps.csv", StepLog(nominal.space), []
+    path, log, deployments, learner = folder / "steps.csv", StepLog(nominal.space), [], None
     with StepWriter(path, nominal.space) as writer, threadpool_limits(limits=1, user_api="blas"):  # same bytes anywhere
         recorded = deque(writer.recorded)
         vouched = _vouched_deployments(folder / "summary.json", writer.recorded, seed)
+        known_spread = _measured_spread(folder / "summary.json", nominal.space.state_names)
         for iteration in range(learning.iterations + 1):
             learner = Learner(nominal, log, learning, iteration)
             if iteration > 0:
@@ -121,6 +129,12 @@ def run(
             observer.on_deployment(deployments[-1])
             if not _worth_going_on(deployments, nominal.space.state_scale, learning.least_gain):
                 break
+        if measure_spread and learner and not recorded:
+            spread = known_spread if vouched == len(deployments) else None
+            if spread is None:
+                spread = measure_spread(learner.step_map(), np.random.default_rng([seed, deployments[-1].iteration, 1]))
+            summary = _summary(deployments, log, reference, seed, spread)
+            write_whole(folder / "summary.json", json.dumps(summary, indent=1))
     if recorded:
         raise RecordError(f"{path}: it has steps after the last deployment of this experiment; {SAME_AGAIN}")
     return deployments
@@ -135,6 +149,16 @@ def _vouched_deployments(path: Path, recorded: StepLog, seed: int) -> int:
         return 0  # none, or not ours: it will be written anew
     known = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < count))
     return count if (seed, digest(known)) == wanted else 0
+
+
+def _measured_spread(path: Path, names: Sequence[str]) -> Array | None:
+    """The repeatability that `summary.json` holds, if it was measured."""
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        known = [summary["repeatability"][name] for name in names]
+        return np.array(known, float) if summary["repeatability_measured"] is True else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _taken_as_recorded(recorded: deque[LoggedStep], iteration: int) -> Steps:
@@ -169,8 +193,11 @@ def _worth_going_on(deployments: Sequence[Deployment], scale: Array, least_gain:
     return len(errors) < 3 or errors[-1] == inf or errors[-1] <= (1 - least_gain) * min(errors[:-1])
 
 
-def _summary(deployments: Sequence[Deployment], log: StepLog, reference: Reference, seed: int) -> dict[str, Any]:
+def _summary(
+    deployments: Sequence[Deployment], log: StepLog, reference: Reference, seed: int, measured: Array | None = None
+) -> dict[str, Any]:
     """The content of `summary.json`; NaN becomes null. Its digest vouches for `steps.csv` as it stood then."""
+    last = log.of_iteration(deployments[-1].iteration)
     names = log.space.state_names
 
     def named(values: Array) -> dict[str, float | None]:
@@ -190,7 +217,8 @@ def _summary(deployments: Sequence[Deployment], log: StepLog, reference: Referen
             }
             for deployment in deployments
         ],
-        "repeatability": named(repeatability(log.of_iteration(deployments[-1].iteration), reference)),
+        "repeatability": named(repeatability(last, reference) if measured is None else measured),
+        "repeatability_measured": measured is not None,
         "steps_sha256": digest(log),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in RECORDED_VERSIONS}},
     }

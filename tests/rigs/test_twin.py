@@ -368,15 +368,99 @@ def test_applied_torque_is_the_limited_one():
     assert make().write(1e6, 0.0) == (ROBOT.torque_limit, 0.0)
 
 
-def test_torque_noise_has_the_declared_spread():
-    twin = make(replace(NONE, torque_noise=0.2))
+@pytest.mark.parametrize("memory", [0.0, 2e-3])
+def test_torque_noise_has_the_declared_spread_and_memory(memory: float):
+    twin = make(replace(NONE, torque_noise=0.2, torque_noise_time=memory), hold=10.0)
     noise = []
-    for _ in range(2000):
+    for _ in range(4000):
         twin.write(0.0, 0.0)
         noise.append(twin._data.qfrc_applied[twin._motor_1])
-        if not twin.true_state().held:
-            twin.connect()
-    assert np.std(noise) == pytest.approx(0.2, rel=0.05)
+    assert np.std(noise) == pytest.approx(0.2, rel=0.06)
+    expected = np.exp(-1e-3 / memory) if memory else 0.0
+    assert np.corrcoef(noise[:-1], noise[1:])[0, 1] == pytest.approx(expected, abs=0.05)
+
+
+def test_motors_deliver_what_imbalance_and_saturation_leave():
+    twin = make(replace(NONE, torque_imbalance=0.1, torque_saturation=30.0))
+    assert twin.write(20.0, -40.0) == (20.0, -40.0), "the drive does not know"
+    np.testing.assert_allclose(
+        twin._data.actuator_force, [1.1 * 30 * np.tanh(20 / 30), -0.9 * 30 * np.tanh(40 / 30)], rtol=1e-12
+    )
+
+
+def test_a_motor_encoder_may_have_its_zero_elsewhere():
+    gap = replace(NONE, motor_offset_1=0.01, motor_offset_2=-0.02)
+    shift = np.array(make(gap).read()[:2]) - make().read()[:2]
+    np.testing.assert_allclose(shift * 2 * pi / make().layout.motor_counts, [0.01, -0.02], rtol=1e-9)
+
+
+@pytest.mark.parametrize("arc", [False, True])
+def test_the_boom_bearing_takes_the_declared_momentum(arc: bool):
+    """Momentum falls by friction × time + drag × way; the two twins differ in nothing else."""
+    free = replace(NONE, boom_arc=arc, ground_friction=1.0)
+    braked = replace(free, boom_friction=0.3, boom_drag=0.8)
+    states = []
+    for gap in (free, braked):
+        twin = make(gap, tick=1e-4, start_height=0.6, start_speed=0.4, hold=0.02)
+        servo = Servo(twin, stiffness=2000.0, damping=2.0)
+        for _ in range(1700):
+            servo.tick()
+        states.append(twin.true_state())
+    mass = mass_matrix(generalised(states[0])[0])[0, 0]
+    lost = mass * (states[0].hip_rate[0] - states[1].hip_rate[0])
+    assert lost == pytest.approx(0.3 * 0.15 + 0.8 * states[1].hip[0], rel=0.01)
+
+
+def test_a_leaning_boom_axis_pulls_around_the_circle():
+    gap = replace(NONE, boom_arc=True, ground_friction=1.0, boom_tilt=0.02)
+    twin = make(gap, tick=1e-4, start_height=0.6, hold=0.02)
+    uphill, downhill = (twin.fork(np.random.default_rng(0), turn) for turn in (-pi / 2, pi / 2))
+    speeds = []
+    for each in (uphill, twin, downhill):
+        servo = Servo(each, stiffness=2000.0, damping=2.0)
+        for _ in range(1200):
+            servo.tick()
+        speeds.append(each.true_state().hip_rate[0])
+    mass = ROBOT.body_mass + 2 * (ROBOT.top_mass + ROBOT.bottom_mass)
+    pull = ROBOT.gravity * sin(0.02) * mass / (mass + ROBOT.boom_inertia_horizontal / ROBOT.boom_length**2)
+    np.testing.assert_allclose(speeds, [-pull * 0.1, 0, pull * 0.1], atol=0.02 * pull * 0.1)
+
+
+# Forks
+
+
+def test_a_fork_goes_on_bit_for_bit():
+    gap = replace(RealityGap(), torque_noise=0.0, delay=3e-3)
+    twin = make(gap, start_height=0.4, start_speed=0.3, hold=0.02)
+    servo = Servo(twin)
+    for ticks in (15, 60, 120):  # held, in flight, in stance
+        for _ in range(ticks):
+            servo.tick()
+        fork = twin.fork(np.random.default_rng(9))
+        other = Servo(fork)
+        other.last = servo.last
+        assert [servo.tick() for _ in range(60)] == [other.tick() for _ in range(60)]
+        assert fork.true_state().qpos.tolist() == twin.true_state().qpos.tolist()
+
+
+def test_forks_repeat_each_other_where_their_noise_does_and_leave_their_origin_alone():
+    twins = [make(RealityGap(), start_height=0.4, start_speed=0.3, hold=0.02) for _ in range(2)]
+    for twin in twins:
+        run(twin, 60)
+    first, same, other = (run(twins[0].fork(np.random.default_rng(seed)), 200) for seed in (1, 1, 2))
+    assert first == same != other
+    assert run(twins[0], 100) == run(twins[1], 100)
+
+
+def test_a_fork_on_a_turned_floor_meets_it_where_it_is_turned_to():
+    gap = replace(NONE, boom_arc=True, ground_friction=0.5, ground_slope=0.02)
+    twin = make(gap, start_height=0.5)
+    ahead = twin.true_state().foot[0]  # the foot protrudes
+    fork = twin.fork(np.random.default_rng(0), turn=pi / 2)
+    before, after = twin.true_state(), fork.true_state()
+    assert before.ground_height == pytest.approx(ahead * np.tan(0.02), rel=0.05)
+    assert after.ground_height == pytest.approx(ROBOT.boom_length * np.tan(0.02), rel=1e-3)
+    assert after.qpos.tolist() == before.qpos.tolist()
 
 
 # Rig
@@ -386,7 +470,7 @@ def test_layout_tells_how_to_read_the_counts():
     layout = make(RealityGap(), tick=5e-4).layout
     assert (layout.tick, layout.boom_length, layout.pivot_height) == (5e-4, 1.854, RealityGap().boom_pivot_height)
     assert (layout.motor_counts, layout.boom_counts_horizontal, layout.boom_counts_vertical) == (16384, 5000, 16384)
-    assert (layout.touchdown_force, layout.takeoff_length) == (5.0, 0.28)
+    assert (layout.touchdown_force, layout.takeoff_length) == (5.0, RealityGap().takeoff_length)
     assert make().layout.motor_counts < inf
 
 
@@ -429,6 +513,9 @@ def test_true_state_leaves_the_motion_alone():
 
 CHANGED = {
     "boom_arc": False,
+    "boom_drag": 0.5,
+    "ground_slope": 0.001,
+    "torque_imbalance": 0.02,
     "torque_limit": 0.5,
     "motor_counts": 1000,
     "boom_counts_horizontal": 500,

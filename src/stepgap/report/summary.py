@@ -53,6 +53,7 @@ class Summary:
         seed: Of all randomness.
         deployments: Those that are finished, rising.
         repeatability: Spread of the next state at equal state and command, NaN where unknown; shape (n,).
+        measured: Whether the repeatability was measured by repeating steps, not estimated from steady ones.
         versions: Of the software, as far as recorded.
         steps_sha256: Digest of the steps that the deployments are made of; empty if not recorded.
     """
@@ -60,6 +61,7 @@ class Summary:
     seed: int | None = None
     deployments: tuple[FinishedDeployment, ...] = ()
     repeatability: Array | None = None
+    measured: bool = False
     versions: tuple[tuple[str, str], ...] = ()
     steps_sha256: str = ""
 
@@ -94,6 +96,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
         _whole(fields, "seed", 0, source),
         tuple(deployments),
         _errors(fields, "repeatability", names, source),
+        fields.get("repeatability_measured") is True,
         tuple((name, str(version)) for name, version in versions.items()),
         str(fields.get("steps_sha256", "")),
     )

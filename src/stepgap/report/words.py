@@ -102,9 +102,15 @@ def _floor(record: RunRecord) -> list[str]:
     spreads = ", ".join(f"{state[row].name} {decimal(spread[row])}{_unit(state[row])}" for row in known)
     errors = record.deployments[-1].errors["steady_rmse"]
     ratios = ", ".join(f"{decimal(errors[row] / spread[row], 2)} times that in {state[row].name}" for row in known)
+    how = (
+        f"is {spreads} (measured: steps repeated with the command and all motion at the apex equal, at other places "
+        "and with other noise). No method can beat it"
+        if record.summary.measured
+        else f"is at most about {spreads} (what a linear fit leaves of the steady steps of the last deployment; the "
+        "true one may be smaller)"
+    )
     return [
-        f"Repeatability, how far the next state spreads from equal state and command, is at most about {spreads} "
-        "(what a linear fit leaves of the steady steps of the last deployment; the true one may be smaller). "
+        f"Repeatability, how far the next state spreads from equal state and command, {how}. "
         f"The last steady RMSE is {ratios}."
     ]
 

@@ -7,7 +7,7 @@ origin; in the plane the hip starts over it. Angles of the leg turn forward, abo
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
 
-from math import inf, isinf, pi, sin, sqrt, tan
+from math import cos, inf, isinf, pi, sin, sqrt, tan
 
 import mujoco
 import numpy as np
@@ -75,6 +75,12 @@ def carried_mass(robot: RobotParameters, gap: RealityGap) -> float:
     return gap.body_mass_scale * robot.body_mass + gap.leg_mass_scale * links
 
 
+def gravity(robot: RobotParameters, gap: RealityGap, turn: float = 0.0) -> NDArray[np.float64]:
+    """Gravity seen from the boom's leaning axis, with the floor turned by an angle [rad]; shape (3,) [m/s²]."""
+    tilt = gap.boom_tilt if gap.boom_arc else 0.0
+    return robot.gravity * np.array([sin(tilt) * sin(turn), sin(tilt) * cos(turn), -cos(tilt)])
+
+
 def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False) -> mujoco.MjSpec:
     """The twin as an editable MuJoCo specification.
 
@@ -89,7 +95,7 @@ def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual:
     """
     spec = mujoco.MjSpec()
     spec.modelname = "stepgap_twin"
-    _set_options(spec, robot, timestep)
+    _set_options(spec, robot, gap, timestep)
     hopper = _add_boom(spec, robot, gap)
     _add_leg(spec, hopper, robot, gap)
     _close_four_bar(spec, timestep)
@@ -128,12 +134,12 @@ def export_xml(robot: RobotParameters, gap: RealityGap, timestep: float, start: 
     return spec.to_xml()
 
 
-def _set_options(spec: mujoco.MjSpec, robot: RobotParameters, timestep: float) -> None:
+def _set_options(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap, timestep: float) -> None:
     off = mujoco.mjtDisableBit
     spec.compiler.degree = False
     option = spec.option
     option.timestep = timestep
-    option.gravity = np.array([0, 0, -robot.gravity])
+    option.gravity = gravity(robot, gap)
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
@@ -159,10 +165,12 @@ def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> m
     if gap.boom_arc:
         hopper.pos = np.array([0, -radius, gap.boom_pivot_height])
         pivot = np.array([0, radius, 0])
-        hopper.add_joint(name="boom_horizontal", type=hinge, axis=UP, pos=pivot, armature=inertia_z)
+        yaw = hopper.add_joint(name="boom_horizontal", type=hinge, axis=UP, pos=pivot, armature=inertia_z)
+        yaw.frictionloss, yaw.damping[0] = radius * gap.boom_friction, radius**2 * gap.boom_drag
         hopper.add_joint(name="boom_vertical", type=hinge, axis=PITCH_AXIS, pos=pivot, armature=inertia_x)
     else:
-        hopper.add_joint(name="boom_horizontal", type=slide, axis=FORWARD, armature=inertia_z / radius**2)
+        travel = hopper.add_joint(name="boom_horizontal", type=slide, axis=FORWARD, armature=inertia_z / radius**2)
+        travel.frictionloss, travel.damping[0] = gap.boom_friction, gap.boom_drag
         hopper.add_joint(name="boom_vertical", type=slide, axis=UP, armature=inertia_x / radius**2)
     if gap.boom_stiffness < inf:
         if not min(inertia_x, inertia_z) > 0:
@@ -235,9 +243,9 @@ def _deadbeat(timestep: float) -> NDArray[np.float64]:
 def _add_motors(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
     """Torque command → delay → first-order lag → scale."""
     steps = round(gap.delay / timestep)
-    for name in ("motor_1", "motor_2"):
+    for name, share in (("motor_1", 1 + gap.torque_imbalance), ("motor_2", 1 - gap.torque_imbalance)):
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        motor.gainprm[0] = gap.torque_scale
+        motor.gainprm[0] = gap.torque_scale * share
         if gap.torque_lag > 0:
             motor.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
             motor.dynprm[0] = gap.torque_lag

@@ -4,9 +4,10 @@
 # (MuJoCo ships no types for its compiled part.)
 
 from collections.abc import Iterator, MutableSequence
+from copy import copy
 from dataclasses import dataclass
-from math import acos, asin, atan2, ceil, cos, inf, isfinite, nan, pi, sin
-from typing import Any, cast
+from math import acos, asin, atan2, ceil, cos, exp, inf, isfinite, nan, pi, sin, sqrt, tanh
+from typing import Any, Self, cast
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from stepgap.hopper.parameters import Gains, RobotParameters, require
 from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
-from stepgap.rigs.twin.model import GroundProfile, build_model, export_xml
+from stepgap.rigs.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.rigs.twin.reality_gap import RealityGap
 
 EXACT_COUNTS = 16384
@@ -129,7 +130,10 @@ class Twin(Rig):
         self._data = mujoco.MjData(self._model)
         self._bind()
         self._noise = self._draw_noise()
+        self._noise_kept = exp(-tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
+        self._noise_fresh = gap.torque_noise * sqrt(1 - self._noise_kept**2)
         self._connected, self._fault, self._hold_left = False, "", 0
+        self._turn_floor(0.0)
         lowest = START_LENGTH + robot.foot_length + max(self._ground.height(0.0), 0.0)
         rule = f"exceed {lowest:.4g}, or the foot is in the ground"
         require(start_height > lowest, "start_height", start_height, rule)
@@ -154,7 +158,7 @@ class Twin(Rig):
         mujoco.mj_resetData(model, data)
         data.qpos[:] = self._start_pose()
         model.eq("hold_boom_vertical").data[0] = data.qpos[1]
-        self._ground_position[2] = self._ground.height(0.0)
+        self._ground_position[2] = self._ground.height(self._turn)
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
         self._connected, self._fault = True, ""
@@ -171,7 +175,8 @@ class Twin(Rig):
         if not self._connected:
             raise RigFault("the twin is not connected")
         qpos, gap = self._qpos, self._gap
-        motor_1, motor_2 = qpos[self._motor_1] * self._motor_scale, qpos[self._motor_2] * self._motor_scale
+        motor_1 = (qpos[self._motor_1] + gap.motor_offset_1) * self._motor_scale
+        motor_2 = (qpos[self._motor_2] + gap.motor_offset_2) * self._motor_scale
         yaw, pitch = self._boom_angles()
         yaw, pitch = yaw * self._yaw_scale, pitch * self._pitch_scale
         if not isfinite(motor_1 + motor_2 + yaw + pitch):
@@ -200,18 +205,38 @@ class Twin(Rig):
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
         limit = self._limit
         torque_1, torque_2 = min(max(torque_1, -limit), limit), min(max(torque_2, -limit), limit)
-        self._ctrl[0], self._ctrl[1] = torque_1, torque_2
+        self._ctrl[0], self._ctrl[1] = self._saturated(torque_1), self._saturated(torque_2)
         if self._gap.torque_noise > 0:
             force = self._applied_force
-            force[self._motor_1], force[self._motor_2] = next(self._noise), next(self._noise)
+            kept, fresh = self._noise_kept, self._noise_fresh
+            for motor in (self._motor_1, self._motor_2):
+                force[motor] = kept * force[motor] + fresh * next(self._noise)
         if not self._ground.is_flat and self._touch[0] == 0:
-            self._ground_position[2] = self._ground.height(self._yaw_of(self._foot[0], self._foot[1]))
+            self._ground_position[2] = self._ground_under(self._foot[0], self._foot[1])
         mujoco.mj_step(self._model, self._data, self._substeps)
         if self._hold_left > 0:
             self._hold_left -= 1
             if self._hold_left == 0:
                 self._let_go()
         return torque_1, torque_2
+
+    def fork(self, rng: np.random.Generator, turn: float = 0.0) -> Self:
+        """Another twin in the very same motion, down to what is under way in the drives; this one stays as it is.
+
+        Args:
+            rng: Draws its torque noise, the present value included.
+            turn: Angle by which the floor, and with it gravity's pull around the circle, is turned under it [rad]: as
+                if the robot did the same elsewhere.
+        """
+        twin = copy(self)
+        twin._model, twin._data, twin._rng = copy(self._model), copy(self._data), rng
+        twin._bind()
+        twin._turn_floor(self._turn + turn)
+        twin._noise = twin._draw_noise()
+        if self._gap.torque_noise > 0:
+            for motor in (self._motor_1, self._motor_2):
+                twin._applied_force[motor] = self._gap.torque_noise * next(twin._noise)
+        return twin
 
     def close(self) -> None:
         """Torque off; the twin can be connected again."""
@@ -244,7 +269,7 @@ class Twin(Rig):
             leg_rate=data.qvel[motors],
             deflection=deflection,
             foot=foot,
-            ground_height=self._ground.height(self._yaw_of(foot[0], foot[1])),
+            ground_height=self._ground_under(foot[0], foot[1]),
             contact_force=self._touch[0],
             closure_error=float(np.linalg.norm(gap)),
             qpos=data.qpos.copy(),
@@ -297,14 +322,25 @@ class Twin(Rig):
         require(abs(rise) < self._robot.boom_length, "start_height", height, "be within the boom's reach")
         return asin(rise / self._robot.boom_length)
 
-    def _yaw_of(self, x: float, y: float) -> float:
-        """Boom angle of a point on the ground [rad]."""
-        return atan2(x, -y) if self._gap.boom_arc else x / self._layout.boom_length
+    def _turn_floor(self, turn: float) -> None:
+        """Turns the floor by an angle under the robot [rad]; the boom's axis leans as the floor does."""
+        self._turn = turn
+        self._model.opt.gravity[:] = gravity(self._robot, self._gap, turn)
+
+    def _ground_under(self, x: float, y: float) -> float:
+        """Height of the ground at a point [m]."""
+        yaw = atan2(x, -y) if self._gap.boom_arc else x / self._layout.boom_length
+        return self._ground.height(yaw + self._turn)
+
+    def _saturated(self, torque: float) -> float:
+        """What a motor's iron makes of a torque command [N·m]."""
+        most = self._gap.torque_saturation
+        return most * tanh(torque / most) if most < inf else torque
 
     def _draw_noise(self) -> Iterator[float]:
-        """Torque noise [N·m]; drawn in blocks, because single draws take a microsecond."""
+        """Standard normal numbers; drawn in blocks, because single draws take a microsecond."""
         while True:
-            yield from self._rng.normal(0, self._gap.torque_noise, 1024).tolist()
+            yield from self._rng.standard_normal(1024).tolist()
 
 
 def _view(array: NDArray[np.float64]) -> MutableSequence[float]:

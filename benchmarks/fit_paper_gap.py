@@ -1,0 +1,194 @@
+"""Fits the twin's `RealityGap` to the tracking errors of the paper's robot without learning.
+
+The uncorrected controller hops the paper's reference on the twin; damped Gauss–Newton steps on a few differences bring
+its errors to those of the hardware (Figs. 4–7), with a prior on each difference. All else stays as `RealityGap()` has
+it. By default the hardware is known by eight numbers alone; a digitised Fig. 4 with the columns step, v_ref, v_nogp,
+y_ref, y_nogp adds the mean error on each of the 18 stairs. `--start` tells from where: a JSON of an earlier fit.
+
+    ./go python benchmarks/fit_paper_gap.py [--digitised FIG4.csv] [--start FIT.json] --out FIT.json
+    ./go python benchmarks/fit_paper_gap.py --check --out benchmarks/paper_gap.json    # RealityGap() as it is
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
+from dataclasses import asdict, replace
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from stepgap.control.reference import SETTLING_STEPS, paper_reference
+from stepgap.hopper.apex_map import ApexMap
+from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.residual import fit_residual
+from stepgap.learning.step_log import StepLog
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.report.paper import NO_GP
+from stepgap.rigs.twin import GroundProfile, RealityGap, Twin
+from stepgap.sim_to_real import Deployment, deploy, summarise
+from stepgap.step import Array
+
+MEASURES = ("rmse", "bias", "steady_rmse", "transient_rmse")
+HARDWARE = {measure: tuple(NO_GP[measure].values()) for measure in MEASURES}
+"""Errors of the hardware without learning, speed [m/s] and height [m]."""
+
+TOLERANCE = (0.002, 0.0006)
+"""Distance [m/s, m] at which one of those numbers costs one."""
+
+STAIR_TOLERANCE = (0.03, 0.003)
+"""Likewise of the mean error on one stair: hardware and twin wander about that much from place to place."""
+
+FALL = 10.0
+"""What each of them counts if the robot falls."""
+
+
+class Prior(NamedTuple):
+    """What a difference is expected to be: a mean, and a spread that costs one."""
+
+    mean: float
+    spread: float
+
+
+PRIORS = {
+    "torque_scale": Prior(0.7, 0.1),
+    "torque_saturation": Prior(50.0, 15.0),
+    "boom_inertia_scale": Prior(1.5, 0.15),
+    "boom_friction": Prior(0.2, 0.1),
+    "ground_friction": Prior(0.4, 0.08),
+    "motor_offset": Prior(0.0, 0.008),
+}
+"""The differences that are fitted; `motor_offset` is that of both motors, which leans the leg."""
+
+
+def with_values(gap: RealityGap, values: Sequence[float]) -> RealityGap:
+    """The gap with the fitted differences, in the order of PRIORS."""
+    named = dict(zip(PRIORS, map(float, values), strict=True))
+    offset = named.pop("motor_offset")
+    return replace(gap, **named, motor_offset_1=offset, motor_offset_2=offset)
+
+
+def values_of(gap: RealityGap) -> Array:
+    """The fitted differences, in the order of PRIORS."""
+    return np.array([gap.motor_offset_1 if name == "motor_offset" else getattr(gap, name) for name in PRIORS])
+
+
+def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) -> tuple[StepLog, Deployment]:
+    """What deployment 0 of `stepgap run` with this seed does, all of it or its first steps.
+
+    Raises:
+        RigFault: The hop before the first step failed.
+    """
+    robot, gains, bounds, reference = RobotParameters(), Gains(), CommandBounds(), paper_reference()
+    nominal = ApexMap(robot, gains, bounds)
+    ground = GroundProfile(gap, robot.boom_length, np.random.default_rng(seed))
+    twin = Twin(robot, gap, np.random.default_rng([seed, 0]), ground=ground)
+    nothing = np.zeros((1, 2))
+    known = CorrectedMap(nominal, fit_residual("none", nominal.space, nothing, nothing, nothing))
+    steps = deploy(known, RigPlant(twin, robot, gains, bounds), reference, iteration=0)
+    with threadpool_limits(limits=1, user_api="blas"), closing(steps):
+        log = StepLog(nominal.space, islice(steps, most_steps))
+    return log, summarise(log, reference, "none")
+
+
+def stairs() -> list[slice]:
+    """Steps, from 0, of each stair after the robot has settled."""
+    starts = [*(step for step in paper_reference().changes if step > 0), len(paper_reference())]
+    return [slice(start + SETTLING_STEPS, end) for start, end in pairwise(starts)]
+
+
+def hardware_stairs(path: Path) -> Array:
+    """Mean errors of the hardware on each stair; shape (18, 2)."""
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    error = np.column_stack([table["v_nogp"] - table["v_ref"], table["y_nogp"] - table["y_ref"]])
+    return np.array([error[stair].mean(axis=0) for stair in stairs()])
+
+
+def stair_errors(log: StepLog) -> Array:
+    """Mean errors of a deployment on each stair; shape (18, 2)."""
+    error = log.completed().next_state - log.completed().target
+    return np.array([error[stair].mean(axis=0) for stair in stairs()])
+
+
+def misfit(gap: RealityGap, hardware: Array | None) -> Array:
+    """What the fit makes small: differences from the hardware and from the priors, each in its tolerance."""
+    log, deployment = first_deployment(gap, seed=0)
+    values, priors = values_of(gap), list(PRIORS.values())
+    prior = [(value - mean) / spread for value, (mean, spread) in zip(values, priors, strict=True)]
+    if deployment.falls:
+        return np.full(2 * len(HARDWARE) + (0 if hardware is None else hardware.size) + len(PRIORS), FALL)
+    parts = [(getattr(deployment, name) - np.array(wanted)) / TOLERANCE for name, wanted in HARDWARE.items()]
+    if hardware is not None:
+        parts.append(((stair_errors(log) - hardware) / STAIR_TOLERANCE).ravel())
+    return np.concatenate([*parts, prior])
+
+
+def fit(start: RealityGap, hardware: Array | None, rounds: int) -> RealityGap:
+    """Gauss–Newton steps from a start; each is halved until it helps."""
+    spreads = np.array([prior.spread for prior in PRIORS.values()])
+    values, gap = values_of(start), start
+    with ProcessPoolExecutor(2) as pool:
+        found = misfit(gap, hardware)
+        for _ in range(rounds):
+            print(f"cost {found @ found:.2f} at {dict(zip(PRIORS, values.round(5).tolist(), strict=True))}", flush=True)
+            moved = [with_values(start, values + 0.25 * spreads * unit) for unit in np.eye(len(values))]
+            slopes = np.array(list(pool.map(misfit, moved, [hardware] * len(moved)))) - found
+            step = np.clip(np.linalg.lstsq(slopes.T / 0.25, -found, rcond=None)[0], -1, 1) * spreads
+            trials = [with_values(start, values + share * step) for share in (1.0, 0.5)]
+            results = list(pool.map(misfit, trials, [hardware] * len(trials)))
+            trial, result = min(zip(trials, results, strict=True), key=lambda pair: pair[1] @ pair[1])
+            if not result @ result < 0.98 * (found @ found):
+                break
+            values, gap, found = values_of(trial), trial, result
+    return gap
+
+
+def quality(gap: RealityGap, seeds: Sequence[int], hardware: Array | None = None) -> list[dict[str, object]]:
+    """Errors of the first deployment, seed by seed, and how far its stairs are from the hardware's, RMS."""
+    rows: list[dict[str, object]] = []
+    for seed in seeds:
+        log, deployment = first_deployment(gap, seed)
+        row = {"seed": seed, "steps": deployment.steps, "falls": deployment.falls}
+        row |= {measure: getattr(deployment, measure).round(5).tolist() for measure in MEASURES}
+        if hardware is not None and deployment.falls == 0:
+            row["stairs_rms"] = np.sqrt(np.mean((stair_errors(log) - hardware) ** 2, axis=0)).round(5).tolist()
+        rows.append(row)
+        print(row, flush=True)
+    return rows
+
+
+def main() -> None:
+    """Fits, and writes the differences with the errors of seeds 0 to 5: speed [m/s], height [m]."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--digitised", type=Path, help="Fig. 4 of the paper, read off its plot")
+    parser.add_argument("--start", type=Path, help="JSON of an earlier fit; without it the priors' means")
+    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--check", action="store_true", help="fit nothing")
+    parser.add_argument("--out", type=Path, help="JSON file for the result")
+    options = parser.parse_args()
+    hardware = hardware_stairs(options.digitised) if options.digitised else None
+    gap = RealityGap()
+    if options.start:
+        fitted = json.loads(options.start.read_text(encoding="utf-8"))["fitted"]
+        gap = with_values(gap, [fitted[name] for name in PRIORS])
+    elif not options.check:
+        gap = with_values(gap, [prior.mean for prior in PRIORS.values()])
+    if not options.check:
+        gap = fit(gap, hardware, options.rounds)
+    result = {
+        "hardware": HARDWARE,
+        "fitted": dict(zip(PRIORS, values_of(gap).round(6).tolist(), strict=True)),
+        "seeds": quality(gap, range(6), hardware),
+        "gap": {name: str(value) if value == float("inf") else value for name, value in asdict(gap).items()},
+    }
+    if options.out:
+        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
