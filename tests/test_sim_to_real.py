@@ -13,6 +13,7 @@ import pytest
 from stepgap import sim_to_real
 from stepgap.control.reference import Reference
 from stepgap.deployment import Deployment, deploy, summarise
+from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
 from stepgap.learning.residual_fit import residual_from_dict
