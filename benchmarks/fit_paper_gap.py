@@ -23,15 +23,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.control.reference import SETTLING_STEPS, paper_reference
+from stepgap.deployment import Deployment, deploy, summarise
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.residual import fit_residual
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.report.paper import NO_GP
-from stepgap.rigs.twin import GroundProfile, RealityGap, Twin
-from stepgap.sim_to_real import Deployment, deploy, summarise
+from stepgap.rigs.twin.model import GroundProfile
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
 from stepgap.step import Array
 
 MEASURES = ("rmse", "bias", "steady_rmse", "transient_rmse")
@@ -66,7 +68,7 @@ PRIORS = {
 """The differences that are fitted; `motor_offset` is that of both motors, which leans the leg."""
 
 
-def with_values(gap: RealityGap, values: Sequence[float]) -> RealityGap:
+def with_values(gap: RealityGap, values: Array) -> RealityGap:
     """The gap with the fitted differences, in the order of PRIORS."""
     named = dict(zip(PRIORS, map(float, values), strict=True))
     offset = named.pop("motor_offset")
@@ -88,9 +90,8 @@ def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) 
     nominal = ApexMap(robot, gains, bounds)
     ground = GroundProfile(gap, robot.boom_length, np.random.default_rng(seed))
     twin = Twin(robot, gap, np.random.default_rng([seed, 0]), ground=ground)
-    nothing = np.zeros((1, 2))
-    known = CorrectedMap(nominal, fit_residual("none", nominal.space, nothing, nothing, nothing))
-    steps = deploy(known, RigPlant(twin, robot, gains, bounds), reference, iteration=0)
+    uncorrected = Learner(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
+    steps = deploy(uncorrected, RigPlant(twin, robot, gains, bounds), reference, iteration=0)
     with threadpool_limits(limits=1, user_api="blas"), closing(steps):
         log = StepLog(nominal.space, islice(steps, most_steps))
     return log, summarise(log, reference, "none")
@@ -153,7 +154,7 @@ def quality(gap: RealityGap, seeds: Sequence[int], hardware: Array | None = None
     rows: list[dict[str, object]] = []
     for seed in seeds:
         log, deployment = first_deployment(gap, seed)
-        row = {"seed": seed, "steps": deployment.steps, "falls": deployment.falls}
+        row: dict[str, object] = {"seed": seed, "steps": deployment.steps, "falls": deployment.falls}
         row |= {measure: getattr(deployment, measure).round(5).tolist() for measure in MEASURES}
         if hardware is not None and deployment.falls == 0:
             row["stairs_rms"] = np.sqrt(np.mean((stair_errors(log) - hardware) ** 2, axis=0)).round(5).tolist()

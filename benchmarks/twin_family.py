@@ -17,7 +17,7 @@ import numpy as np
 from fit_paper_gap import first_deployment
 
 from stepgap.rigs.rig import RigFault
-from stepgap.rigs.twin import RealityGap
+from stepgap.rigs.twin.reality_gap import RealityGap
 
 FIRST_STEPS = 20
 """Steps that the uncorrected robot of a draw must manage, or else it may be drawn again."""

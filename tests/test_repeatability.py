@@ -10,7 +10,8 @@ from stepgap.hopper.apex_map import ApexMap
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.repeatability import measure_repeatability
-from stepgap.rigs.twin import RealityGap, Twin
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
 from stepgap.step import Array
 from tests.control.maps import NeverWorks
 

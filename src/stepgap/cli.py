@@ -138,6 +138,8 @@ def run(
     reference: str | None = None,
     seed: str | None = None,
     iterations: str | None = None,
+    calibrate: str | None = None,
+    online: bool = False,
     resume: bool = False,
     quiet: bool = False,
     overrides: Overrides = None,
@@ -150,6 +152,8 @@ def run(
         reference: CSV file of targets, one row per step; without it, the paper's.
         seed: Of all randomness, a whole number.
         iterations: Redeployments at most.
+        calibrate: Hops before the first deployment whose commands are chosen for what they teach.
+        online: Learn from hop to hop, from the first one on.
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
     """
@@ -167,7 +171,13 @@ def run(
     from stepgap.sim_to_real import run as run_experiment
 
     quoted = None if reference is None else json.dumps(reference, ensure_ascii=False)
-    shorthand = [("reference", quoted), ("seed", seed), ("learning.iterations", iterations)]
+    shorthand = [
+        ("reference", quoted),
+        ("seed", seed),
+        ("learning.iterations", iterations),
+        ("learning.calibration", calibrate),
+        ("learning.online", "true" if online else None),
+    ]
     changes = [*(overrides or []), *((name, value) for name, value in shorthand if value is not None)]
     folder = folder_to_resume(experiment, out, changes) if resume else out or _free_name(dated_folder())
     settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)

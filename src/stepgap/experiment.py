@@ -29,7 +29,7 @@ PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": 
 LARGEST_WHOLE = 10**300
 """Whole numbers from here on are not taken for a number."""
 
-SHORT_OPTIONS = {"learning.iterations": "iterations"}
+SHORT_OPTIONS = {"learning.iterations": "iterations", "learning.calibration": "calibrate", "learning.online": "online"}
 """Options of the command line whose name is not that of the setting."""
 
 Place = Callable[[str], str]
