@@ -10,7 +10,7 @@ those of Rasmussen and Williams, Gaussian Processes for Machine Learning (2006).
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, singledispatch
 from typing import Any, final
 
 import numpy as np
@@ -44,11 +44,11 @@ class HyperParameters:
     slope_std: float = 0.0
 
     def __post_init__(self) -> None:
-        _require(_positive(self.length_scale), "length_scale", "positive and finite")
-        _require(_positive(self.signal_std), "signal_std", "positive and finite")
+        require(_positive(self.length_scale), "length_scale", "positive and finite")
+        require(_positive(self.signal_std), "signal_std", "positive and finite")
         for name in ("noise_std", "slope_std"):
             std = getattr(self, name)
-            _require(std == 0 or _positive(std), name, "non-negative and finite")
+            require(std == 0 or _positive(std), name, "non-negative and finite")
 
     def covariance(self, centres: Array, origin: Array, input_scale: Array) -> Covariance:
         """Covariance with fixed centres (M, d)."""
@@ -168,15 +168,10 @@ class GaussianProcess:
         Raises:
             ValueError: A key is missing, or holds anything but finite numbers of the right size and sign.
         """
-        hyper_parameters = HyperParameters(
-            length_scale=_numbers(data, "length_scale", "a list of numbers", 1),
-            signal_std=float(_numbers(data, "signal_std", "a number", 0)),
-            noise_std=float(_numbers(data, "noise_std", "a number", 0)),
-            slope_std=float(_numbers(data, "slope_std", "a number", 0)),
-        )
-        points = _numbers(data, "points", "a list of equally long lists of numbers", 2)
-        values = _numbers(data, "values", "a list of numbers", 1)
-        input_scale = _numbers(data, "input_scale", "a list of numbers", 1)
+        hyper_parameters = saved_hyper_parameters(data)
+        points = numbers(data, "points", "a list of equally long lists of numbers", 2)
+        values = numbers(data, "values", "a list of numbers", 1)
+        input_scale = numbers(data, "input_scale", "a list of numbers", 1)
         return condition(points, values, input_scale, hyper_parameters)
 
     @cached_property
@@ -233,6 +228,7 @@ def condition(
     return GaussianProcess(points, values, input_scale, hyper_parameters, least_squares)
 
 
+@singledispatch
 def append(process: GaussianProcess, point: ArrayLike, value: float) -> GaussianProcess:
     """Gaussian process given one point more, at the same hyper-parameters, in O(N²).
 
@@ -257,6 +253,7 @@ def append(process: GaussianProcess, point: ArrayLike, value: float) -> Gaussian
     return GaussianProcess(points, values, process.input_scale, hyper_parameters, least_squares)
 
 
+@singledispatch
 def leave_one_out(process: GaussianProcess) -> tuple[Array, Array]:
     """What the process would predict of each value, had it not seen that value, at the same hyper-parameters.
 
@@ -279,30 +276,37 @@ def leave_one_out(process: GaussianProcess) -> tuple[Array, Array]:
 def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
     """Own copies of the data, once their shapes and numbers are sound."""
     points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
-    _require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
-    _require(_positive(input_scale), "input_scale", "positive and finite")
+    require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
+    require(_positive(input_scale), "input_scale", "positive and finite")
     sized = points.ndim == 2 and len(points) > 0 and points.shape[1] == len(input_scale)
-    _require(sized, "points", f"of shape (N, {len(input_scale)}) with N ≥ 1, not {points.shape}")
-    _require(np.isfinite(points).all(), "points", "finite")
-    _require(values.shape == points.shape[:1], "values", f"of shape ({len(points)},), not {values.shape}")
-    _require(np.isfinite(values).all(), "values", "finite")
+    require(sized, "points", f"of shape (N, {len(input_scale)}) with N ≥ 1, not {points.shape}")
+    require(np.isfinite(points).all(), "points", "finite")
+    require(values.shape == points.shape[:1], "values", f"of shape ({len(points)},), not {values.shape}")
+    require(np.isfinite(values).all(), "values", "finite")
     return points, values, input_scale
 
 
 def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
     """Raises ValueError unless there is a length scale for each input."""
     same = hyper_parameters.length_scale.shape == input_scale.shape
-    _require(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
+    require(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
 
 
-def _numbers(data: Mapping[str, Any], key: str, what: str, dimensions: int) -> Array:
+def saved_hyper_parameters(data: Mapping[str, Any]) -> HyperParameters:
+    """Those of a process that was saved; raises ValueError as `GaussianProcess.from_dict` does."""
+    length_scale = numbers(data, "length_scale", "a list of numbers", 1)
+    stds = (float(numbers(data, name, "a number", 0)) for name in ("signal_std", "noise_std", "slope_std"))
+    return HyperParameters(length_scale, *stds)
+
+
+def numbers(data: Mapping[str, Any], key: str, what: str, dimensions: int) -> Array:
     """The array of numbers saved under `key`."""
-    _require(key in data, key, f"{what}, but it is missing")
+    require(key in data, key, f"{what}, but it is missing")
     try:
         array = np.asarray(data[key])
     except ValueError as ragged:
         raise ValueError(f"{key} must be {what}") from ragged
-    _require(array.dtype.kind in "if" and array.ndim == dimensions, key, what)
+    require(array.dtype.kind in "if" and array.ndim == dimensions, key, what)
     return array.astype(float)
 
 
@@ -310,6 +314,7 @@ def _positive(array: ArrayLike) -> bool:
     return bool(np.all(np.isfinite(array) & (np.asarray(array) > 0)))
 
 
-def _require(holds: object, name: str, what: str) -> None:
+def require(holds: object, name: str, what: str) -> None:
+    """Raises ValueError, which says what `name` must be, unless it holds."""
     if not holds:
         raise ValueError(f"{name} must be {what}")
