@@ -1,6 +1,7 @@
 """What reality taught: the error of a step map, learnt from recorded steps; knows no robot.
 
-`step_log` holds the steps, `residual` the models of actual − nominal (Eq. 12), `gaussian_process` and
-`gaussian_process_fit` what is behind them, and `corrected_map` adds a residual to the nominal map, which
-gives a step map again (Eq. 13).
+`step_log` holds the steps, `residual` the models of actual − nominal (Eq. 12), and `corrected_map` adds a residual
+to the nominal map, which gives a step map again (Eq. 13). Behind them are the Gaussian processes: `covariance`,
+`cholesky` and `least_squares` are the mathematics, `gaussian_process` is one conditioned on data,
+`gaussian_process_fit` finds its hyper-parameters, and `sparse_gaussian_process` is for thousands of steps.
 """
