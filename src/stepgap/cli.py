@@ -438,6 +438,26 @@ def bench_map_(
     print(file)
 
 
+@bench.command(name="gp")
+def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
+    """Time the Gaussian process beside those of other libraries: fit, prediction, one point more; some minutes.
+
+    Args:
+        quick: Take some seconds, with few points and few peers.
+        out: JSON file for the result; without it bench_gp.json or the next free name.
+    """
+    from stepgap.bench_gp import bench_gp, describe_bench
+
+    if out:
+        _check_new(out, "--out")
+    result = bench_gp(0, quick, lambda line: print(f"{line} …", file=sys.stderr))
+    print(describe_bench(result))
+    file = out or _free_name(Path("bench_gp.json"))
+    with _writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
+        json.dump(result, stream, indent=2)
+    print(file)
+
+
 @app.command
 def report(folder: Path, /) -> None:
     """Make the report of a run anew.

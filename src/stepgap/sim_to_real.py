@@ -122,7 +122,7 @@ def run(
                 for logged in steps:
                     log.append(logged)
                     observer.on_step(logged)
-            kind = learning.residual if learning.lessons(iteration) else learner.residual.kind
+            kind = learning.residual if learning.lessons(iteration) else learner.residual.name
             deployments.append(summarise(log.of_iteration(iteration), reference, kind))
             if not recorded:
                 write_whole(folder / "summary.json", json.dumps(_summary(deployments, log, reference, seed), indent=1))

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from stepgap.learning.gaussian_process_fit import fit_gaussian_process, fit_like_fitrgp
+from stepgap.learning.gaussian_process_fit import fit_like_fitrgp
 from stepgap.learning.gaussian_process_regression import GAUSSIAN_PROCESSES, GaussianProcessRegression
 from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import DEGREES, PRIOR_COUNT, Polynomial, fit_polynomial
@@ -15,6 +15,7 @@ from stepgap.learning.regression import Regression, Zero
 from stepgap.learning.residual import Hindsight, Residual, no_residual
 from stepgap.learning.saved import numbers, whole
 from stepgap.learning.settings import FEATURES, KINDS, Features, ResidualKind
+from stepgap.learning.sparse_gaussian_process import fit_process
 
 CANDIDATES = ("none", "constant", "linear", "quadratic", "gp", "gp_on_linear")
 """Among which `auto` chooses: all but the one that is there for comparison only. Of equals the first wins."""
@@ -138,7 +139,7 @@ def _fit_coordinate(
         return GaussianProcessRegression(kind, fit_like_fitrgp(points, values))
     if hindsight.timed:
         scale[-1] = TIME_SCALE
-    process = fit_gaussian_process(
+    process = fit_process(
         points,
         values,
         scale,
