@@ -10,7 +10,7 @@ import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import isfinite
+from math import isfinite, tau
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -155,7 +155,8 @@ def run(
     ground = GroundProfile(settings.gap, settings.robot.boom_length, np.random.default_rng(settings.seed))
 
     def make_twin(rng: np.random.Generator) -> tuple[RigPlant, Twin]:
-        twin = Twin(settings.robot, settings.gap, rng, ground=ground)
+        turn = rng.uniform(0, tau)  # or every deployment would meet every target at the same place, and learn that
+        twin = Twin(settings.robot, settings.gap, rng, ground=ground, turn=turn)
         return RigPlant(twin, settings.robot, settings.gains, settings.command), twin
 
     def make_plant(rng: np.random.Generator) -> "Plant":
