@@ -16,6 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, replace
 from itertools import islice, pairwise
+from math import tau
 from pathlib import Path
 from typing import NamedTuple
 
@@ -89,7 +90,9 @@ def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) 
     robot, gains, bounds, reference = RobotParameters(), Gains(), CommandBounds(), paper_reference()
     nominal = ApexMap(robot, gains, bounds)
     ground = GroundProfile(gap, robot.boom_length, np.random.default_rng(seed))
-    twin = Twin(robot, gap, np.random.default_rng([seed, 0]), ground=ground)
+    rng = np.random.default_rng([seed, 0])
+    turn = rng.uniform(0, tau)
+    twin = Twin(robot, gap, rng, ground=ground, turn=turn)
     uncorrected = Learner(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
     steps = deploy(uncorrected, RigPlant(twin, robot, gains, bounds), reference, iteration=0)
     with threadpool_limits(limits=1, user_api="blas"), closing(steps):

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import wraps
-from math import isfinite
+from math import isfinite, tau
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -187,7 +187,8 @@ def run(
     ground = GroundProfile(settings.gap, settings.robot.boom_length, np.random.default_rng(settings.seed))
 
     def make_twin(rng: np.random.Generator) -> tuple[RigPlant, Twin]:
-        twin = Twin(settings.robot, settings.gap, rng, ground=ground)
+        turn = rng.uniform(0, tau)  # or every deployment would meet every target at the same place, and learn that
+        twin = Twin(settings.robot, settings.gap, rng, ground=ground, turn=turn)
         return RigPlant(twin, settings.robot, settings.gains, settings.command), twin
 
     def make_plant(rng: np.random.Generator) -> "Plant":

@@ -461,6 +461,7 @@ def test_a_fork_on_a_turned_floor_meets_it_where_it_is_turned_to():
     assert before.ground_height == pytest.approx(ahead * np.tan(0.02), rel=0.05)
     assert after.ground_height == pytest.approx(ROBOT.boom_length * np.tan(0.02), rel=1e-3)
     assert after.qpos.tolist() == before.qpos.tolist()
+    assert make(gap, start_height=0.5, turn=pi / 2).true_state().ground_height == after.ground_height
 
 
 # Rig

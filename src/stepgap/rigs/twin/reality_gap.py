@@ -127,7 +127,7 @@ class RealityGap:
     ground_stiffness: float = 5e4
     ground_damping_ratio: float = 0.1
     ground_friction: float = 0.372
-    ground_roughness: float = 5e-4
+    ground_roughness: float = 6e-4
     ground_slope: float = 0.0
     joint_friction: float = 0.03
     joint_damping: float = 0.002
@@ -135,7 +135,7 @@ class RealityGap:
     torque_scale: float = 0.691
     torque_imbalance: float = 0.0
     torque_saturation: float = 47.5
-    torque_noise: float = 0.015
+    torque_noise: float = 0.018
     torque_noise_time: float = 0.1
     torque_lag: float = 1.5e-3
     torque_limit: float = 38.0

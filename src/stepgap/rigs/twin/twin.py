@@ -82,6 +82,7 @@ class Twin(Rig):
         start_speed: Horizontal speed of the hip when let go [m/s].
         hold: Time for which the hip is held [s].
         ground: The floor, where several twins are to hop on the same one.
+        turn: Place on the circle to start from: the angle by which the floor is turned under the robot [rad].
 
     Raises:
         ValueError: An argument is out of range, or the foot would start in the ground.
@@ -97,10 +98,12 @@ class Twin(Rig):
         start_speed: float = 0.0,
         hold: float = 0.3,
         ground: GroundProfile | None = None,
+        turn: float = 0.0,
     ):
         require(isfinite(tick) and tick > 0, "tick", tick, "be positive")
         require(isfinite(start_height), "start_height", start_height, "be finite")
         require(isfinite(start_speed), "start_speed", start_speed, "be finite")
+        require(isfinite(turn), "turn", turn, "be finite")
         require(isfinite(hold) and hold >= 0, "hold", hold, "not be negative")
         self._robot, self._gap, self._rng = robot, gap, rng
         self._start_height, self._start_speed = start_height, start_speed
@@ -133,8 +136,8 @@ class Twin(Rig):
         self._noise_kept = exp(-tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
         self._noise_fresh = gap.torque_noise * sqrt(1 - self._noise_kept**2)
         self._connected, self._fault, self._hold_left = False, "", 0
-        self._turn_floor(0.0)
-        lowest = START_LENGTH + robot.foot_length + max(self._ground.height(0.0), 0.0)
+        self._turn_floor(turn)
+        lowest = START_LENGTH + robot.foot_length + max(self._ground.height(turn), 0.0)
         rule = f"exceed {lowest:.4g}, or the foot is in the ground"
         require(start_height > lowest, "start_height", start_height, rule)
         self._vertical_coordinate(start_height)
