@@ -15,7 +15,7 @@ from stepgap.experiment import InputError, read_experiment
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.columns import Columns
 from stepgap.learning.foreign_log import read_foreign_logs
-from stepgap.learning.residual import Residual, fit_residual
+from stepgap.learning.residual import Residual, ResidualKind
 from stepgap.learning.step_log import RecordError, StepLog, read_step_log
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
 from stepgap.learning.validation import (
@@ -26,6 +26,7 @@ from stepgap.learning.validation import (
     Validation,
     contiguous_folds,
     deployment_folds,
+    fit_steps,
 )
 from stepgap.step import Array, Quantity, StepSpace
 
@@ -35,7 +36,7 @@ SCHEMA = 1
 MOST_STEPS = 2000
 """More would be fitted for hours."""
 
-BASELINES = ("none", "constant")
+BASELINES: tuple[ResidualKind, ...] = ("none", "constant")
 """What every residual is compared with."""
 
 NOMINALS = {
@@ -165,8 +166,7 @@ def choose_folds(steps: StepTable, count: int | None) -> Folds:
 
 def best_residual(steps: StepTable, validation: Validation) -> Residual:
     """The residual to use for all coordinates, fitted to all steps."""
-    kind = validation.best(range(len(steps.space.state)))
-    return fit_residual(kind, steps.space, steps.state, steps.command, steps.error)
+    return fit_steps(validation.best(range(len(steps.space.state))), steps)
 
 
 # What is said
@@ -184,25 +184,25 @@ def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
     chosen = validation.best(coordinates)
     if chosen in BASELINES:
         nearest = validation.nearest(chosen, coordinates)
-        beside = f"the nearest, {nearest}, is {_compared(validation.reduction(nearest, chosen, coordinates))}"
+        beside = f"the nearest, {nearest}, is {_compared(validation.reduction(nearest, chosen, coordinates), chosen)}"
         if chosen == "none":
             return f"nothing to learn: no residual is surely better than none ({beside})"
-        better = _compared(validation.reduction("constant", "none", coordinates))
-        return f"constant is {better} than none; no residual beats the constant: nothing more to learn ({beside})"
-    compared = [f"{_compared(validation.reduction(chosen, other, coordinates))} than {other}" for other in BASELINES]
-    return f"{chosen} is {' and '.join(reversed(compared))}"
+        better = _compared(validation.reduction("constant", "none", coordinates), "none")
+        return f"constant is {better}; no residual beats the constant: nothing more to learn ({beside})"
+    constant, none = (_compared(validation.reduction(chosen, other, coordinates), other) for other in BASELINES[::-1])
+    return f"{chosen} is {constant}, {none}"
 
 
-def _compared(by: Reduction) -> str:
+def _compared(by: Reduction, other: str) -> str:
     """A reduction in words; ± is one standard error."""
-    return f"{'better' if by.value >= 0 else 'worse'} by {_percent(abs(by.value), by.standard_error)}"
+    return f"{'better' if by.value >= 0 else 'worse'} than {other} by {_percent(abs(by.value), by.standard_error)}"
 
 
 def _percent(value: float, standard_error: float) -> str:
     if not np.isfinite([value, standard_error]).all():
         return "–"
-    digits = 0 if standard_error >= 0.0095 else 1
-    return f"{100 * value:.{digits}f} ± {100 * standard_error:.{digits}f} %"
+    form = "z.0f" if standard_error >= 0.0095 else "z.1f"
+    return f"{100 * value:{form}} ± {100 * standard_error:{form}} %"
 
 
 def describe_lesson(lesson: Lesson, folds: Folds) -> str:
@@ -244,13 +244,14 @@ def show_validation(state: Sequence[Quantity], validation: Validation, stream: T
 
 def _table(framed: bool, title: str, *scores: str) -> Table:
     """An empty table of residuals, ending with how they compare with the baselines."""
-    table = Table(Text(title), box=SIMPLE if framed else None, pad_edge=False)
+    table = Table(box=SIMPLE if framed else None, pad_edge=False)
+    table.add_column(Text(title))
     for name in (*scores, *(f"better than {other}" for other in BASELINES)):
         table.add_column(Text(name), justify="right")
     return table
 
 
-def _compared_all(validation: Validation, kind: str, coordinates: Sequence[int]) -> list[str]:
+def _compared_all(validation: Validation, kind: ResidualKind, coordinates: Sequence[int]) -> list[str]:
     """By how much a residual is better than each baseline."""
     by = [validation.reduction(kind, other, coordinates) for other in BASELINES]
     return ["–" if kind == other else _percent(*astuple(one)) for one, other in zip(by, BASELINES, strict=True)]
@@ -272,7 +273,7 @@ def fit_report(logs: Sequence[Path], lesson: Lesson, validation: Validation) -> 
     def named(values: Array) -> dict[str, float | None]:
         return {quantity.name: _finite(value) for quantity, value in zip(state, values, strict=True)}
 
-    def better(kind: str, other: str) -> dict[str, Any]:
+    def better(kind: ResidualKind, other: ResidualKind) -> dict[str, Any]:
         by = {name: validation.reduction(kind, other, part) for name, part in parts.items()}
         return {n: {"value": _finite(r.value), "standard_error": _finite(r.standard_error)} for n, r in by.items()}
 

@@ -12,8 +12,9 @@ from time import perf_counter
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stepgap.learning.residual import ResidualKind, fit_residual, join_points
+from stepgap.learning.residual import Residual, ResidualKind, fit_residual, join_points
 from stepgap.learning.step_table import Indices, StepTable
 from stepgap.step import Array
 
@@ -85,7 +86,7 @@ class HeldOut:
         seconds: Time of one fit [s].
     """
 
-    kind: str
+    kind: ResidualKind
     error: Array
     mean: Array
     std: Array
@@ -164,13 +165,13 @@ class Validation:
     """
 
     folds: Folds
-    held_out: Mapping[str, HeldOut]
+    held_out: Mapping[ResidualKind, HeldOut]
 
-    def reduction(self, kind: str, other: str, coordinates: Sequence[int]) -> Reduction:
+    def reduction(self, kind: ResidualKind, other: ResidualKind, coordinates: Sequence[int]) -> Reduction:
         """By how much one residual is better than another in these state coordinates."""
         return reduction(self.held_out[kind], self.held_out[other], self.folds.block, coordinates)
 
-    def best(self, coordinates: Sequence[int]) -> str:
+    def best(self, coordinates: Sequence[int]) -> ResidualKind:
         """The residual to use: from `none` on, each that is certainly better than the simpler one before."""
         chosen, *others = self.held_out
         for kind in others:
@@ -178,7 +179,7 @@ class Validation:
                 chosen = kind
         return chosen
 
-    def nearest(self, other: str, coordinates: Sequence[int]) -> str:
+    def nearest(self, other: ResidualKind, coordinates: Sequence[int]) -> ResidualKind:
         """The residual with the least error among those that are not `other`."""
         others = [kind for kind in self.held_out if kind != other]
         return max(others, key=lambda kind: self.reduction(kind, other, coordinates).value)
@@ -204,6 +205,12 @@ def validate(
     return Validation(folds, held_out)
 
 
+def fit_steps(kind: ResidualKind, steps: StepTable, rows: NDArray[np.bool_] | None = None) -> Residual:
+    """A residual fitted to some of the steps, or to all; shape of `rows` (N,)."""
+    kept = slice(None) if rows is None else rows
+    return fit_residual(kind, steps.space, steps.state[kept], steps.command[kept], steps.error[kept])
+
+
 def _hold_out(kind: ResidualKind, steps: StepTable, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
     """Fits a residual to the steps outside each fold and predicts those inside."""
     points, error = join_points(steps.state, steps.command), steps.error
@@ -211,7 +218,7 @@ def _hold_out(kind: ResidualKind, steps: StepTable, folds: Folds, on_fit: Callab
     for number in range(folds.count):
         held = folds.fold == number
         begin = perf_counter()
-        residual = fit_residual(kind, steps.space, steps.state[~held], steps.command[~held], error[~held])
+        residual = fit_steps(kind, steps, ~held)
         seconds += perf_counter() - begin
         mean[held] = residual.mean(points[held])
         std[held] = residual.std(points[held], include_noise=True)

@@ -37,7 +37,7 @@ def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) ->
     everything = range(len(state))
     beyond = [kind for kind in validation.held_out if kind not in ("none", "constant")]
     best = max(beyond, key=lambda kind: validation.reduction(kind, "none", everything).value)
-    shown = [validation.held_out[kind] for kind in ("constant", best)]
+    shown = [validation.held_out["constant"], validation.held_out[best]]
     figure = Figure(figsize=(PANEL * len(state), PANEL + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(state), squeeze=False)[0]
