@@ -1,8 +1,8 @@
-"""Apexes from the log of a hopping robot on a boom, as a file of steps that `stepgap fit` reads.
+"""Apexes from the log of a hopping robot, as steps that `stepgap fit` reads; without arguments, of a made-up log.
 
-One or more CSV files sampled at the same instants, side by side: the body's height and forward position, or the boom's
-angles. Around every top of the height a parabola gives the apex height, and a line the forward speed there. Columns of a
-plan with a row per hop are copied beside the hops. Without arguments, a made-up log shows what comes out.
+The log is one CSV file, or several with the same instants, with the body's height and forward position or the angles of
+its boom. Around every top, a parabola gives the height of the apex and a line the forward speed there. Columns of a
+plan that has a row for every hop are put beside the hops.
 """
 
 import argparse
@@ -86,7 +86,7 @@ def demonstrate(folder):
 
 
 def main(arguments):
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("log", nargs="+", help="CSV files with a row for each instant")
     parser.add_argument("--time", default="time", help="column of the time [s]")
     parser.add_argument(

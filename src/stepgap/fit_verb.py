@@ -190,7 +190,8 @@ def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
         better = _compared(validation.reduction("constant", "none", coordinates), "none")
         return f"constant is {better}; no residual beats the constant: nothing more to learn ({beside})"
     constant, none = (_compared(validation.reduction(chosen, other, coordinates), other) for other in BASELINES[::-1])
-    return f"{chosen} is {constant}, {none}"
+    last = chosen == list(validation.held_out)[-1]
+    return f"{chosen} is {constant}, {none}" + ("" if last else "; nothing more complex is surely better")
 
 
 def _compared(by: Reduction, other: str) -> str:
