@@ -2,7 +2,16 @@
 
 import numpy as np
 
-from stepgap import ApexMap, CorrectedMap, Gains, ModelPlant, RobotParameters, StepController, fit_residual
+from stepgap import (
+    ApexMap,
+    CorrectedMap,
+    Gains,
+    ModelPlant,
+    Observations,
+    RobotParameters,
+    StepController,
+    fit_residual,
+)
 
 nominal = ApexMap()
 real = ApexMap(robot=RobotParameters(body_mass=1.08 * 1.466), gains=Gains(stiffness=0.93 * 2500))
@@ -29,7 +38,7 @@ def rmse(records):
 first = deploy(nominal)
 state, applied = np.array([r.state for r in first]), np.array([r.applied for r in first])
 error = np.array([r.next_state for r in first]) - nominal(state, applied)
-corrected = CorrectedMap(nominal, fit_residual("gp", nominal.space, state, applied, error))
+corrected = CorrectedMap(nominal, fit_residual("gp", Observations(nominal.space, state, applied, error)))
 second = deploy(corrected)
 print("without GP: speed {:.4f} m/s, height {:.4f} m".format(*rmse(first)))
 print("with GP:    speed {:.4f} m/s, height {:.4f} m".format(*rmse(second)))

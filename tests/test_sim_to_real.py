@@ -13,8 +13,9 @@ import pytest
 from stepgap import sim_to_real
 from stepgap.control.reference import Reference
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.gaussian_process import GaussianProcess
-from stepgap.learning.residual import GaussianProcessResidual, NoResidual, residual_from_dict
+from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.residual import no_residual
+from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, read_step_log
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
@@ -120,7 +121,7 @@ def test_nothing_completed_has_no_error() -> None:
 def test_repeatability_is_the_noise_of_the_plant() -> None:
     reference = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (2, (0.2, 0.58))], steps=2000)
     plant = plant_of(REALITY)(np.random.default_rng(1))
-    steps = list(deploy(CorrectedMap(NOMINAL, NoResidual(2, 2)), plant, reference, 0))
+    steps = list(deploy(CorrectedMap(NOMINAL, no_residual(2, 2)), plant, reference, 0, in_space([])))
     assert repeatability(in_space(steps), reference) == pytest.approx(NOISE, rel=0.05)
     assert np.isnan(repeatability(in_space(steps[:9]), reference)).all(), "4 steady steps cannot tell 5 coefficients"
     assert np.isnan(repeatability(in_space([]), reference)).all()
@@ -129,34 +130,14 @@ def test_repeatability_is_the_noise_of_the_plant() -> None:
 # What is learnt
 
 
-def test_learning_takes_the_error_of_the_nominal_map_at_applied_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(5)
-    steps = []
-    for number in range(1, 9):
-        state, asked = START + 0.01 * rng.normal(size=2), rng.normal(size=2)
-        applied = asked / 2
-        record = StepRecord(state, asked, applied, REALITY(state, applied), Reason.OK)
-        steps.append(LoggedStep(number // 5, number, START, START, np.zeros(2), record))
-    steps.insert(4, logged(5, (0.1, 0.55), None))
-    seen = {}
-    monkeypatch.setattr(sim_to_real, "fit_residual", lambda *given: seen.update(given=given) or NoResidual(2, 2))
-    learn(NOMINAL, in_space(steps), "gp")
-    kind, space, state, applied, error = seen["given"]
-    done = [logged.record for logged in steps if logged.record.reason == Reason.OK]
-    assert (kind, space) == ("gp", NOMINAL.space)
-    np.testing.assert_array_equal(state, [record.state for record in done])
-    np.testing.assert_array_equal(applied, [record.applied for record in done])
-    np.testing.assert_array_equal(error, [r.next_state - NOMINAL(r.state, r.applied) for r in done])
-
-
 def test_every_model_is_learnt_on_the_nominal_map_from_all_steps(unbroken: Path) -> None:
     log = read_step_log(unbroken / "steps.csv", NOMINAL.space)
     for iteration in (1, 2):
         before = StepLog(log.space, [logged for logged in log if logged.iteration < iteration])
         residual = residual_from_dict(json.loads((unbroken / "models" / f"iteration_{iteration}.json").read_text()))
-        assert isinstance(residual, GaussianProcessResidual)
-        for column, process in enumerate(residual.processes):
-            assert isinstance(process, GaussianProcess)
+        for column, regression in enumerate(residual.regressions):
+            assert isinstance(regression, GaussianProcessRegression)
+            process = regression.process
             np.testing.assert_array_equal(process.points, np.hstack([before.state, before.applied]))
             nominal = NOMINAL.evaluate(before.state, before.applied).next_state
             np.testing.assert_array_equal(process.values, (before.next_state - nominal)[:, column])
@@ -168,8 +149,8 @@ def test_learning_closes_the_gap(tmp_path: Path) -> None:
 
 
 def test_nothing_learnt_leaves_the_nominal_map() -> None:
-    assert isinstance(learn(NOMINAL, in_space([]), "gp"), NoResidual)
-    assert isinstance(learn(NeverWorks(), in_space([logged(1, (0.1, 0.5), (0.1, 0.5))]), "gp"), NoResidual)
+    assert learn(NOMINAL, in_space([]), ALWAYS).kind == "none"
+    assert learn(NeverWorks(), in_space([logged(1, (0.1, 0.5), (0.1, 0.5))]), ALWAYS).kind == "none"
 
 
 # When redeploying ends
@@ -209,7 +190,16 @@ def test_it_stops_when_nothing_is_gained(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"residual": "cubic"}, {"iterations": -1}, {"iterations": 1001}, {"least_gain": 1.0}, {"least_gain": math.nan}],
+    [
+        {"residual": "cubic"},
+        {"iterations": -1},
+        {"iterations": 1001},
+        {"least_gain": 1.0},
+        {"least_gain": math.nan},
+        {"features": "next_error"},
+        {"memory": 0.0},
+        {"memory": math.nan},
+    ],
 )
 def test_settings_out_of_range_are_refused(wrong: dict) -> None:
     (name,) = wrong

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from stepgap.hopper.parameters import RobotParameters as RobotParameters
     from stepgap.hopper.sampled_map import SampledApexMap as SampledApexMap
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
-    from stepgap.learning.residual import fit_residual as fit_residual
+    from stepgap.learning.observations import Observations as Observations
+    from stepgap.learning.residual_fit import fit_residual as fit_residual
     from stepgap.plants.model_plant import ModelPlant as ModelPlant
     from stepgap.plants.plant import Plant as Plant
     from stepgap.plants.rig_plant import RigPlant as RigPlant
@@ -46,6 +47,7 @@ _HOMES = {
     "CorrectedMap": "learning.corrected_map",
     "Gains": "hopper.parameters",
     "ModelPlant": "plants.model_plant",
+    "Observations": "learning.observations",
     "Plant": "plants.plant",
     "RealityGap": "rigs.twin.reality_gap",
     "Reference": "control.reference",
@@ -59,7 +61,7 @@ _HOMES = {
     "StepRecord": "step",
     "Twin": "rigs.twin.twin",
     "build_table": "control.command_table",
-    "fit_residual": "learning.residual",
+    "fit_residual": "learning.residual_fit",
     "fixed_point": "control.limit_cycle",
     "paper_reference": "control.reference",
     "reachable_set": "control.limit_cycle",

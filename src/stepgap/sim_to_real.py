@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,7 +21,9 @@ from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.files import write_whole
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.residual import KINDS, Residual, ResidualKind, fit_residual
+from stepgap.learning.observations import observe
+from stepgap.learning.residual import FEATURES, Features, Hindsight, Residual
+from stepgap.learning.residual_fit import KINDS, ResidualKind, fit_residual
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
 from stepgap.plants.plant import Plant
 from stepgap.step import Array, Reason, StepFailed, StepMap
@@ -49,15 +51,22 @@ class LearningSettings:
         iterations: Redeployments at most; the first deployment, number 0, uses the nominal map.
         least_gain: Redeploying stops when the tracking error has not fallen by this fraction of the
             best so far; judged from the second redeployment on.
+        features: What of the step before the model takes as inputs, too; `auto`: what predicts best.
+        memory: After how many steps what was learnt counts much less; inf: it counts for ever.
     """
 
     residual: ResidualKind = "gp"
     iterations: int = 4
     least_gain: float = 0.01
+    features: Features | Literal["auto"] = "none"
+    memory: float = inf
 
     def __post_init__(self) -> None:
         if self.residual not in KINDS:
             raise ValueError(f"residual = {self.residual!r}, but it must be one of {', '.join(KINDS)}")
+        if self.features not in (*FEATURES, "auto"):
+            raise ValueError(f"features = {self.features!r}, but it must be one of {', '.join(FEATURES)}, auto")
+        Hindsight(memory=self.memory)
         if not 0 <= self.iterations <= 1000:
             raise ValueError(f"iterations = {self.iterations}, but it must lie between 0 and 1000")
         if not 0 <= self.least_gain < 1:
@@ -129,38 +138,46 @@ def repeatability(steps: StepLog, reference: Reference) -> Array:
     return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / freedom)
 
 
-def deploy(step_map: CorrectedMap, plant: Plant, reference: Reference, iteration: int) -> Steps:
+def deploy(step_map: CorrectedMap, plant: Plant, reference: Reference, iteration: int, before: StepLog) -> Steps:
     """Tracks the reference with the controller of a map, until its end or a fall.
 
     Where the map knows no command that makes a step, the middle of the bounds is tried.
+
+    Args:
+        step_map: Map to compute commands with.
+        plant: What executes them.
+        reference: What to track.
+        iteration: Number of the deployment.
+        before: Steps of the deployments before, for a map with hindsight.
     """
-    controller, command = StepController(step_map), None
+    log, command = StepLog(step_map.space, before), None
     with plant:
         state = plant.start()
         for number, target in enumerate(reference.targets, start=1):
+            current = step_map.after(log, iteration)
             try:
-                plan = controller(state, target, guess=command)
+                plan = StepController(current)(state, target, guess=command)
                 command, predicted = plan.command, plan.predicted
             except StepFailed:
                 command, predicted = step_map.space.command_centre, np.full_like(target, np.nan)
-            std = step_map.std(state, command, include_noise=True)
+            std = current.std(state, command, include_noise=True)
             record = plant.take_step(command)
-            yield LoggedStep(iteration, number, target, predicted, std, record)
+            logged = LoggedStep(iteration, number, target, predicted, std, record)
+            log.append(logged)
+            yield logged
             if record.reason != Reason.OK:
                 return
             state = record.next_state
 
 
-def learn(nominal: StepMap, log: StepLog, kind: ResidualKind) -> Residual:
+def learn(nominal: StepMap, log: StepLog, learning: LearningSettings) -> Residual:
     """Fits the residual to actual − nominal over all steps of the log (Eq. 12), at the commands applied.
 
     Without a step to learn from, the nominal map stays as it is.
     """
-    known = log.completed()
-    error = known.next_state - nominal.evaluate(known.state, known.applied).next_state
-    usable = np.isfinite(error).all(axis=1)  # a step that the nominal map says must fail has no error to learn
-    kind = kind if usable.any() else "none"
-    return fit_residual(kind, nominal.space, known.state[usable], known.applied[usable], error[usable])
+    observations = observe(log, nominal)
+    kind = learning.residual if len(observations) else "none"
+    return fit_residual(kind, observations, learning.features, learning.memory)
 
 
 @dataclass(frozen=True)
@@ -211,7 +228,7 @@ def run(
         recorded = deque(writer.recorded)
         vouched = _vouched_deployments(folder / "summary.json", writer.recorded, seed)
         for iteration in range(learning.iterations + 1):
-            residual = learn(nominal, log, learning.residual if iteration > 0 else "none")
+            residual = learn(nominal, log, learning)
             model = residual.to_dict()
             if iteration > 0:
                 write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(model))
@@ -219,7 +236,7 @@ def run(
                 steps = _taken_as_recorded(recorded, iteration)
             else:
                 plant = make_plant(np.random.default_rng([seed, iteration]))
-                steps = deploy(CorrectedMap(nominal, residual), plant, reference, iteration)
+                steps = deploy(CorrectedMap(nominal, residual), plant, reference, iteration, log)
                 steps = _recorded_once(steps, recorded, writer, path)
             with closing(steps):  # so that an error here stops the plant at once
                 for logged in steps:

@@ -111,6 +111,11 @@ class StepSpace:
         return tuple(quantity.name for quantity in self.command)
 
     @property
+    def state_centre(self) -> Array:
+        """Middle of the range of use of each state coordinate; shape (n,)."""
+        return np.array([(quantity.upper + quantity.lower) / 2 for quantity in self.state])
+
+    @property
     def state_scale(self) -> Array:
         """Half the range of use of each state coordinate; shape (n,)."""
         return np.array([(quantity.upper - quantity.lower) / 2 for quantity in self.state])

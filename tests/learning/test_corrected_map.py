@@ -3,8 +3,21 @@ import pytest
 from numpy.typing import ArrayLike
 
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.residual import NoResidual, Residual, fit_residual, join_points
-from stepgap.step import Array, Outcome, Quantity, Reason, StepFailed, StepMap, StepSpace, difference_jacobian
+from stepgap.learning.observations import Observations, next_context, observe
+from stepgap.learning.residual import Residual, join_points, no_residual
+from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.step import (
+    Array,
+    Outcome,
+    Quantity,
+    Reason,
+    StepFailed,
+    StepMap,
+    StepRecord,
+    StepSpace,
+    difference_jacobian,
+)
 
 SPACE = StepSpace(
     state=(Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.535, 0.625)),
@@ -50,9 +63,8 @@ def apexes(size: int, seed: int) -> tuple[Array, Array]:
 def residual() -> Residual:
     state, command = apexes(60, seed=0)
     error = actual(state, command) - NOMINAL(state, command)
-    return fit_residual(
-        "gp", SPACE, state, command, error + 1e-4 * np.random.default_rng(1).standard_normal(error.shape)
-    )
+    error += 1e-4 * np.random.default_rng(1).standard_normal(error.shape)
+    return fit_residual("gp", Observations(SPACE, state, command, error))
 
 
 @pytest.fixture(scope="module")
@@ -113,11 +125,30 @@ def test_standard_deviation_is_the_residual_s(corrected: CorrectedMap, residual:
     np.testing.assert_array_equal(corrected.std(state, command), residual.std(point))
     noisy = corrected.std(state, command, include_noise=True)
     np.testing.assert_array_equal(noisy, residual.std(point, include_noise=True))
+    slope = corrected.std_gradient(state, command, include_noise=True)
+    np.testing.assert_array_equal(slope, residual.std_gradient(point, include_noise=True))
+
+
+def test_hindsight_takes_the_map_of_the_step_that_follows() -> None:
+    state, command = apexes(30, seed=7)
+    log = StepLog(SPACE)
+    for row in range(30):
+        drift = 0.01 * np.sin(0.3 * row)
+        record = StepRecord(state[row], command[row], command[row], actual(state[row], command[row]) + drift, Reason.OK)
+        log.append(LoggedStep(0, row + 1, state[row], state[row], np.zeros(2), record))
+    residual = fit_residual("linear", observe(log, NOMINAL), "previous_error")
+    corrected = CorrectedMap(NOMINAL, residual)
+    for iteration in (0, 1):
+        expected = residual.given(next_context(log, NOMINAL, iteration)).mean(join_points(state, command))
+        found = corrected.after(log, iteration)(state, command) - NOMINAL(state, command)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    plain = CorrectedMap(NOMINAL, no_residual(2, 1))
+    assert plain.after(log, 0) is plain
 
 
 def test_no_residual_changes_nothing() -> None:
     state, command = apexes(6, seed=6)
-    same = CorrectedMap(NOMINAL, NoResidual(2, 1))
+    same = CorrectedMap(NOMINAL, no_residual(2, 1))
     np.testing.assert_array_equal(same(state, command), NOMINAL(state, command))
     np.testing.assert_array_equal(same.jacobian(state, command), NOMINAL.jacobian(state, command))
     np.testing.assert_array_equal(same.std(state, command), np.zeros((6, 2)))
@@ -125,9 +156,9 @@ def test_no_residual_changes_nothing() -> None:
 
 def test_corrections_never_stack(corrected: CorrectedMap) -> None:
     with pytest.raises(ValueError, match="stack"):
-        CorrectedMap(corrected, NoResidual(2, 1))
+        CorrectedMap(corrected, no_residual(2, 1))
 
 
 def test_sizes_must_agree() -> None:
     with pytest.raises(ValueError, match="sizes"):
-        CorrectedMap(NOMINAL, NoResidual(2, 2))
+        CorrectedMap(NOMINAL, no_residual(2, 2))

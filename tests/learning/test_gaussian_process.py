@@ -1,7 +1,9 @@
 import itertools
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,23 +12,32 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+from sklearn.gaussian_process.kernels import ConstantKernel, DotProduct, Matern
+from threadpoolctl import threadpool_limits
 
-from stepgap.learning.gaussian_process import GaussianProcess, HyperParameters, condition
+from stepgap.learning.cholesky import LONGEST_TAIL
+from stepgap.learning.gaussian_process import GaussianProcess, HyperParameters, append, condition, leave_one_out
 from stepgap.learning.gaussian_process_fit import (
     COLD_START_SIZE,
     Evidence,
     fit_gaussian_process,
     fit_like_fitrgp,
-    squared_differences,
 )
 from stepgap.step import Array
 
 CENTRE = np.array([0.2, 0.58, 0.0, 0.0])
 SCALE = np.array([0.2, 0.045, 15.0, 20.0])
 FIXED = HyperParameters(np.array([1.8, 2.6, 3.1, 4.2]), signal_std=0.031, noise_std=0.006)
+SLOPED = replace(FIXED, slope_std=0.02)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """On a busy machine the threads of BLAS wait for each other."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 def truth(points: Array) -> Array:
@@ -85,20 +96,72 @@ class TestAtFixedHyperParameters:
         np.testing.assert_allclose(process.std(queries), std, rtol=1e-8)
         np.testing.assert_allclose(process.std(queries, include_noise=True), np.hypot(std, FIXED.noise_std), rtol=1e-9)
 
-    def test_mean_gradient_is_the_derivative_of_the_mean(self) -> None:
-        process = condition(*sample(60), SCALE, FIXED)
+    def test_with_slopes_it_agrees_with_scikit_learn_once_the_constant_is_known(self) -> None:
+        points, values = sample(60)
+        queries, _ = sample(25, seed=1)
+        process = condition(points, values, SCALE, SLOPED)
+
+        slopes = ConstantKernel(SLOPED.slope_std**2) * DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
+        bends = ConstantKernel(SLOPED.signal_std**2) * Matern(SLOPED.length_scale, nu=2.5)  # pyright: ignore[reportArgumentType]
+        centred = GaussianProcessRegressor(slopes + bends, alpha=SLOPED.noise_std**2, optimizer=None)  # pyright: ignore[reportArgumentType]
+        centred.fit((points - points[0]) / SCALE, values - process.coefficient)
+        mean, std = centred.predict((queries - points[0]) / SCALE, return_std=True)
+
+        assert process.log_likelihood == pytest.approx(centred.log_marginal_likelihood(), rel=1e-10)
+        np.testing.assert_allclose(process.mean(queries), process.coefficient + mean, rtol=1e-8)
+        np.testing.assert_allclose(process.std(queries), std, rtol=1e-8)
+
+    def test_with_wide_slopes_it_agrees_with_the_linear_basis_of_openturns(self) -> None:
+        points, values = sample(60)
+        queries, _ = sample(25, seed=1)
+        process = condition(points, values, SCALE, replace(FIXED, slope_std=100.0))
+
+        kernel = ot.MaternModel(FIXED.length_scale, [FIXED.signal_std], 2.5)
+        kernel.setNuggetFactor((FIXED.noise_std / FIXED.signal_std) ** 2)
+        fitter = ot.GaussianProcessFitter(points / SCALE, values[:, None], kernel, ot.LinearBasisFactory(4).build())
+        fitter.setOptimizeParameters(False)
+        fitter.run()
+        regression = ot.GaussianProcessRegression(fitter.getResult())
+        regression.run()
+        kriging = regression.getResult()
+        covariance = ot.GaussianProcessConditionalCovariance(kriging)
+        variance = np.ravel(covariance.getConditionalMarginalVariance(queries / SCALE))
+        np.testing.assert_allclose(process.mean(queries), np.ravel(kriging.getMetaModel()(queries / SCALE)), rtol=1e-5)
+        np.testing.assert_allclose(process.kriging_std(queries, include_noise=True) ** 2, variance, rtol=1e-5)
+        slope = process.mean_gradient(CENTRE + 1e5 * SCALE) * SCALE
+        np.testing.assert_allclose(slope, np.ravel(kriging.getTrendCoefficients())[1:], rtol=1e-5)
+
+    def test_slopes_may_turn_about_any_place(self) -> None:
+        points, values = sample(40)
+        queries, _ = sample(10, seed=1)
+        one, other = (
+            condition(np.roll(points, shift, axis=0), np.roll(values, shift), SCALE, SLOPED) for shift in (0, 1)
+        )
+        for method in ("mean", "mean_gradient", "kriging_std", "kriging_std_gradient"):
+            np.testing.assert_allclose(getattr(one, method)(queries), getattr(other, method)(queries), rtol=1e-8)
+
+    @pytest.mark.parametrize("hyper_parameters", [FIXED, SLOPED], ids=["constant", "linear"])
+    def test_gradients_are_derivatives(self, hyper_parameters: HyperParameters) -> None:
+        process = condition(*sample(60), SCALE, hyper_parameters)
         queries, _ = sample(6, seed=2)
-        for query in [*queries, process.points[0]]:
-            expected = central_difference(process.mean, query, 1e-5 * SCALE)
-            np.testing.assert_allclose(process.mean_gradient(query) * SCALE, expected * SCALE, rtol=1e-7, atol=1e-10)
+        for query in [*queries, process.points[0], CENTRE + 5 * SCALE]:
+            for function, gradient in (
+                (process.mean, process.mean_gradient),
+                (process.kriging_std, process.kriging_std_gradient),
+                (
+                    partial(process.kriging_std, include_noise=True),
+                    partial(process.kriging_std_gradient, include_noise=True),
+                ),
+            ):
+                expected = central_difference(function, query, 1e-5 * SCALE)
+                np.testing.assert_allclose(gradient(query) * SCALE, expected * SCALE, rtol=1e-6, atol=1e-10)
 
     def test_far_from_the_data_only_the_basis_is_left(self) -> None:
         points, values = sample(60)
         process = condition(points, values, SCALE, FIXED)
         far = CENTRE + 1e4 * SCALE
-        covariance = (
-            FIXED.signal_std**2 * np.linalg.inv(process.least_squares.factor @ process.least_squares.factor.T).sum()
-        )
+        factor = process.least_squares.factor.whole()
+        covariance = FIXED.signal_std**2 * np.linalg.inv(factor @ factor.T).sum()
         assert process.mean(far) == pytest.approx(process.coefficient)
         np.testing.assert_array_equal(process.mean_gradient(far), 0)
         assert process.std(far) == pytest.approx(FIXED.signal_std)
@@ -114,6 +177,7 @@ class TestAtFixedHyperParameters:
             (process.mean_gradient, (4,)),
             (process.std, ()),
             (process.kriging_std, ()),
+            (process.kriging_std_gradient, (4,)),
         ):
             batch = method(queries.reshape(3, 1000, 4))
             assert batch.shape == (3, 1000, *tail)
@@ -124,7 +188,9 @@ class TestAtFixedHyperParameters:
     def test_a_query_that_is_not_finite_gives_nan(self, bad: float) -> None:
         process = condition(*sample(20), SCALE, FIXED)
         queries = np.stack([CENTRE, np.append(CENTRE[:3], bad)])
-        for method in (process.mean, process.mean_gradient, process.std, process.kriging_std):
+        for method in (
+            process.mean, process.mean_gradient, process.std, process.kriging_std, process.kriging_std_gradient
+        ):  # fmt: skip
             good_result, bad_result = method(queries)
             assert np.all(np.isfinite(good_result))
             assert np.all(np.isnan(bad_result))
@@ -134,6 +200,7 @@ class TestAtFixedHyperParameters:
         process = condition(points, values, SCALE, HyperParameters(FIXED.length_scale, FIXED.signal_std, 0.0))
         np.testing.assert_allclose(process.mean(points), values, atol=1e-10)
         np.testing.assert_allclose(process.kriging_std(points), 0, atol=1e-7)
+        assert np.all(np.isfinite(process.kriging_std_gradient(points)))
 
     def test_keeps_its_own_copy_of_the_data(self) -> None:
         points, values = sample(20)
@@ -143,58 +210,152 @@ class TestAtFixedHyperParameters:
         np.testing.assert_array_equal(GaussianProcess.from_dict(process.to_dict()).mean(CENTRE), before)
 
 
+class TestLeaveOneOut:
+    @pytest.mark.parametrize("hyper_parameters", [FIXED, SLOPED, replace(FIXED, noise_std=0.0)])
+    def test_is_what_the_process_without_a_point_predicts_of_it(self, hyper_parameters: HyperParameters) -> None:
+        points, values = sample(30)
+        mean, std = leave_one_out(condition(points, values, SCALE, hyper_parameters))
+        for i, (point, rest) in enumerate(zip(points, ~np.eye(30, dtype=bool), strict=True)):
+            process = condition(points[rest], values[rest], SCALE, hyper_parameters)
+            assert mean[i] == pytest.approx(process.mean(point), rel=1e-9)
+            assert std[i] == pytest.approx(process.kriging_std(point, include_noise=True), rel=1e-9)
+
+    def test_of_appended_points_too(self) -> None:
+        points, values = sample(30)
+        process = condition(points[:20], values[:20], SCALE, SLOPED)
+        for point, value in zip(points[20:], values[20:], strict=True):
+            process = append(process, point, value)
+        expected = leave_one_out(condition(points, values, SCALE, SLOPED))
+        np.testing.assert_allclose(leave_one_out(process), expected, rtol=1e-10)
+
+    def test_of_two_points_the_other_one_is_left(self) -> None:
+        mean, std = leave_one_out(condition(*sample(2), SCALE, FIXED))
+        points, values = sample(2)
+        np.testing.assert_allclose(mean, values[::-1])
+        assert std[0] == pytest.approx(
+            condition(points[1:], values[1:], SCALE, FIXED).kriging_std(points[0], include_noise=True)
+        )
+
+    def test_of_a_single_point_nothing_is_left(self) -> None:
+        mean, std = leave_one_out(condition(*sample(1), SCALE, FIXED))
+        assert np.isnan(mean)
+        assert np.isposinf(std)
+
+
+class TestAppend:
+    @pytest.mark.parametrize("hyper_parameters", [FIXED, SLOPED], ids=["constant", "linear"])
+    @pytest.mark.parametrize("more", [1, LONGEST_TAIL, 2 * LONGEST_TAIL + 3])
+    def test_is_the_same_as_conditioning_on_all(self, more: int, hyper_parameters: HyperParameters) -> None:
+        points, values = sample(20 + more)
+        process = condition(points[:20], values[:20], SCALE, hyper_parameters)
+        for point, value in zip(points[20:], values[20:], strict=True):
+            process = append(process, point, value)
+        whole = condition(points, values, SCALE, hyper_parameters)
+        assert process.to_dict() == whole.to_dict()
+        assert process.log_likelihood == pytest.approx(whole.log_likelihood, rel=1e-11)
+        queries, _ = sample(10, seed=1)
+        for method in ("mean", "mean_gradient", "std", "kriging_std", "kriging_std_gradient"):
+            np.testing.assert_allclose(getattr(process, method)(queries), getattr(whole, method)(queries), rtol=1e-9)
+
+    def test_leaves_what_it_started_from_as_it_is(self) -> None:
+        points, values = sample(30)
+        process = append(condition(points[:20], values[:20], SCALE, FIXED), points[20], values[20])
+        before = process.mean(CENTRE), process.kriging_std(CENTRE)
+        branches = [append(process, points[i], values[i]) for i in (21, 22)]
+        for branch, i in zip(branches, (21, 22), strict=True):
+            rows = [*range(21), i]
+            expected = condition(points[rows], values[rows], SCALE, FIXED).mean(CENTRE)
+            assert branch.mean(CENTRE) == pytest.approx(expected, rel=1e-9)
+        assert (process.mean(CENTRE), process.kriging_std(CENTRE)) == before
+
+    @pytest.mark.parametrize("offset", [0.0, 1e-14, 1e-9, 1e-5])
+    @pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-3])
+    @pytest.mark.parametrize("slope", [0.0, 0.02])
+    def test_points_that_can_hardly_be_told_apart_do_no_harm(self, offset: float, noise: float, slope: float) -> None:
+        points, values = sample(20, noise=0)
+        hyper_parameters = replace(FIXED, noise_std=noise, slope_std=slope)
+        process = condition(points, values, SCALE, hyper_parameters)
+        for i in range(4):
+            process = append(process, points[i] + offset * SCALE, values[i])
+        whole = condition(process.points, process.values, SCALE, hyper_parameters)
+        queries, _ = sample(10, seed=1)
+        np.testing.assert_allclose(process.mean(queries), whole.mean(queries), rtol=1e-3)
+        assert np.all(np.isfinite(process.kriging_std(queries)))
+
+    @pytest.mark.parametrize(
+        ("point", "value", "named"),
+        [(CENTRE[:3], 0.0, "points"), (np.append(CENTRE[:3], np.nan), 0.0, "points"), (CENTRE, np.inf, "values")],
+    )
+    def test_an_unsound_point_is_refused(self, point: Array, value: float, named: str) -> None:
+        with pytest.raises(ValueError, match=f"^{named} must be"):
+            append(condition(*sample(3), SCALE, FIXED), point, value)
+
+
 class TestEvidence:
     POINTS, VALUES = sample(25)
-    DIFFERENCES = squared_differences(POINTS / SCALE)
+    HERE, THERE = np.log([1.0, 2.0, 3.0, 4.0, 0.3, 0.6]), np.log([2.0, 1.5, 5.0, 0.8, 0.9, 2.0])
 
-    @pytest.mark.parametrize("with_prior", [False, True])
+    def evidence(self, value_scale: float | None = 0.2, least_noise: float = 1e-9, length_scales: int = 4) -> Evidence:
+        return Evidence(self.POINTS / SCALE, self.VALUES, length_scales, least_noise, value_scale)
+
+    @pytest.mark.parametrize("value_scale", [None, 0.2])
     @pytest.mark.parametrize("least_noise", [1e-9, 0.05], ids=["free", "binding"])
-    @pytest.mark.parametrize("isotropic", [False, True])
+    @pytest.mark.parametrize("parameters", [5, 6], ids=["constant", "linear"])
     def test_gradient_is_the_derivative_of_the_loss(
-        self, isotropic: bool, least_noise: float, with_prior: bool
+        self, parameters: int, least_noise: float, value_scale: float | None
     ) -> None:
-        differences = self.DIFFERENCES.sum(axis=0, keepdims=True) if isotropic else self.DIFFERENCES
-        evidence = Evidence(differences, self.VALUES, least_noise, with_prior)
+        self.check_gradient(self.evidence(value_scale, least_noise), np.log([*[2.0] * 4, 0.4, 0.6])[:parameters])
+
+    def test_gradient_with_one_common_length_scale(self) -> None:
+        self.check_gradient(self.evidence(None, length_scales=1), np.log([2.0, 0.4]))
+
+    def check_gradient(self, evidence: Evidence, centre: Array) -> None:
         generator = np.random.default_rng(4)
         for _ in range(5):
-            log_parameters = np.log([*[2.0] * len(differences), 0.4]) + 0.7 * generator.standard_normal(
-                len(differences) + 1
-            )
+            log_parameters = centre + 0.7 * generator.standard_normal(len(centre))
             _, gradient = evidence.loss(log_parameters)
             expected = central_difference(lambda p: evidence.loss(p)[0], log_parameters, np.full(len(gradient), 1e-5))
             np.testing.assert_allclose(gradient, expected, rtol=1e-6, atol=1e-6)
 
     def test_loss_is_the_negative_log_posterior(self) -> None:
-        evidence = Evidence(self.DIFFERENCES, self.VALUES, 1e-9, with_prior=True)
+        evidence = self.evidence()
 
         def expected(log_parameters: Array) -> float:
-            signal, noise = evidence.signal_and_noise(log_parameters)
-            kernel = np.asarray(Matern(nu=2.5)(self.POINTS / (SCALE * np.exp(log_parameters[:-1]))), float)
-            covariance = signal**2 * kernel + noise**2 * np.eye(len(self.VALUES))
-            by_ones = np.linalg.solve(covariance, np.ones(len(self.VALUES)))
-            error = self.VALUES - by_ones @ self.VALUES / by_ones.sum()
-            likelihood = -0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(covariance).logabsdet)
-            length_scales, ratio = log_parameters[:-1], log_parameters[-1]
-            return likelihood + norm.logpdf(length_scales, np.log(3)).sum() + norm.logpdf(ratio, np.log(0.5))
+            found = evidence.hyper_parameters(log_parameters)
+            z = self.POINTS / SCALE
+            kernel = np.asarray(Matern(nu=2.5)(z / found.length_scale), float)
+            # The likelihood of differences of the values, which do not depend on the constant.
+            contrast = np.linalg.qr(np.column_stack([np.ones(25), np.eye(25)[:, 1:]]))[0][:, 1:]
+            covariance = found.signal_std**2 * kernel + found.noise_std**2 * np.eye(25) + found.slope_std**2 * z @ z.T
+            likelihood = multivariate_normal.logpdf(contrast.T @ self.VALUES, cov=contrast.T @ covariance @ contrast)  # pyright: ignore[reportArgumentType]
+            medians = np.log([3.0, 3.0, 3.0, 3.0, 0.5, 1.0])
+            signal = norm.logpdf(np.log(found.signal_std), np.log(0.25 * 0.2))
+            return likelihood + signal + norm.logpdf(log_parameters, medians).sum()
 
-        here, there = np.log([1.0, 2.0, 3.0, 4.0, 0.3]), np.log([2.0, 1.5, 5.0, 0.8, 0.9])
-        difference = evidence.loss(there)[0] - evidence.loss(here)[0]
-        assert difference == pytest.approx(expected(here) - expected(there), rel=1e-9)
+        difference = evidence.loss(self.THERE)[0] - evidence.loss(self.HERE)[0]
+        assert difference == pytest.approx(expected(self.HERE) - expected(self.THERE), rel=1e-9)
 
-    def test_the_signal_and_the_basis_are_the_most_likely_ones(self) -> None:
-        log_parameters = np.log([1.0, 2.0, 3.0, 4.0, 0.3])
-        signal, noise = Evidence(self.DIFFERENCES, self.VALUES, 1e-9, with_prior=False).signal_and_noise(log_parameters)
-        process = condition(
-            self.POINTS, self.VALUES, SCALE, HyperParameters(np.exp(log_parameters[:-1]), signal, noise)
-        )
+    def test_without_priors_the_signal_and_the_constant_are_the_most_likely_ones(self) -> None:
+        found = self.evidence(None).hyper_parameters(self.HERE)
+        process = condition(self.POINTS, self.VALUES, SCALE, found)
         for factor in (0.99, 1.01):
-            other = HyperParameters(np.exp(log_parameters[:-1]), factor * signal, factor * noise)
-            assert condition(self.POINTS, self.VALUES, SCALE, other).log_likelihood < process.log_likelihood
-        whitened = (
-            np.linalg.solve(process.least_squares.factor, np.ones(25)),
-            np.linalg.solve(process.least_squares.factor, self.VALUES),
-        )
+            stds = {name: factor * getattr(found, name) for name in ("signal_std", "noise_std", "slope_std")}
+            other = condition(self.POINTS, self.VALUES, SCALE, HyperParameters(found.length_scale, **stds))
+            assert other.log_likelihood < process.log_likelihood
+        factor = process.least_squares.factor.whole()
+        whitened = np.linalg.solve(factor, np.ones(25)), np.linalg.solve(factor, self.VALUES)
         assert process.coefficient == pytest.approx(np.linalg.lstsq(whitened[0][:, None], whitened[1])[0][0])
+
+    @pytest.mark.parametrize("misfit", [0.0, 1e-30, 1e-4, 3.0, 1e8])
+    @pytest.mark.parametrize("size", [1, 2, 30, 300])
+    def test_the_signal_is_the_most_probable_one(self, size: int, misfit: float) -> None:
+        evidence = Evidence(np.zeros((size, 1)), np.zeros(size), 1, 0.0, 0.2)
+        signal = evidence.signal(misfit)
+
+        def rise(log_signal: float) -> float:
+            return misfit * np.exp(-2 * log_signal) - (size - 1) - (log_signal - np.log(0.05))
+
+        assert rise(np.log(signal) - 1e-6) > 0 > rise(np.log(signal) + 1e-6)
 
 
 class TestFit:
@@ -217,7 +378,7 @@ class TestFit:
         points, noise = sample(size, seed=12)
         values = np.sin(9 * (points - CENTRE)[:, decisive] / SCALE[decisive]) + noise
         hyper_parameters = fit_gaussian_process(points, values, SCALE).hyper_parameters
-        evidence = Evidence(squared_differences(points / SCALE), values, 1e-9, with_prior=True)
+        evidence = Evidence(points / SCALE, values, 4, 1e-9, np.ptp(values) / 2)
         ratio = hyper_parameters.noise_std / hyper_parameters.signal_std
         found, gradient = evidence.loss(np.log([*hyper_parameters.length_scale, ratio]))
         assert np.abs(gradient).max() < 0.05
@@ -322,11 +483,11 @@ class TestSaved:
         ("key", "wrong"),
         [
             *itertools.product(
-                ["input_scale", "points", "values", "length_scale", "signal_std", "noise_std"],
+                ["input_scale", "points", "values", "length_scale", "signal_std", "noise_std", "slope_std"],
                 [None, "0.1", True, [], [[1.0], [1.0, 2.0]], {"1": 1.0}],
             ),
             *itertools.product(["input_scale", "length_scale"], [[1.0, 1.0, 1.0, np.nan], [1.0, 1.0, 1.0, 0.0]]),
-            *itertools.product(["signal_std", "noise_std"], [-1.0, np.nan, np.inf]),
+            *itertools.product(["signal_std", "noise_std", "slope_std"], [-1.0, np.nan, np.inf]),
             ("signal_std", 0.0),
             ("length_scale", [1.0, 1.0, 1.0]),
             ("values", [1.0, 1.0]),

@@ -1,20 +1,15 @@
 import json
+from math import inf
 from typing import Any, get_args
 
 import numpy as np
 import pytest
 
-from stepgap.learning.gaussian_process_fit import fit_gaussian_process, fit_like_fitrgp
-from stepgap.learning.residual import (
-    GaussianProcessKind,
-    GaussianProcessResidual,
-    NoResidual,
-    Residual,
-    ResidualKind,
-    fit_residual,
-    join_points,
-    residual_from_dict,
-)
+from stepgap.learning.gaussian_process_fit import Basis, fit_gaussian_process, fit_like_fitrgp
+from stepgap.learning.observations import Observations
+from stepgap.learning.regression import Zero
+from stepgap.learning.residual import FEATURES, Features, Hindsight, Residual, join_points, no_residual
+from stepgap.learning.residual_fit import KINDS, ResidualKind, fit_residual, held_out_score, residual_from_dict
 from stepgap.step import Array, Quantity, StepSpace
 
 SPACE = StepSpace(
@@ -22,97 +17,290 @@ SPACE = StepSpace(
     command=(Quantity("fx", "N", -15.0, 15.0), Quantity("fy", "N", -20.0, 20.0)),
 )
 SCALE = np.array([0.2, 0.045, 15.0, 20.0])
-KINDS: tuple[ResidualKind, ...] = ("none", "gp", "fitrgp")
+FITTED: tuple[ResidualKind, ...] = KINDS[:-1]
 
 
-def steps(size: int = 40, seed: int = 0) -> tuple[Array, Array, Array]:
-    """States, applied commands and errors of a nominal map."""
+def steps(size: int = 40, seed: int = 0) -> Observations:
+    """Errors of a nominal map at scattered steps, and contexts."""
     generator = np.random.default_rng(seed)
     state = np.array([0.2, 0.58]) + SCALE[:2] * generator.uniform(-1, 1, (size, 2))
     command = SCALE[2:] * generator.uniform(-1, 1, (size, 2))
+    context = np.hstack([generator.uniform(-0.3, 0.3, (size, 6)), np.arange(float(size))[:, None]])
     drag, sag = 0.05 - 0.1 * state[:, 0] + 0.001 * command[:, 0], 0.01 * np.sin(command[:, 1] / 10)
-    return state, command, np.stack([drag, sag], axis=1) + [0.004, 0.001] * generator.standard_normal((size, 2))
+    error = np.stack([drag + 0.01 * context[:, 0], sag], axis=1)
+    return Observations(SPACE, state, command, error + [0.004, 0.001] * generator.standard_normal((size, 2)), context)
 
 
-@pytest.fixture(scope="module", params=KINDS)
+def part(observations: Observations, rows: slice) -> Observations:
+    context = None if observations.context is None else observations.context[rows]
+    state, command, error = observations.state[rows], observations.applied_command[rows], observations.error[rows]
+    return Observations(SPACE, state, command, error, context)
+
+
+def points(observations: Observations) -> Array:
+    return join_points(observations.state, observations.applied_command)
+
+
+QUERIES = steps(6, seed=1)
+CASES = [(kind, "none", inf) for kind in FITTED]
+CASES += [(kind, "previous_step", 30.0) for kind in FITTED]
+CASES += [("gp", "previous_error", inf)]
+
+
+@pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join(map(str, case)))
 def residual(request: pytest.FixtureRequest) -> Residual:
-    return fit_residual(request.param, SPACE, *steps())
+    """Of every kind; with hindsight it is given the contexts of the queries, one each."""
+    kind, features, memory = request.param
+    assert QUERIES.context is not None
+    return fit_residual(kind, steps(), features, memory).given(QUERIES.context)
 
 
 class TestEveryResidual:
     def test_shapes_follow_the_points(self, residual: Residual) -> None:
         assert residual.sizes == (2, 2)
+        residual = residual.given(np.zeros(7))
         for leading in ((), (3,), (2, 0), (2, 3)):
             point = np.broadcast_to([0.2, 0.58, 0.0, 0.0], (*leading, 4))
             assert residual.mean(point).shape == (*leading, 2)
             assert residual.std(point).shape == (*leading, 2)
             assert residual.mean_gradient(point).shape == (*leading, 2, 4)
+            assert residual.std_gradient(point).shape == (*leading, 2, 4)
 
-    def test_gradient_is_the_derivative_of_the_mean(self, residual: Residual) -> None:
-        point = join_points(*steps(5, seed=1)[:2])[:, None, :]
-        step = np.diag(1e-5 * SCALE)
-        difference = (residual.mean(point + step) - residual.mean(point - step)) / (2e-5 * SCALE[:, None])
-        expected = np.swapaxes(difference, -1, -2) * SCALE
-        np.testing.assert_allclose(residual.mean_gradient(point[:, 0]) * SCALE, expected, rtol=1e-6, atol=1e-9)
+    def test_gradients_are_derivatives(self, residual: Residual) -> None:
+        point, step = points(QUERIES), 1e-5 * SCALE
+        pairs: list[tuple[Any, Any]] = [(residual.mean, residual.mean_gradient)]
+        for noisy in (False, True):
+            pairs.append(
+                (
+                    lambda at, noisy=noisy: residual.std(at, include_noise=noisy),
+                    lambda at, noisy=noisy: residual.std_gradient(at, include_noise=noisy),
+                )
+            )
+        for function, gradient in pairs:
+            for column, size in enumerate(step):
+                offset = size * np.eye(4)[column]
+                difference = (function(point + offset) - function(point - offset)) / (2e-5)
+                found = gradient(point)[..., column] * SCALE[column]
+                np.testing.assert_allclose(found, difference, rtol=1e-5, atol=1e-9)
 
     def test_noise_adds_to_the_standard_deviation(self, residual: Residual) -> None:
-        point = join_points(*steps(5, seed=1)[:2])
-        noisy, latent = residual.std(point, include_noise=True), residual.std(point)
+        noisy, latent = residual.std(points(QUERIES), include_noise=True), residual.std(points(QUERIES))
         assert np.all(latent >= 0)
-        assert np.all(noisy >= latent)
+        assert np.all(noisy > latent)
         assert np.ptp(noisy**2 - latent**2, axis=0) == pytest.approx(np.zeros(2), abs=1e-12)
 
     def test_comes_back_bit_for_bit(self, residual: Residual) -> None:
         saved = json.loads(json.dumps(residual.to_dict(), allow_nan=False))
-        loaded = residual_from_dict(saved)
-        point = join_points(*steps(20, seed=1)[:2])
-        assert type(loaded) is type(residual)
-        assert loaded.to_dict() == residual.to_dict()
-        np.testing.assert_array_equal(loaded.mean(point), residual.mean(point))
-        np.testing.assert_array_equal(loaded.std(point), residual.std(point))
-        np.testing.assert_array_equal(loaded.mean_gradient(point), residual.mean_gradient(point))
+        assert QUERIES.context is not None
+        loaded = residual_from_dict(saved).given(QUERIES.context)
+        assert (loaded.kind, loaded.hindsight, loaded.to_dict()) == (residual.kind, residual.hindsight, saved)
+        for name in ("mean", "std", "mean_gradient", "std_gradient"):
+            np.testing.assert_array_equal(
+                getattr(loaded, name)(points(QUERIES)), getattr(residual, name)(points(QUERIES))
+            )
+
+    def test_appending_is_fitting_anew_at_the_same_hyper_parameters(self, residual: Residual) -> None:
+        """`residual_from_dict` conditions anew on the data that the grown one holds."""
+        grown, more = residual, steps(5, seed=2)
+        assert more.context is not None
+        assert QUERIES.context is not None
+        for point, error, context in zip(points(more), more.error, more.context, strict=True):
+            grown = grown.given(context + 40 * np.eye(7)[-1]).append(point, error)
+        anew = residual_from_dict(grown.to_dict())
+        for found, wanted in zip(grown.regressions, anew.regressions, strict=True):
+            assert found.kind == wanted.kind
+        grown, anew = (each.given(QUERIES.context) for each in (grown, anew))
+        for name in ("mean", "std", "mean_gradient"):
+            found, wanted = (getattr(each, name)(points(QUERIES)) for each in (grown, anew))
+            np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+        if residual.kind != "none":
+            assert not np.allclose(grown.mean(points(QUERIES)), residual.mean(points(QUERIES)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FITTED if kind not in ("none", "fitrgp")])
+@pytest.mark.parametrize("memory", [inf, 30.0])
+def test_left_out_is_conditioning_on_the_others(kind: ResidualKind, memory: float) -> None:
+    """By `to_dict`, so that the hyper-parameters stay."""
+    residual, observations = fit_residual(kind, steps(), memory=memory), steps()
+    blocks = [slice(0, 12), slice(12, 13), slice(13, 40)]
+    inputs = observations.points(residual.hindsight)
+    for regression, saved in zip(residual.regressions, residual.to_dict()["regressions"], strict=True):
+        found = regression.left_out(blocks)
+        for block in blocks[:2]:
+            others = {key: np.delete(saved[key], block, axis=0).tolist() for key in ("points", "values")}
+            anew = residual_from_dict({**residual.to_dict(), "regressions": [{**saved, **others}] * 2}).regressions[0]
+            np.testing.assert_allclose(found.mean[block], anew.mean(inputs[block]), rtol=1e-7, atol=1e-9)
+            np.testing.assert_allclose(found.std[block], anew.std(inputs[block], include_noise=True), rtol=1e-7)
 
 
 def test_no_residual_is_zero() -> None:
-    residual = fit_residual("none", SPACE, *steps())
-    point = join_points(*steps()[:2])
-    assert residual == NoResidual(2, 2)
-    for array in (residual.mean(point), residual.std(point, include_noise=True), residual.mean_gradient(point)):
-        np.testing.assert_array_equal(array, 0)
+    residual = no_residual(2, 2)
+    for array in (residual.mean, residual.std, residual.mean_gradient, residual.std_gradient):
+        np.testing.assert_array_equal(array(points(QUERIES)), 0)
+    np.testing.assert_array_equal(residual.std(points(QUERIES), include_noise=True), 0)
 
 
-def test_no_residual_needs_no_step() -> None:
-    assert fit_residual("none", SPACE, *steps(0)) == NoResidual(2, 2)
+def test_none_of_some_steps_knows_how_far_they_lie_from_the_nominal_map() -> None:
+    residual = fit_residual("none", steps())
+    np.testing.assert_array_equal(residual.mean(points(QUERIES)), 0)
+    np.testing.assert_array_equal(residual.std(points(QUERIES)), 0)
+    rms = np.sqrt(np.mean(steps().error ** 2, axis=0))
+    np.testing.assert_allclose(residual.std(points(QUERIES)[0], include_noise=True), rms, rtol=0.02)
 
 
 def test_gp_is_one_process_per_coordinate_on_the_scales_of_the_space() -> None:
-    state, command, error = steps()
-    residual = fit_residual("gp", SPACE, state, command, error)
-    point = join_points(*steps(5, seed=1)[:2])
-    for i in range(2):
-        process = fit_gaussian_process(np.hstack([state, command]), error[:, i], SCALE)
-        np.testing.assert_allclose(residual.mean(point)[:, i], process.mean(point), rtol=1e-6)
-        np.testing.assert_allclose(residual.std(point)[:, i], process.kriging_std(point), rtol=1e-6)
+    observations = steps()
+    bases: dict[ResidualKind, Basis] = {"gp": "constant", "gp_on_linear": "linear"}
+    for kind, basis in bases.items():
+        residual = fit_residual(kind, observations)
+        for i in range(2):
+            process = fit_gaussian_process(points(observations), observations.error[:, i], SCALE, SCALE[i], basis=basis)
+            np.testing.assert_allclose(residual.mean(points(QUERIES))[:, i], process.mean(points(QUERIES)), rtol=1e-6)
+            wanted = process.kriging_std(points(QUERIES))
+            np.testing.assert_allclose(residual.std(points(QUERIES))[:, i], wanted, rtol=1e-6)
 
 
 def test_fitrgp_knows_no_scales_and_reports_plug_in_deviations() -> None:
-    state, command, error = steps()
-    residual = fit_residual("fitrgp", SPACE, state, command, error)
-    point = join_points(*steps(5, seed=1)[:2])
+    observations = steps()
+    residual = fit_residual("fitrgp", observations)
     for i in range(2):
-        process = fit_like_fitrgp(np.hstack([state, command]), error[:, i])
-        np.testing.assert_allclose(residual.mean(point)[:, i], process.mean(point), rtol=1e-6)
-        np.testing.assert_allclose(residual.std(point)[:, i], process.std(point), rtol=1e-6)
+        process = fit_like_fitrgp(points(observations), observations.error[:, i])
+        np.testing.assert_allclose(residual.mean(points(QUERIES))[:, i], process.mean(points(QUERIES)), rtol=1e-6)
+        np.testing.assert_allclose(residual.std(points(QUERIES))[:, i], process.std(points(QUERIES)), rtol=1e-6)
 
 
-def test_gp_predicts_steps_it_has_not_seen() -> None:
-    residual = fit_residual("gp", SPACE, *steps(80))
-    state, command, error = steps(200, seed=2)
-    point = join_points(state, command)
-    rest = error - residual.mean(point)
+@pytest.mark.parametrize("kind", ["gp", "gp_on_linear", "auto"])
+def test_predicts_steps_it_has_not_seen(kind: ResidualKind) -> None:
+    residual = fit_residual(kind, steps(150), "previous_error")
+    new = steps(200, seed=2)
+    assert new.context is not None
+    given = residual.given(new.context)
+    rest = new.error - given.mean(points(new))
     assert np.all(np.sqrt(np.mean(rest**2, axis=0)) < 1.25 * np.array([0.004, 0.001]))
-    covered = np.mean(np.abs(rest) < 1.96 * residual.std(point, include_noise=True), axis=0)
+    covered = np.mean(np.abs(rest) < 1.96 * given.std(points(new), include_noise=True), axis=0)
     assert np.all((covered > 0.88) & (covered < 0.995))
+
+
+@pytest.mark.parametrize("kind", FITTED)
+def test_one_step_is_enough(kind: ResidualKind) -> None:
+    residual = fit_residual(kind, steps(1))
+    assert np.isfinite(residual.mean(points(QUERIES))).all()
+    assert (residual.std(points(QUERIES), include_noise=True) > 0).all()
+
+
+@pytest.mark.parametrize("kind", ["gp", "gp_on_linear"])
+def test_a_fit_that_goes_on_from_another_ends_where_it_would_have_ended_alone(kind: ResidualKind) -> None:
+    alone = fit_residual(kind, steps(60))
+    warm = fit_residual(kind, steps(60), start=fit_residual(kind, part(steps(60), slice(0, 40))))
+    np.testing.assert_allclose(warm.mean(points(QUERIES)), alone.mean(points(QUERIES)), atol=1e-3)
+
+
+class TestChoice:
+    """Errors that one kind explains and simpler ones do not; more flexible ones only learn noise."""
+
+    @staticmethod
+    def of(shape: Any, size: int = 90, noise: float = 0.01) -> Observations:
+        generator = np.random.default_rng(7)
+        x = generator.uniform(-1, 1, (size, 4))
+        error = SCALE[:2] * (np.stack([shape(x)] * 2, axis=1) + noise * generator.standard_normal((size, 2)))
+        return Observations(SPACE, np.array([0.2, 0.58]) + SCALE[:2] * x[:, :2], SCALE[2:] * x[:, 2:], error)
+
+    @pytest.mark.parametrize(
+        ("shape", "too_simple"),
+        [
+            (lambda x: 0.2 + 0.0 * x[:, 0], {"none"}),
+            (lambda x: 0.2 + 0.1 * x[:, 0] - 0.1 * x[:, 3], {"none", "constant"}),
+            (lambda x: 0.2 * np.sin(4 * x[:, 0]) * np.cos(3 * x[:, 2]), {"none", "constant", "linear", "quadratic"}),
+        ],
+    )
+    def test_what_explains_the_errors_is_chosen(self, shape: Any, too_simple: set[str]) -> None:
+        assert fit_residual("auto", self.of(shape)).kind not in too_simple
+
+    def test_little_evidence_gives_a_simple_model(self) -> None:
+        assert fit_residual("auto", self.of(lambda x: 0.2 + 0.0 * x[:, 0], size=2)).kind in ("none", "constant")
+        assert fit_residual("auto", part(steps(1), slice(0, 0))).kind == "none"
+
+    def test_the_choice_is_that_of_the_score(self) -> None:
+        observations = steps(30)
+        scores = {kind: held_out_score(fit_residual(kind, observations), observations) for kind in FITTED}
+        del scores["fitrgp"]
+        assert fit_residual("auto", observations).kind == max(scores, key=lambda kind: scores[kind])
+
+    def test_a_residual_that_cannot_leave_anything_out_has_no_score(self) -> None:
+        assert held_out_score(fit_residual("gp", steps(1)), steps(1)) == -inf
+
+    @pytest.mark.parametrize(("weight", "wanted"), [(0.0, {"none"}), (0.5, {"previous_error", "previous_step"})])
+    def test_features_are_taken_where_they_help(self, weight: float, wanted: set[str]) -> None:
+        observations = steps(90)
+        context = observations.context
+        assert context is not None
+        error = observations.error + weight * SCALE[:2] * context[:, :2]
+        told = context if weight else np.random.default_rng(3).permuted(context, axis=0)
+        data = Observations(SPACE, observations.state, observations.applied_command, error, told)
+        assert fit_residual("linear", data, "auto").hindsight.features in wanted
+
+
+class TestHindsight:
+    def test_inputs_are_what_the_features_say(self) -> None:
+        context = np.arange(7.0)
+        assert Hindsight().inputs(context, 2).tolist() == []
+        assert Hindsight("previous_error").inputs(context, 2).tolist() == [0, 1]
+        assert Hindsight("previous_step").inputs(context, 2).tolist() == [0, 1, 2, 3, 4, 5]
+        assert Hindsight("previous_error", memory=3.0).inputs(context, 2).tolist() == [0, 1, 2]
+
+    def test_a_residual_with_hindsight_asks_for_the_context(self) -> None:
+        residual = fit_residual("linear", steps(), "previous_error")
+        with pytest.raises(ValueError, match="give it the context"):
+            residual.mean(points(QUERIES))
+
+    def test_given_is_a_function_of_state_and_command(self) -> None:
+        """Each context gives the slice of the whole function there."""
+        residual = fit_residual("gp", steps(), "previous_error")
+        assert QUERIES.context is not None
+        together = residual.given(QUERIES.context).mean(points(QUERIES))
+        for row, (point, context) in enumerate(zip(points(QUERIES), QUERIES.context, strict=True)):
+            np.testing.assert_allclose(residual.given(context).mean(point), together[row], rtol=1e-12)
+        assert not np.allclose(residual.given(np.zeros(7)).mean(points(QUERIES)), together)
+
+    @pytest.mark.parametrize(("features", "memory"), [("next_error", inf), ("none", 0.0), ("none", float("nan"))])
+    def test_what_is_none_is_refused(self, features: Any, memory: float) -> None:
+        with pytest.raises(ValueError, match=r"= .*, but it must be"):
+            Hindsight(features, memory)
+
+    @pytest.mark.parametrize("features", get_args(Features)[1:])
+    def test_features_need_contexts(self, features: Features) -> None:
+        data = steps()
+        bare = Observations(SPACE, data.state, data.applied_command, data.error)
+        with pytest.raises(ValueError, match="need the context"):
+            fit_residual("linear", bare, features)
+        assert fit_residual("linear", bare, memory=10.0).hindsight == Hindsight(memory=10.0)
+
+
+class TestMemory:
+    """A level that drifts: a finite memory follows it, an infinite one averages."""
+
+    @staticmethod
+    def drifting(size: int = 240) -> Observations:
+        generator = np.random.default_rng(8)
+        x = generator.uniform(-1, 1, (size, 4))
+        level = 0.1 * np.arange(size) / size + 0.05 * x[:, 0]
+        error = SCALE[:2] * (np.stack([level] * 2, axis=1) + 0.01 * generator.standard_normal((size, 2)))
+        return Observations(SPACE, np.array([0.2, 0.58]) + SCALE[:2] * x[:, :2], SCALE[2:] * x[:, 2:], error)
+
+    @pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "gp", "gp_on_linear"])
+    def test_what_is_long_ago_counts_less(self, kind: ResidualKind) -> None:
+        observations, middle = self.drifting(), np.array([0.2, 0.58, 0.0, 0.0])
+        now, after = SCALE[:2] * 0.1, 240 * np.eye(7)[-1]
+        for_ever = fit_residual(kind, observations).given(after).mean(middle)
+        fading = fit_residual(kind, observations, memory=30.0).given(after).mean(middle)
+        assert np.all(np.abs(fading - now) < 0.45 * np.abs(for_ever - now))
+
+    def test_without_drift_a_long_memory_is_as_good_as_an_infinite_one(self) -> None:
+        kinds: tuple[ResidualKind, ...] = ("linear", "gp")
+        for kind in kinds:
+            for_ever, long = fit_residual(kind, steps()), fit_residual(kind, steps(), memory=1e5)
+            found = long.given(40 * np.eye(7)[-1]).mean(points(QUERIES))
+            np.testing.assert_allclose(found, for_ever.mean(points(QUERIES)), atol=2e-5)
 
 
 def test_join_broadcasts_leading_axes() -> None:
@@ -121,69 +309,59 @@ def test_join_broadcasts_leading_axes() -> None:
 
 
 class TestRefused:
-    @pytest.mark.parametrize("kind", KINDS)
-    @pytest.mark.parametrize("argument", [0, 1, 2])
-    @pytest.mark.parametrize("bad", [np.nan, np.inf])
-    def test_a_row_that_is_not_finite(self, kind: ResidualKind, argument: int, bad: float) -> None:
-        data = steps()
-        data[argument][3, 1] = bad
-        with pytest.raises(
-            ValueError, match=f"^{('state', 'applied_command', 'error')[argument]} must be finite, but row 3"
-        ):
-            fit_residual(kind, SPACE, *data)
-
-    @pytest.mark.parametrize("argument", [0, 1, 2])
-    def test_a_wrong_number_of_columns_or_rows(self, argument: int) -> None:
-        data = steps()
-        named = ("state", "applied_command", "error")[argument]
-
-        def fit_with(wrong: Array) -> None:
-            state, command, error = (wrong if i == argument else array for i, array in enumerate(data))
-            fit_residual("gp", SPACE, state, command, error)
-
-        for wrong in (data[argument][:, :1], data[argument][0]):
-            with pytest.raises(ValueError, match=f"^{named} must have the columns"):
-                fit_with(wrong)
-        with pytest.raises(ValueError, match="39"):
-            fit_with(data[argument][1:])
-
     def test_an_unknown_kind_is_told_the_known_ones(self) -> None:
         kind: Any = "neural"
-        with pytest.raises(ValueError, match="none, gp, fitrgp"):
-            fit_residual(kind, SPACE, *steps())
+        with pytest.raises(ValueError, match="none, constant, linear, quadratic, gp, gp_on_linear, fitrgp, auto"):
+            fit_residual(kind, steps())
 
-    @pytest.mark.parametrize("kind", get_args(GaussianProcessKind))
-    def test_a_process_without_steps(self, kind: GaussianProcessKind) -> None:
+    @pytest.mark.parametrize("kind", FITTED[1:])
+    def test_a_model_without_steps(self, kind: ResidualKind) -> None:
         with pytest.raises(ValueError, match="at least one step"):
-            fit_residual(kind, SPACE, *steps(0))
+            fit_residual(kind, part(steps(), slice(0, 0)))
 
     @pytest.mark.parametrize(
         ("change", "named"),
         [
-            ({"kind": "neural"}, "^kind must be one of none, gp, fitrgp"),
-            ({"kind": ["gp"]}, "^kind must be one of"),
-            ({"kind": "none"}, "^state_size must be"),
-            ({"kind": "none", "state_size": 2, "command_size": 0}, "^command_size must be"),
-            ({"processes": []}, "^processes must be"),
-            ({"processes": {}}, "^processes must be"),
-            ({"processes": [None, None]}, r"^processes\[0\] must be"),
+            ({"regressions": []}, "^regressions must be"),
+            ({"regressions": {}}, "^regressions must be"),
+            ({"regressions": [None, None]}, r"^regressions\[0\] must be"),
+            ({"regressions": [{"kind": "neural"}]}, r"^regressions\[0\]\.kind must be one of none, constant"),
+            ({"regressions": [{"kind": ["gp"]}]}, r"^regressions\[0\]\.kind must be one of"),
+            ({"regressions": [{"kind": "none", "inputs": 0, "noise_std": 0.0}]}, r"^regressions\[0\]\.inputs must be"),
+            ({"regressions": [{"kind": "none", "inputs": 4}]}, r"^regressions\[0\]\.noise_std must be"),
+            ({"command_size": True}, "^command_size must be"),
+            ({"command_size": 0}, "^command_size must be"),
+            ({"command_size": 3}, "must have 5 inputs"),
+            ({"features": "future"}, "^features = 'future', but"),
+            ({"features": "previous_error"}, "must have 6 inputs"),
+            ({"memory": 0.0}, "^memory = 0.0, but"),
+            ({"memory": "long"}, "^memory must be"),
         ],
     )
     def test_a_wrong_entry_is_named(self, change: dict[str, Any], named: str) -> None:
-        saved = fit_residual("gp", SPACE, *steps(5)).to_dict()
+        saved = fit_residual("gp", steps(5)).to_dict()
         with pytest.raises(ValueError, match=named):
             residual_from_dict({**saved, **change})
 
-    def test_a_wrong_entry_of_a_process_is_named(self) -> None:
-        saved = fit_residual("gp", SPACE, *steps(5)).to_dict()
-        saved["processes"][1]["values"] = [0.0]
-        with pytest.raises(ValueError, match=r"^processes\[1\]\.values must be"):
+    @pytest.mark.parametrize("key", ["features", "memory", "command_size", "regressions"])
+    def test_a_missing_entry_is_named(self, key: str) -> None:
+        saved = fit_residual("gp", steps(5)).to_dict()
+        del saved[key]
+        with pytest.raises(ValueError, match=f"^{key} "):
             residual_from_dict(saved)
 
-    def test_processes_that_do_not_belong_together(self) -> None:
-        state, command, error = steps(5)
-        four = fit_gaussian_process(np.hstack([state, command]), error[:, 0], SCALE)
-        two = fit_gaussian_process(state, error[:, 1], SCALE[:2])
-        for processes in ((four, two), (two, two), ()):
+    @pytest.mark.parametrize("kind", ["gp", "linear"])
+    def test_a_wrong_entry_of_a_regression_is_named(self, kind: ResidualKind) -> None:
+        saved = fit_residual(kind, steps(5)).to_dict()
+        saved["regressions"][1]["values"] = [0.0]
+        with pytest.raises(ValueError, match=r"^regressions\[1\]\.(values|points) must be"):
+            residual_from_dict(saved)
+
+    def test_regressions_that_do_not_belong_together(self) -> None:
+        for regressions in ((Zero(4), Zero(3)), (Zero(3), Zero(3)), ()):
             with pytest.raises(ValueError, match="inputs"):
-                GaussianProcessResidual("gp", processes)
+                Residual(regressions, 2)
+
+
+def test_features_are_named() -> None:
+    assert FEATURES == ("none", "previous_error", "previous_step")

@@ -1,11 +1,13 @@
 """The nominal map plus what was learnt of its error: a `StepMap` again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from numpy.typing import ArrayLike
 
-from stepgap.learning.residual import Residual, join_points
+from stepgap.learning.observations import next_context
+from stepgap.learning.residual import Hindsight, Residual, join_points
+from stepgap.learning.step_log import StepLog
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 
@@ -55,3 +57,13 @@ class CorrectedMap(StepMap):
             include_noise: False: of the map. True: of one measured step.
         """
         return self.residual.std(join_points(state, command), include_noise=include_noise)
+
+    def std_gradient(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:
+        """∂std/∂(state, command), which is the residual's; shape (…, n, n + m)."""
+        return self.residual.std_gradient(join_points(state, command), include_noise=include_noise)
+
+    def after(self, log: StepLog, iteration: int) -> "CorrectedMap":
+        """The map of the step that follows a log, in a deployment: what a residual with hindsight makes of the past."""
+        if self.residual.hindsight == Hindsight():
+            return self
+        return replace(self, residual=self.residual.given(next_context(log, self.nominal, iteration)))

@@ -1,72 +1,57 @@
-"""Gaussian process of one output: constant basis, radial Matérn-5/2 kernel, independent noise.
+"""Gaussian process of one output: constant, slopes, radial Matérn-5/2 kernel, independent noise; one joint model.
 
-The model of the paper's `fitrgp` call (Sec. 6): value = β + f(point) + noise, where f has covariance
-signal_std² k(r), k(r) = (1 + √5 r + 5r²/3) exp(−√5 r), and r is the distance of two points measured in
-`input_scale · length_scale`, one length scale per input. Equations marked RW are those of Rasmussen
-and Williams, Gaussian Processes for Machine Learning (2006).
+The model: value = β + slopes · point + f(point) + noise. β may be anything, as in the paper's `fitrgp` call
+(Sec. 6). A priori each slope, per `input_scale`, is N(0, slope_std²); with slope_std = 0 the model is that of
+the paper. f has the covariance signal_std² k(r), k(r) = (1 + √5 r + 5r²/3) exp(−√5 r), where r is the distance
+of two points measured in `input_scale · length_scale`, one length scale per input. Equations marked RW are
+those of Rasmussen and Williams, Gaussian Processes for Machine Learning (2006).
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import get_lapack_funcs
-from scipy.spatial.distance import cdist, pdist, squareform
+from scipy.spatial.distance import cdist, pdist
 
+from stepgap.learning.cholesky import factorise, is_safe
+from stepgap.learning.covariance import covariance_matrix, kernel, kernel_descent
+from stepgap.learning.least_squares import LeastSquares, append_value, fit_least_squares
 from stepgap.step import Array
 
 KERNEL_BLOCK = 2**16
 """Kernel values computed at a time, so that a large batch of queries stays in the cache."""
 
-_potrf, _trtrs = get_lapack_funcs(("potrf", "trtrs"), dtype=np.float64)
+(_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class HyperParameters:
     """What a fit chooses; see `gaussian_process_fit`.
 
     Attributes:
         length_scale: Distance over which f changes, in input scales; shape (d,).
-        signal_std: Standard deviation of f around the constant basis [unit of the values].
+        signal_std: Standard deviation of f [unit of the values].
         noise_std: Standard deviation of the noise of one value [unit of the values].
+        slope_std: Standard deviation of each slope a priori [unit of the values per input scale].
     """
 
     length_scale: Array
     signal_std: float
     noise_std: float
+    slope_std: float = 0.0
 
     def __post_init__(self) -> None:
         _require(_positive(self.length_scale), "length_scale", "positive and finite")
         _require(_positive(self.signal_std), "signal_std", "positive and finite")
-        _require(self.noise_std == 0 or _positive(self.noise_std), "noise_std", "non-negative and finite")
-
-
-class LeastSquares(NamedTuple):
-    """The constant basis fitted by generalised least squares, in units of the signal.
-
-    Attributes:
-        factor: Lower Cholesky factor of C = covariance of the values / signal_std², Fortran-contiguous; shape (N, N).
-        basis: factor⁻¹ 1; shape (N,).
-        coefficient: β = 1ᵀC⁻¹ values / 1ᵀC⁻¹1 [unit of the values].
-        weights: C⁻¹ (values − β); shape (N,).
-        misfit: (values − β)ᵀ C⁻¹ (values − β).
-    """
-
-    factor: Array
-    basis: Array
-    coefficient: float
-    weights: Array
-    misfit: float
-
-    def log_likelihood(self, signal: float) -> float:
-        """Logarithm of p(values), for a standard deviation of the signal, at this β (RW Eq. 2.30)."""
-        half_log_determinant = np.log(self.factor.diagonal()).sum() + len(self.weights) * math.log(signal)
-        constant = 0.5 * len(self.weights) * math.log(2 * math.pi)
-        return float(-0.5 * self.misfit / signal**2 - half_log_determinant - constant)
+        for name in ("noise_std", "slope_std"):
+            std = getattr(self, name)
+            _require(std == 0 or _positive(std), name, "non-negative and finite")
 
 
 @final
@@ -77,11 +62,11 @@ class GaussianProcess:
     Queries have shape (…, d) and the units of `points`; one that is not finite gives NaN.
 
     Attributes:
-        points: Inputs; shape (N, d).
+        points: Inputs; shape (N, d). Slopes turn about the first; with a free β any other place would do.
         values: Outputs; shape (N,).
         input_scale: Fixed size of each input, in which its length scale is measured; shape (d,).
-        hyper_parameters: Length scales, signal and noise.
-        least_squares: The constant basis and the weights of the data at these hyper-parameters.
+        hyper_parameters: Length scales, signal, noise and slopes.
+        least_squares: β and the weights of the data at these hyper-parameters.
     """
 
     points: Array
@@ -92,7 +77,7 @@ class GaussianProcess:
 
     @property
     def coefficient(self) -> float:
-        """β, the mean far from all data [unit of the values]."""
+        """β: without slopes, the mean far from all data [unit of the values]."""
         return self.least_squares.coefficient
 
     @property
@@ -103,39 +88,64 @@ class GaussianProcess:
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…) [unit of the values] (RW Eq. 2.38)."""
         weights = self.least_squares.weights
-        return self._blockwise(lambda query: self.coefficient + _kernel(self._distance(query)) @ weights, point)
+
+        def mean(query: Array) -> Array:
+            return self.coefficient + kernel(self._distance(query)) @ weights + self._lean(query) @ self._rise
+
+        return self._blockwise(mean, point)
 
     def mean_gradient(self, point: ArrayLike) -> Array:
         """∂mean/∂point; shape (…, d) [unit of the values per unit of each input]."""
-
-        def gradient(query: Array) -> Array:
-            pull = kernel_descent(self._distance(query)) * self.least_squares.weights
-            return (pull @ self._data - pull.sum(axis=1, keepdims=True) * query) / self._reach
-
-        return self._blockwise(gradient, point)
+        weights = self.least_squares.weights
+        slope = self._rise * self._steepness
+        return self._blockwise(lambda query: self._kernel_gradient(query, weights) + slope, point)
 
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Plug-in standard deviation, which takes β for exact (RW Eq. 2.26); shape (…) [unit of the values].
 
         Args:
             point: Shape (…, d).
-            include_noise: False: of β + f. True: of a new noisy value, as MATLAB's `predict` gives it.
+            include_noise: False: of β + slopes · point + f. True: of a new noisy value, as MATLAB's `predict` gives it.
         """
-        return self._std(lambda whitened: 1 - (whitened**2).sum(axis=0), point, include_noise)
+
+        def variance(query: Array) -> Array:
+            return self._prior(query) - (self._whiten(query) ** 2).sum(axis=0)
+
+        return self._std(self._blockwise(variance, point), include_noise)
 
     def kriging_std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Universal-kriging standard deviation: as `std`, with β only estimated (RW Eq. 2.42); shape (…).
 
         Args:
             point: Shape (…, d).
-            include_noise: False: of β + f. True: of a new noisy value.
+            include_noise: False: of β + slopes · point + f. True: of a new noisy value.
+        """
+        return self._std(self._blockwise(self._kriging_variance, point), include_noise)
+
+    def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+        """∂std/∂point; shape (…, d) [unit of the values per unit of each input]; see `kriging_std_gradient`."""
+        half = self._blockwise(lambda query: self._half_variance_gradient(query, self._whiten(query)), point)
+        return self._std_gradient(half, self.std(point, include_noise=include_noise))
+
+    def kriging_std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+        """∂kriging_std/∂point; shape (…, d) [unit of the values per unit of each input].
+
+        Zero where the standard deviation is, at points known exactly, where it has a kink.
+
+        Args:
+            point: Shape (…, d).
+            include_noise: As for `kriging_std`.
         """
         basis = self.least_squares.basis
 
-        def variance(whitened: Array) -> Array:
-            return 1 - (whitened**2).sum(axis=0) + (1 - basis @ whitened) ** 2 / (basis @ basis)
+        def gradient(query: Array) -> Array:
+            whitened = self._whiten(query)
+            surplus = (1 - basis @ whitened) / (basis @ basis)
+            return self._half_variance_gradient(query, whitened + np.outer(basis, surplus))
 
-        return self._std(variance, point, include_noise)
+        return self._std_gradient(
+            self._blockwise(gradient, point), self.kriging_std(point, include_noise=include_noise)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Data and hyper-parameters as JSON-ready numbers; everything else follows from them."""
@@ -146,6 +156,7 @@ class GaussianProcess:
             "length_scale": self.hyper_parameters.length_scale.tolist(),
             "signal_std": self.hyper_parameters.signal_std,
             "noise_std": self.hyper_parameters.noise_std,
+            "slope_std": self.hyper_parameters.slope_std,
         }
 
     @staticmethod
@@ -159,6 +170,7 @@ class GaussianProcess:
             length_scale=_numbers(data, "length_scale", "a list of numbers", 1),
             signal_std=float(_numbers(data, "signal_std", "a number", 0)),
             noise_std=float(_numbers(data, "noise_std", "a number", 0)),
+            slope_std=float(_numbers(data, "slope_std", "a number", 0)),
         )
         points = _numbers(data, "points", "a list of equally long lists of numbers", 2)
         values = _numbers(data, "values", "a list of numbers", 1)
@@ -175,25 +187,69 @@ class GaussianProcess:
         """Points in length scales; shape (N, d)."""
         return self.points / self._reach
 
+    @cached_property
+    def _steepness(self) -> Array:
+        """Slopes of one standard deviation, in signals per unit of each input; shape (d,)."""
+        return self.hyper_parameters.slope_std / self.hyper_parameters.signal_std / self.input_scale
+
+    @cached_property
+    def _data_lean(self) -> Array:
+        """`_lean` of the data; shape (N, d)."""
+        return self._lean(self.points)
+
+    @cached_property
+    def _rise(self) -> Array:
+        """Expected slopes, in standard deviations, times the signal; shape (d,)."""
+        return self._data_lean.T @ self.least_squares.weights
+
+    def _lean(self, query: Array) -> Array:
+        """What slopes of one standard deviation add between the first point and queries [signals]; shape (Q, d)."""
+        return (query - self.points[0]) * self._steepness
+
     def _distance(self, query: Array) -> Array:
-        """√5 r between queries in length scales (Q, d) and the data; shape (Q, N)."""
-        return np.sqrt(5 * cdist(query, self._data, "sqeuclidean"))
+        """√5 r between queries (Q, d) and the data; shape (Q, N)."""
+        return np.sqrt(5 * cdist(query / self._reach, self._data, "sqeuclidean"))
 
-    def _std(self, variance: Callable[[Array], Array], point: ArrayLike, include_noise: bool) -> Array:
-        """Standard deviation, given the variance (Q,) that belongs to factor⁻¹ k (N, Q)."""
+    def _prior(self, query: Array) -> Array:
+        """Variance without data, of all but β [signal²]; shape (Q,)."""
+        return 1 + (self._lean(query) ** 2).sum(axis=1)
 
-        def latent(query: Array) -> Array:
-            whitened, _ = _trtrs(self.least_squares.factor, _kernel(self._distance(query)).T, lower=1)
-            return variance(whitened)
+    def _whiten(self, query: Array) -> Array:
+        """factor⁻¹ (covariance of data and queries / signal²); shape (N, Q)."""
+        covariance = kernel(self._distance(query)) + self._lean(query) @ self._data_lean.T
+        return self.least_squares.factor.solve(covariance.T)
 
+    def _kriging_variance(self, query: Array) -> Array:
+        """Variance of universal kriging [signal²]; shape (Q,)."""
+        whitened, basis = self._whiten(query), self.least_squares.basis
+        return self._prior(query) - (whitened**2).sum(axis=0) + (1 - basis @ whitened) ** 2 / (basis @ basis)
+
+    def _half_variance_gradient(self, query: Array, whitened: Array) -> Array:
+        """½ ∂variance/∂query [signal²], given factorᵀ times the weights that values have (N, Q); shape (Q, d)."""
+        weights = self.least_squares.factor.solve_transposed(whitened).T
+        lean = self._lean(query) - weights @ self._data_lean
+        return lean * self._steepness - self._kernel_gradient(query, weights)
+
+    def _std_gradient(self, half: Array, std: Array) -> Array:
+        """∂std/∂point (…, d), given ½ ∂variance/∂point [signal²] (…, d) and the standard deviation (…)."""
+        half, std = self.hyper_parameters.signal_std**2 * half, std[..., None]
+        return np.divide(half, std, out=np.zeros_like(half), where=std != 0)
+
+    def _kernel_gradient(self, query: Array, weights: Array) -> Array:
+        """∂(k @ weights)/∂query for weights (N,) or (Q, N); shape (Q, d)."""
+        pull = kernel_descent(self._distance(query)) * weights
+        return (pull @ self._data - pull.sum(axis=1, keepdims=True) * (query / self._reach)) / self._reach
+
+    def _std(self, variance: Array, include_noise: bool) -> Array:
+        """Standard deviation that belongs to a variance [signal²]."""
         # Rounding can leave a variance slightly below zero at a point that was observed.
-        std = self.hyper_parameters.signal_std * np.sqrt(np.maximum(self._blockwise(latent, point), 0))
+        std = self.hyper_parameters.signal_std * np.sqrt(np.maximum(variance, 0))
         return np.hypot(std, self.hyper_parameters.noise_std) if include_noise else std
 
     def _blockwise(self, evaluate: Callable[[Array], Array], point: ArrayLike) -> Array:
-        """Apply `evaluate` to blocks (Q, d) of queries in length scales; shape (…) or (…, d)."""
+        """Apply `evaluate` to blocks (Q, d) of queries; shape (…) or (…, d)."""
         point = np.asarray(point, float)
-        query = np.where(np.isfinite(point), point, np.nan).reshape(-1, len(self._reach)) / self._reach
+        query = np.where(np.isfinite(point), point, np.nan).reshape(-1, len(self._reach))
         rows = max(1, KERNEL_BLOCK // len(self.values))
         blocks = [evaluate(query[start : start + rows]) for start in range(0, max(1, len(query)), rows)]
         result = np.concatenate(blocks) if len(blocks) > 1 else blocks[0]
@@ -218,40 +274,53 @@ def condition(
         length_scale.shape == input_scale.shape, "length_scale", f"as many numbers as input_scale ({points.shape[1]})"
     )
     distance = np.sqrt(5 * pdist(points / (input_scale * length_scale), "sqeuclidean"))
-    least_squares = least_squares_fit(distance, hyper_parameters.noise_std / signal, values)
+    lean = (points - points[0]) * (hyper_parameters.slope_std / signal / input_scale)
+    matrix = covariance_matrix(kernel(distance), lean, (hyper_parameters.noise_std / signal) ** 2)
+    least_squares = fit_least_squares(factorise(matrix), values)
     return GaussianProcess(points, values, input_scale, hyper_parameters, least_squares)
 
 
-def least_squares_fit(distance: Array, ratio: float, values: Array) -> LeastSquares:
-    """Fit the basis, given √5 r of every pair of points (N(N−1)/2,) and noise over signal."""
-    factor = _factorise(_kernel(distance), ratio**2, len(values))
-    whitened, _ = _trtrs(factor, np.stack([np.ones(len(values)), values]).T, lower=1)
-    basis, whitened_values = whitened.T
-    coefficient = float(basis @ whitened_values / (basis @ basis))
-    innovation = whitened_values - coefficient * basis
-    weights, _ = _trtrs(factor, innovation, lower=1, trans=1)
-    return LeastSquares(factor, basis, coefficient, weights, float(innovation @ innovation))
+def append(process: GaussianProcess, point: ArrayLike, value: float) -> GaussianProcess:
+    """Gaussian process given one point more, at the same hyper-parameters, in O(N²).
+
+    The same as `condition` on all data but for rounding; a point that can hardly be told apart from the others
+    leads to exactly that. `process` stays as it is.
+
+    Args:
+        process: Conditioned on the other points.
+        point: Shape (d,).
+        value: Output there.
+    """
+    hyper_parameters, solved = process.hyper_parameters, process.least_squares
+    new, value_, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), process.input_scale)
+    points, values = np.concatenate([process.points, new]), np.concatenate([process.values, value_])
+    row = process._whiten(new)[:, 0]
+    prior = process._prior(points[[-1]])
+    noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2 + solved.factor.jitter
+    squared_pivot = float(prior[0] + noise - row @ row)
+    if not is_safe(squared_pivot, np.append(process._prior(process.points), prior)):
+        return condition(points, values, process.input_scale, hyper_parameters)
+    least_squares = append_value(solved, row, math.sqrt(squared_pivot), float(value_[0]))
+    return GaussianProcess(points, values, process.input_scale, hyper_parameters, least_squares)
 
 
-def _factorise(correlation: Array, noise: float, size: int) -> Array:
-    """Lower Cholesky factor (N, N) of what has `correlation` (N(N−1)/2,) off its diagonal, 1 + noise on it."""
-    covariance = squareform(correlation, checks=False)
-    for jitter in (0.0, 1e-12, 1e-10, 1e-8):
-        np.fill_diagonal(covariance, 1 + noise + jitter)
-        factor, failed = _potrf(covariance.T, lower=1)
-        if not failed and factor.diagonal().min() ** 2 > size * np.finfo(float).eps:
-            return factor
-    raise np.linalg.LinAlgError(f"the covariance of {size} points is singular")
+def leave_one_out(process: GaussianProcess) -> tuple[Array, Array]:
+    """What the process would predict of each value, had it not seen that value, at the same hyper-parameters.
 
+    With the estimated β as part of the prediction (RW Eq. 5.12, with C⁻¹ − C⁻¹1 1ᵀC⁻¹ / 1ᵀC⁻¹1 for K⁻¹). Of a
+    single value nothing is left to predict from: then the mean is NaN and the standard deviation infinite.
 
-def _kernel(distance: Array) -> Array:
-    """Matérn-5/2, k as a function of √5 r (RW Eq. 4.17)."""
-    return (1 + distance + distance**2 / 3) * np.exp(-distance)
-
-
-def kernel_descent(distance: Array) -> Array:
-    """−(dk/dr) / r as a function of √5 r; finite where two points meet."""
-    return 5 / 3 * (1 + distance) * np.exp(-distance)
+    Returns:
+        Means and standard deviations of the noisy values, which `kriging_std(…, include_noise=True)` would give;
+        shapes (N,) and (N,) [unit of the values].
+    """
+    solved = process.least_squares
+    if len(process.values) == 1:
+        return np.array([np.nan]), np.array([np.inf])
+    inverse, _ = _potri(solved.factor.whole(), lower=1)
+    by_ones = solved.factor.solve_transposed(solved.basis)
+    precision = inverse.diagonal() - by_ones**2 / by_ones.sum()
+    return process.values - solved.weights / precision, process.hyper_parameters.signal_std / np.sqrt(precision)
 
 
 def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:

@@ -5,28 +5,28 @@ Equations marked RW are those of Rasmussen and Williams, Gaussian Processes for 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import get_lapack_funcs
 from scipy.optimize import minimize
-from scipy.spatial.distance import pdist, squareform
+from scipy.spatial.distance import pdist
+from scipy.special import wrightomega
 from threadpoolctl import threadpool_limits
 
-from stepgap.learning.gaussian_process import (
-    GaussianProcess,
-    HyperParameters,
-    LeastSquares,
-    checked_data,
-    condition,
-    kernel_descent,
-    least_squares_fit,
-)
+from stepgap.learning.cholesky import factorise
+from stepgap.learning.covariance import covariance_matrix, evidence_gradient, kernel, kernel_descent
+from stepgap.learning.gaussian_process import GaussianProcess, HyperParameters, checked_data, condition
+from stepgap.learning.least_squares import LeastSquares, fit_least_squares
 from stepgap.step import Array
 
-COLD_START_SIZE = 200
-"""Most points on which the cold starts compete; with more, only the winner goes on with all points."""
+Basis = Literal["constant", "linear"]
+"""What a Gaussian process has besides f and noise: a constant, or a constant and slopes."""
+
+COLD_START_SIZE = 100
+"""Most points on which the starts compete; with more, only the best goes on with all points."""
 
 LENGTH_SCALE_BOUNDS = (1e-2, 1e3)
 """Search range in input scales; for `fit_like_fitrgp` in units of its initial value."""
@@ -34,33 +34,59 @@ LENGTH_SCALE_BOUNDS = (1e-2, 1e3)
 NOISE_RATIO_BOUNDS = (1e-4, 1e2)
 """Search range of noise over signal; its lower end keeps duplicated points well conditioned."""
 
+SLOPE_RATIO_BOUNDS = (1e-3, 1e2)
+"""Search range of the slopes' standard deviation over the signal's; at its lower end slopes are nothing."""
+
+PRIOR_LENGTH_SCALE, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO = 3.0, 0.5, 1.0
+"""Medians of the priors, in input scales and signals."""
+
+PRIOR_SIGNAL = 0.25
+"""Median of the prior of the signal, in value scales."""
+
+LEAST_NOISE = 1e-4
+"""Least standard deviation of the noise, in value scales: it matters to nobody."""
+
 (_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
 
-def fit_gaussian_process(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> GaussianProcess:
+def fit_gaussian_process(
+    points: ArrayLike,
+    values: ArrayLike,
+    input_scale: ArrayLike,
+    value_scale: float | None = None,
+    *,
+    basis: Basis = "constant",
+    start: HyperParameters | None = None,
+    last_length_scale: float | None = None,
+) -> GaussianProcess:
     """Most probable hyper-parameters under weak priors, one length scale per input.
 
-    A priori log(length scale) ~ N(log 3, 1) for each input and log(noise/signal) ~ N(log 0.5, 1), while
-    log(signal) and β are flat. Without these priors a fit to fewer than 50 points often takes noise for
-    signal. The search is deterministic: the same data give the same process. Where the values do not
-    vary (N = 1, say) nothing tells their spread: the standard deviations are then tiny but positive.
+    A priori log(length scale) ~ N(log 3, 1) for each input, log(noise/signal) ~ N(log 0.5, 1), log(signal) ~
+    N(log(value_scale/4), 1) and, with the linear basis, log(slopes/signal) ~ N(0, 1), while β is flat and
+    integrated out. Without these priors a fit to fewer than 50 points often takes noise for signal, and one to a
+    single point, or to values that happen to be the same, would be sure of what it cannot know. The search is
+    deterministic: the same data give the same process.
 
     Args:
         points: Shape (N, d), N ≥ 1.
         values: Shape (N,).
         input_scale: Fixed size of each input, not taken from the data; shape (d,).
+        value_scale: Fixed size of the values, such as half the range of use of what they are errors of. Without
+            it half the range of the values: then those that do not vary leave standard deviations that are tiny.
+        basis: Constant, or constant and slopes whose size the data choose.
+        start: Hyper-parameters of a former fit, from which this one then begins, besides a single cold start.
+        last_length_scale: Length scale of the last input, where it is given and not to be searched.
     """
     points, values, input_scale = checked_data(points, values, input_scale)
-    least_noise = _least_noise(values)
-    starts = cold_starts(points.shape[1])
-    if len(values) > COLD_START_SIZE:
-        some = np.linspace(0, len(values) - 1, COLD_START_SIZE).astype(int)
-        differences = squared_differences(points[some] / input_scale)
-        starts = [_search(Evidence(differences, values[some], least_noise, with_prior=True), starts)]
-    evidence = Evidence(squared_differences(points / input_scale), values, least_noise, with_prior=True)
+    if value_scale is None:
+        value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
+    least_noise = LEAST_NOISE * value_scale
+    evidence = Evidence(points / input_scale, values, points.shape[1], least_noise, value_scale, last_length_scale)
+    starts = cold_starts(points.shape[1], basis)
+    if start is not None:
+        starts = [_log_parameters(start, basis), starts[0]]
     log_parameters = _search(evidence, starts)
-    hyper_parameters = HyperParameters(np.exp(log_parameters[:-1]), *evidence.signal_and_noise(log_parameters))
-    return condition(points, values, input_scale, hyper_parameters)
+    return condition(points, values, input_scale, evidence.hyper_parameters(log_parameters))
 
 
 def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
@@ -78,93 +104,153 @@ def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
     points, values, raw_units = checked_data(points, values, np.ones(np.shape(points)[-1:]))
     spread, values_spread = (points.std(axis=0, ddof=1).mean(), values.std(ddof=1)) if len(values) > 1 else (0.0, 0.0)
     initial = spread if spread > 0 else 1.0
-    differences = squared_differences(points / initial).sum(axis=0, keepdims=True)
-    least_noise = max(_least_noise(values), 0.01 * values_spread)
-    evidence = Evidence(differences, values, least_noise, with_prior=False)
-    log_parameters = _search(evidence, [np.zeros(2)])
-    length_scale = np.full(points.shape[1], initial * np.exp(log_parameters[0]))
-    hyper_parameters = HyperParameters(length_scale, *evidence.signal_and_noise(log_parameters))
+    least_noise = max(1e-6 * float(np.abs(values).max()), 1e-12, 0.01 * values_spread)
+    evidence = Evidence(points / initial, values, 1, least_noise, None)
+    found = evidence.hyper_parameters(_search(evidence, [np.zeros(2)]))
+    hyper_parameters = HyperParameters(initial * found.length_scale, found.signal_std, found.noise_std)
     return condition(points, values, raw_units, hyper_parameters)
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the data say of log parameters: log length scales and log(noise/signal).
+    """What the data say of log parameters: log length scales, log(noise/signal) and perhaps log(slopes/signal).
 
-    The signal is not among them: for given parameters the most likely one has a closed form.
+    The signal is not among them: for given parameters the most probable one has a closed form.
 
     Attributes:
-        differences: Squared differences of every pair of points, input by input; shape (p, N(N−1)/2).
-            A single row, summed over the inputs, gives one common length scale.
+        points: In input scales; shape (N, d).
         values: Shape (N,).
+        length_scales: How many there are: d, or 1 in common for all inputs.
         least_noise: Lower bound of the noise's standard deviation.
-        with_prior: Whether the log prior is added to the log likelihood.
+        value_scale: Scale of the signal's prior. None: no priors, and β not integrated out: maximum likelihood.
+        last_length_scale: Length scale of the last input, where it is not searched.
     """
 
-    differences: Array
+    points: Array
     values: Array
+    length_scales: int
     least_noise: float
-    with_prior: bool
+    value_scale: float | None
+    last_length_scale: float | None = None
 
     def loss(self, log_parameters: Array) -> tuple[float, Array]:
-        """Negative log posterior and its gradient (p + 1,) (RW Eqs. 5.8, 5.9)."""
-        distance, solved, signal = self._solve(log_parameters)
-        weights, scaled_weights = solved.weights, solved.weights / signal**2
-        inverse, _ = _potri(solved.factor, lower=1)
-        # potri fills the lower triangle in Fortran order: the upper one in C order, which squareform reads.
-        excess = squareform(np.outer(weights, scaled_weights) - inverse.T, checks=False)
-        by_length_scale = self.differences @ (excess * kernel_descent(distance))
-        by_ratio = np.exp(2 * log_parameters[-1]) * (weights @ scaled_weights - np.trace(inverse))
-        # This part is zero except where the least noise binds: there the signal follows from the ratio.
-        by_ratio += len(weights) - solved.misfit / signal**2
+        """Negative log posterior and its gradient, of the shape of the parameters (RW Eqs. 2.45, 5.8, 5.9)."""
+        distance, lean, solved, signal = self._solve(log_parameters)
+        explained = np.zeros((len(self.values), 2))
+        explained[:, 0] = solved.weights / signal
         log_posterior = solved.log_likelihood(signal)
-        gradient = np.append(np.exp(-2 * log_parameters[:-1]) * by_length_scale, by_ratio)
-        if self.with_prior:
-            deviation = log_parameters - np.log([*[3.0] * len(self.differences), 0.5])
-            log_posterior -= 0.5 * float(deviation @ deviation)
-            gradient -= deviation
-        return -log_posterior, -gradient
+        prior, prior_gradient = 0.0, np.zeros(len(log_parameters))
+        if self.value_scale is not None:
+            by_ones = solved.factor.solve_transposed(solved.basis)
+            explained[:, 1] = by_ones / math.sqrt(by_ones.sum())
+            log_posterior = solved.log_evidence(signal)
+            deviation = log_parameters - _prior_median(len(self.points[0]), len(log_parameters))
+            prior = -0.5 * float(deviation @ deviation) - 0.5 * self._surprise(signal) ** 2
+            prior_gradient = -deviation
+        inverse, _ = _potri(solved.factor.base, lower=1)
+        # potri fills the lower triangle in Fortran order: the upper one in C order.
+        by_length_scale, by_lean, by_noise = evidence_gradient(
+            inverse.T, explained, kernel_descent(distance), self.points, lean
+        )
+        lengths = log_parameters[: self.length_scales]
+        by_lengths = np.exp(-2 * lengths) * by_length_scale.reshape(self.length_scales, -1).sum(axis=1)
+        by_ratio = np.exp(2 * log_parameters[self.length_scales]) * by_noise
+        # This part is zero except where the least noise binds: there the signal follows from the ratio.
+        by_ratio += self._freedom - solved.misfit / signal**2
+        if self.value_scale is not None:
+            by_ratio += self._surprise(signal)
+        gradient = np.concatenate([by_lengths, [by_ratio], [by_lean] * (len(log_parameters) - len(lengths) - 1)])
+        return -log_posterior - prior, -gradient - prior_gradient
 
-    def signal_and_noise(self, log_parameters: Array) -> tuple[float, float]:
-        """Most likely signal_std, and the noise_std that belongs to it."""
-        _, _, signal = self._solve(log_parameters)
-        return signal, signal * math.exp(log_parameters[-1])
+    def hyper_parameters(self, log_parameters: Array) -> HyperParameters:
+        """The parameters with the most probable signal."""
+        _, _, _, signal = self._solve(log_parameters)
+        ratio, slope = (*np.exp(log_parameters[self.length_scales :]), 0.0)[:2]
+        length_scale = np.broadcast_to(np.exp(log_parameters[: self.length_scales]), self.points.shape[1:]).copy()
+        return HyperParameters(length_scale, signal, signal * float(ratio), signal * float(slope))
 
-    def _solve(self, log_parameters: Array) -> tuple[Array, LeastSquares, float]:
-        """√5 r of every pair of points, the least squares with it, and the most likely signal_std."""
-        ratio = math.exp(log_parameters[-1])
-        distance = np.sqrt(5 * (np.exp(-2 * log_parameters[:-1]) @ self.differences))
-        solved = least_squares_fit(distance, ratio, self.values)
-        return distance, solved, max(math.sqrt(solved.misfit / len(self.values)), self.least_noise / ratio)
+    @property
+    def _freedom(self) -> int:
+        """How many values tell of the signal: one is spent on β where it is integrated out."""
+        return len(self.values) - (self.value_scale is not None)
+
+    def _surprise(self, signal: float) -> float:
+        """Deviation of log(signal) from the median of its prior."""
+        assert self.value_scale is not None
+        return math.log(signal / (PRIOR_SIGNAL * self.value_scale))
+
+    def _solve(self, log_parameters: Array) -> tuple[Array, Array, LeastSquares, float]:
+        """√5 r of every pair of points, the lean of the slopes, the least squares and the most probable signal_std."""
+        ratio, slope = (*np.exp(log_parameters[self.length_scales :]), 0.0)[:2]
+        distance = np.sqrt(5 * pdist(self.points * np.exp(-log_parameters[: self.length_scales]), "sqeuclidean"))
+        lean = (self.points - self.points[0]) * slope
+        solved = fit_least_squares(factorise(covariance_matrix(kernel(distance), lean, ratio**2)), self.values)
+        return distance, lean, solved, max(self.signal(solved.misfit), self.least_noise / ratio)
+
+    def signal(self, misfit: float) -> float:
+        """Most probable signal_std: with log s ~ N(log m, 1) the root of misfit/s² = freedom + log(s/m)."""
+        if self.value_scale is None:
+            return math.sqrt(misfit / self._freedom)
+        median, twice = PRIOR_SIGNAL * self.value_scale, 2.0 * self._freedom
+        omega = float(wrightomega(np.log(2 * misfit / median**2) + twice)) if misfit > 0 else 0.0
+        return median * math.exp(0.5 * (omega - twice))
 
 
-def cold_starts(inputs: int) -> list[Array]:
-    """Log parameters from which a search begins: all inputs alike, then each one alone decisive; shapes (d + 1,).
+def cold_starts(inputs: int, basis: Basis = "constant") -> list[Array]:
+    """Log parameters from which a search begins: all inputs alike, then each one alone decisive.
 
     The first alone ends up to 110 nats short of the best where one input is decisive and N ≤ 50.
     """
     length_scales = np.vstack([np.ones(inputs), np.where(np.eye(inputs) == 1, 0.5, 5.0)])
-    return [np.log([*start, 0.2]) for start in length_scales]
+    rest = [0.2] if basis == "constant" else [0.2, 0.5]
+    return [np.log([*start, *rest]) for start in length_scales]
+
+
+def _log_parameters(hyper_parameters: HyperParameters, basis: Basis) -> Array:
+    """Where a search begins that goes on from a former fit."""
+    signal = hyper_parameters.signal_std
+    ratios = [hyper_parameters.noise_std / signal]
+    bounds = [NOISE_RATIO_BOUNDS]
+    if basis == "linear":
+        ratios.append(hyper_parameters.slope_std / signal)
+        bounds.append(SLOPE_RATIO_BOUNDS)
+    return np.log(
+        [*hyper_parameters.length_scale, *(np.clip(ratio, *bound) for ratio, bound in zip(ratios, bounds, strict=True))]
+    )
+
+
+def _prior_median(inputs: int, parameters: int) -> Array:
+    """Of the log parameters; shape (parameters,)."""
+    return np.log([*[PRIOR_LENGTH_SCALE] * inputs, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO][:parameters])
 
 
 def _search(evidence: Evidence, starts: Sequence[Array]) -> Array:
-    """Log parameters of the least loss that is reached from `starts`; shape (p + 1,)."""
-    bounds = np.log([*[LENGTH_SCALE_BOUNDS] * len(evidence.differences), NOISE_RATIO_BOUNDS])
+    """Log parameters of the least loss that is reached from `starts`."""
+    with threadpool_limits(limits=1, user_api="blas"):  # more threads only wait for each other at these sizes
+        if len(evidence.values) > COLD_START_SIZE and len(starts) > 1:
+            some = np.linspace(0, len(evidence.values) - 1, COLD_START_SIZE).astype(int)
+            part = replace(evidence, points=evidence.points[some], values=evidence.values[some])
+            starts = [_descend(part, starts)]
+        return _descend(evidence, starts)
+
+
+def _descend(evidence: Evidence, starts: Sequence[Array]) -> Array:
+    bounds = [LENGTH_SCALE_BOUNDS] * evidence.length_scales + [NOISE_RATIO_BOUNDS, SLOPE_RATIO_BOUNDS]
+    if evidence.last_length_scale is not None:
+        bounds[evidence.length_scales - 1] = (evidence.last_length_scale, evidence.last_length_scale)
+    log_bounds = np.log(bounds[: len(starts[0])])
     # The loss counts nats: 1e-8 of some hundreds or thousands is far less than matters.
     options = {"maxiter": 200, "ftol": 1e-8, "gtol": 1e-3}
-    with threadpool_limits(limits=1, user_api="blas"):  # more threads only wait for each other at these sizes
-        ends = [
-            minimize(evidence.loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-            for start in starts
-        ]
+    ends = [
+        minimize(
+            evidence.loss,
+            np.clip(start, *log_bounds.T),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=log_bounds,
+            options=options,
+        )
+        for start in starts
+    ]
     return min(ends, key=lambda end: end.fun).x
-
-
-def squared_differences(points: Array) -> Array:
-    """Squared difference of every pair of points (N, d), input by input; shape (d, N(N−1)/2)."""
-    return np.array([pdist(column[:, None], "sqeuclidean") for column in points.T], float)
-
-
-def _least_noise(values: Array) -> float:
-    """A noise that matters to nobody, so that values which do not vary keep a positive one."""
-    return max(1e-6 * float(np.abs(values).max()), 1e-12)

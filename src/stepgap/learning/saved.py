@@ -1,0 +1,50 @@
+"""Numbers as JSON holds them, read strictly: an error names the key and what would be right."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from stepgap.step import Array
+
+_WORDS = ("a number", "a list of numbers", "a list of equally long lists of numbers")
+
+
+def numbers(data: Mapping[str, Any], key: str, dimensions: int) -> Array:
+    """The array of finite numbers saved under `key`.
+
+    Raises:
+        ValueError: The key is missing, or holds anything else.
+    """
+    try:
+        array = np.asarray(data[key])
+    except KeyError:
+        raise ValueError(f"{key} must be {_WORDS[dimensions]}, but it is missing") from None
+    except ValueError:
+        array = np.array("ragged")
+    if array.dtype.kind not in "if" or array.ndim != dimensions or not np.isfinite(array).all():
+        raise ValueError(f"{key} must be {_WORDS[dimensions]}, all finite")
+    return array.astype(float)
+
+
+def whole(data: Mapping[str, Any], key: str, least: int = 1) -> int:
+    """The whole number saved under `key`.
+
+    Raises:
+        ValueError: The key is missing, or holds anything else or less.
+    """
+    value = data.get(key)
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{key} must be a whole number from {least} on, not {value!r:.40}")
+    return value
+
+
+def truth(data: Mapping[str, Any], key: str) -> bool:
+    """The truth value saved under `key`.
+
+    Raises:
+        ValueError: The key is missing, or holds anything else.
+    """
+    if not isinstance(data.get(key), bool):
+        raise ValueError(f"{key} must be true or false, not {data.get(key)!r:.40}")
+    return data[key]

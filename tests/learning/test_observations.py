@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+
+from stepgap.learning.observations import Observations, next_context, observe
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.step import Array, Reason, StepRecord
+from tests.learning.test_corrected_map import NOMINAL, SPACE, actual, apexes
+
+
+def log_of(*deployments: int, fallen: bool = False) -> StepLog:
+    """Deployments of so many steps each; the last step of the last one may be a fall."""
+    log, (state, command) = StepLog(SPACE), apexes(sum(deployments), seed=1)
+    for iteration, size in enumerate(deployments):
+        for number in range(1, size + 1):
+            row = len(log)
+            fell = fallen and row == len(state) - 1
+            after, reason = actual(state[row], command[row]), Reason.OK
+            after, reason = (np.full(2, np.nan), Reason.FELL) if fell else (after, reason)
+            record = StepRecord(state[row], 2 * command[row], command[row], after, reason)
+            log.append(LoggedStep(iteration, number, state[row], state[row], np.zeros(2), record))
+    return log
+
+
+def context_of(observations: Observations) -> Array:
+    assert observations.context is not None
+    return observations.context
+
+
+def test_errors_are_those_of_the_nominal_map_at_commands_applied() -> None:
+    log = log_of(5, 4, fallen=True)
+    observations = observe(log, NOMINAL)
+    done = [logged.record for logged in log.completed()]
+    assert len(observations) == 8
+    assert observations.space is SPACE
+    np.testing.assert_array_equal(observations.state, [record.state for record in done])
+    np.testing.assert_array_equal(observations.applied_command, [record.applied for record in done])
+    np.testing.assert_array_equal(observations.error, [r.next_state - NOMINAL(r.state, r.applied) for r in done])
+
+
+def test_context_is_the_step_before_in_half_ranges() -> None:
+    observations = observe(log_of(4, 3), NOMINAL)
+    context = context_of(observations)
+    for row in range(7):
+        before = np.zeros(5)
+        if row not in (0, 4):
+            command = observations.applied_command[row - 1] / 15.0
+            state = (observations.state[row - 1] - [0.2, 0.58]) / [0.2, 0.045]
+            before = np.concatenate([observations.error[row - 1] / [0.2, 0.045], command, state])
+        np.testing.assert_allclose(context[row], [*before, row], atol=1e-12)
+
+
+def test_the_next_step_gets_the_context_that_it_will_be_learnt_with() -> None:
+    log = log_of(4, 3)
+    context = context_of(observe(log, NOMINAL))
+    steps = list(log)
+    for row, logged in enumerate(steps):
+        before = StepLog(SPACE, steps[:row])
+        np.testing.assert_allclose(next_context(before, NOMINAL, logged.iteration), context[row], rtol=1e-12)
+
+
+def test_a_step_that_the_nominal_map_cannot_make_has_no_error() -> None:
+    """It is left out; the step after it is told of no error."""
+    log = log_of(3)
+    steps = list(log)
+    fast = StepRecord(np.array([0.35, 0.58]), np.zeros(1), np.zeros(1), np.array([0.2, 0.58]), Reason.OK)
+    steps[1] = LoggedStep(0, 2, steps[1].target, steps[1].predicted, np.zeros(2), fast)
+    observations = observe(StepLog(SPACE, steps), NOMINAL)
+    np.testing.assert_array_equal(observations.state, [steps[0].record.state, steps[2].record.state])
+    np.testing.assert_allclose(context_of(observations)[1], [0, 0, 0, 0.75, 0, 2], atol=1e-12)
+    np.testing.assert_allclose(next_context(StepLog(SPACE, steps[:2]), NOMINAL, 0), context_of(observations)[1])
+
+
+def test_nothing_recorded_is_nothing_observed() -> None:
+    assert len(observe(StepLog(SPACE), NOMINAL)) == 0
+    np.testing.assert_array_equal(next_context(StepLog(SPACE), NOMINAL, 0), np.zeros(6))
+
+
+class TestRefused:
+    DATA = (np.zeros((4, 2)), np.zeros((4, 1)), np.zeros((4, 2)), np.zeros((4, 6)))
+    NAMES = ("state", "applied_command", "error", "context")
+
+    @pytest.mark.parametrize("argument", range(4))
+    @pytest.mark.parametrize("bad", [np.nan, np.inf])
+    def test_a_row_that_is_not_finite(self, argument: int, bad: float) -> None:
+        data = [array.copy() for array in self.DATA]
+        data[argument][3, 0] = bad
+        with pytest.raises(ValueError, match=f"^{self.NAMES[argument]} must be finite, but row 3"):
+            Observations(SPACE, *data[:3], data[3])
+
+    @pytest.mark.parametrize("argument", range(4))
+    def test_a_wrong_number_of_columns_or_rows(self, argument: int) -> None:
+        named, right = self.NAMES[argument], self.DATA[argument]
+
+        def observed_with(wrong: Array) -> Observations:
+            return Observations(SPACE, **(dict(zip(self.NAMES, self.DATA, strict=True)) | {named: wrong}))
+
+        for wrong in (right[:, 1:], right[0]):
+            with pytest.raises(ValueError, match=f"^{named} must have the columns"):
+                observed_with(wrong)
+        with pytest.raises(ValueError, match="equally many"):
+            observed_with(right[1:])
