@@ -8,7 +8,7 @@ import pytest
 
 from stepgap.hopper import CommandBounds
 from stepgap.hopper.apex_map import ApexMap
-from stepgap.learning.residual import residual_from_dict
+from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep, StepWriter
 from stepgap.step import Reason, StepRecord
 from tests.command_line import Command, refused
@@ -18,7 +18,7 @@ FOREIGN = ("--state", "v,y", "--next", "v2,y2", "--command", "fx,fy", "--nominal
 
 @pytest.fixture(autouse=True)
 def _few_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stepgap.learning.residual.KINDS", ("none", "constant", "gp"))
+    monkeypatch.setattr("stepgap.learning.residual_fit.KINDS", ("none", "constant", "gp"))
 
 
 def write_log(path: Path, offset: float, count: int = 40, seed: int = 0) -> None:

@@ -375,7 +375,7 @@ def fit(
     from stepgap.fit_verb import best_residual, choose_folds, describe_lesson, fit_report, read_lesson, verdicts
     from stepgap.fit_verb import show_validation as show
     from stepgap.learning.columns import read_columns
-    from stepgap.learning.residual import KINDS
+    from stepgap.learning.residual_fit import KINDS
     from stepgap.learning.validation import validate
     from stepgap.progress import shown_count
     from stepgap.report.fit import FORMATS, fit_picture

@@ -15,7 +15,8 @@ from stepgap.experiment import InputError, read_experiment
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.columns import Columns
 from stepgap.learning.foreign_log import read_foreign_logs
-from stepgap.learning.residual import Residual, ResidualKind
+from stepgap.learning.residual import Residual
+from stepgap.learning.residual_fit import ResidualKind
 from stepgap.learning.step_log import RecordError, StepLog, read_step_log
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
 from stepgap.learning.validation import (

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,8 +70,11 @@ def test_rows_chain_as_if_the_next_state_were_written(rows: list[tuple[int, bool
     text = written(["trial", "n", "v", "f"], [(row[0], n, *row[2:]) for row, n in zip(rows, count, strict=True)])
     forward = [(a[2], a[3], b[2]) for a, b in pairs if np.isfinite(a[3])]
     backward = [(a[2], b[3], b[2]) for a, b in pairs if np.isfinite(b[3])]
-    for role, expected in (("state", forward), ("next", backward)):
-        columns = Columns(**{role: ("v",)}, command=("f",), deployment="trial", step="n")
+    common: dict[str, Any] = {"command": ("f",), "deployment": "trial", "step": "n"}
+    for columns, expected in (
+        (Columns(state=("v",), **common), forward),
+        (Columns(next=("v",), **common), backward),
+    ):
         if not expected:
             with pytest.raises(RecordError, match="no row is a whole step"):
                 read(text, columns)
@@ -83,7 +87,7 @@ def test_rows_chain_as_if_the_next_state_were_written(rows: list[tuple[int, bool
 @settings(max_examples=80, deadline=None)
 @given(st.binary(max_size=60) | st.text(max_size=60).map(lambda text: b"v,y,v2,y2,f\n" + text.encode()))
 def test_whatever_a_file_holds_there_is_one_kind_of_error(content: bytes) -> None:
-    steps = None
+    steps, said = None, ""
     try:
         steps = read(content, WHOLE)
     except RecordError as error:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from stepgap.learning.residual import ResidualKind
+from stepgap.learning.residual_fit import ResidualKind
 from stepgap.learning.step_table import StepTable
 from stepgap.learning.validation import (
     FOLDS,

@@ -14,7 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.learning.residual import Residual, ResidualKind, fit_residual, join_points
+from stepgap.learning.observations import Observations
+from stepgap.learning.residual import Residual, join_points
+from stepgap.learning.residual_fit import ResidualKind, fit_residual
 from stepgap.learning.step_table import Indices, StepTable
 from stepgap.step import Array
 
@@ -181,7 +183,7 @@ class Validation:
 
     def nearest(self, other: ResidualKind, coordinates: Sequence[int]) -> ResidualKind:
         """The residual with the least error among those that are not `other`."""
-        others = [kind for kind in self.held_out if kind != other]
+        others: list[ResidualKind] = [kind for kind in self.held_out if kind != other]
         return max(others, key=lambda kind: self.reduction(kind, other, coordinates).value)
 
 
@@ -208,7 +210,7 @@ def validate(
 def fit_steps(kind: ResidualKind, steps: StepTable, rows: NDArray[np.bool_] | None = None) -> Residual:
     """A residual fitted to some of the steps, or to all; shape of `rows` (N,)."""
     kept = slice(None) if rows is None else rows
-    return fit_residual(kind, steps.space, steps.state[kept], steps.command[kept], steps.error[kept])
+    return fit_residual(kind, Observations(steps.space, steps.state[kept], steps.command[kept], steps.error[kept]))
 
 
 def _hold_out(kind: ResidualKind, steps: StepTable, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
