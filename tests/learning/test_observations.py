@@ -85,7 +85,7 @@ class TestRefused:
         data = [array.copy() for array in self.DATA]
         data[argument][3, 0] = bad
         with pytest.raises(ValueError, match=f"^{self.NAMES[argument]} must be finite, but row 3"):
-            Observations(SPACE, *data[:3], data[3])
+            Observations(SPACE, **dict(zip(self.NAMES, data, strict=True)))
 
     @pytest.mark.parametrize("argument", range(4))
     def test_a_wrong_number_of_columns_or_rows(self, argument: int) -> None:

@@ -6,6 +6,7 @@ Equations marked RW are those of Rasmussen and Williams, Gaussian Processes for 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal, final
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.linalg import get_lapack_funcs
 from scipy.optimize import minimize
 from scipy.spatial.distance import pdist
 from scipy.special import wrightomega
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from stepgap.learning.cholesky import factorise
 from stepgap.learning.covariance import covariance_matrix, evidence_gradient, kernel, kernel_descent
@@ -43,7 +44,7 @@ PRIOR_LENGTH_SCALE, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO = 3.0, 0.5, 1.0
 PRIOR_SIGNAL = 0.25
 """Median of the prior of the signal, in value scales."""
 
-LEAST_NOISE = 1e-4
+LEAST_NOISE = 1e-3
 """Least standard deviation of the noise, in value scales: it matters to nobody."""
 
 (_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
@@ -64,8 +65,8 @@ def fit_gaussian_process(
     A priori log(length scale) ~ N(log 3, 1) for each input, log(noise/signal) ~ N(log 0.5, 1), log(signal) ~
     N(log(value_scale/4), 1) and, with the linear basis, log(slopes/signal) ~ N(0, 1), while β is flat and
     integrated out. Without these priors a fit to fewer than 50 points often takes noise for signal, and one to a
-    single point, or to values that happen to be the same, would be sure of what it cannot know. The search is
-    deterministic: the same data give the same process.
+    single point, or to values that happen to be the same, would be sure of what it cannot know. The noise is at
+    least 0.001 value_scale. The search is deterministic: the same data give the same process.
 
     Args:
         points: Shape (N, d), N ≥ 1.
@@ -82,11 +83,24 @@ def fit_gaussian_process(
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
     least_noise = LEAST_NOISE * value_scale
     evidence = Evidence(points / input_scale, values, points.shape[1], least_noise, value_scale, last_length_scale)
-    starts = cold_starts(points.shape[1], basis)
-    if start is not None:
-        starts = [_log_parameters(start, basis), starts[0]]
-    log_parameters = _search(evidence, starts)
-    return condition(points, values, input_scale, evidence.hyper_parameters(log_parameters))
+    cold = cold_starts(points.shape[1], basis)
+    if start is None:
+        log_parameters = _search(evidence, cold)
+    else:
+        log_parameters = _search(evidence, cold[:1], [_log_parameters(start, basis)])
+    found = evidence.hyper_parameters(log_parameters)
+    return condition(points, values, input_scale, _widened(found, len(values), len(log_parameters) + 1))
+
+
+def _widened(found: HyperParameters, size: int, fitted: int) -> HyperParameters:
+    """All variances times (N + 2p)/(N + p), for p fitted parameters; the mean stays as it is.
+
+    The most probable parameters leave too little variance, as residuals of a least-squares fit do, whose
+    variance is therefore divided by N − p. Here each prior counts like one more value.
+    """
+    wider = math.sqrt((size + 2 * fitted) / (size + fitted))
+    stds = (wider * std for std in (found.signal_std, found.noise_std, found.slope_std))
+    return HyperParameters(found.length_scale, *stds)
 
 
 def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
@@ -225,32 +239,33 @@ def _prior_median(inputs: int, parameters: int) -> Array:
     return np.log([*[PRIOR_LENGTH_SCALE] * inputs, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO][:parameters])
 
 
-def _search(evidence: Evidence, starts: Sequence[Array]) -> Array:
-    """Log parameters of the least loss that is reached from `starts`."""
-    with threadpool_limits(limits=1, user_api="blas"):  # more threads only wait for each other at these sizes
-        if len(evidence.values) > COLD_START_SIZE and len(starts) > 1:
+def _search(evidence: Evidence, cold: Sequence[Array], warm: Sequence[Array] = ()) -> Array:
+    """Log parameters of the least loss that is reached from `cold` and `warm` starts."""
+    with _blas().limit(limits=1, user_api="blas"):  # more threads only wait for each other at these sizes
+        starts = [*warm, *cold]
+        if len(starts) > 1 and len(evidence.values) > COLD_START_SIZE:
             some = np.linspace(0, len(evidence.values) - 1, COLD_START_SIZE).astype(int)
             part = replace(evidence, points=evidence.points[some], values=evidence.values[some])
-            starts = [_descend(part, starts)]
-        return _descend(evidence, starts)
+            contenders = [*warm, _descend(part, cold, tolerance=1e-6)]
+            starts = [min(contenders, key=lambda start: evidence.loss(start)[0])]
+        return _descend(evidence, starts, tolerance=1e-8)
 
 
-def _descend(evidence: Evidence, starts: Sequence[Array]) -> Array:
+def _descend(evidence: Evidence, starts: Sequence[Array], tolerance: float) -> Array:
+    """The best end of searches from `starts`, each of which stops once the loss falls by less than this share of it."""
     bounds = [LENGTH_SCALE_BOUNDS] * evidence.length_scales + [NOISE_RATIO_BOUNDS, SLOPE_RATIO_BOUNDS]
     if evidence.last_length_scale is not None:
         bounds[evidence.length_scales - 1] = (evidence.last_length_scale, evidence.last_length_scale)
     log_bounds = np.log(bounds[: len(starts[0])])
-    # The loss counts nats: 1e-8 of some hundreds or thousands is far less than matters.
-    options = {"maxiter": 200, "ftol": 1e-8, "gtol": 1e-3}
+    options = {"maxiter": 200, "ftol": tolerance, "gtol": 1e-3}
     ends = [
-        minimize(
-            evidence.loss,
-            np.clip(start, *log_bounds.T),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=log_bounds,
-            options=options,
-        )
-        for start in starts
+        minimize(evidence.loss, begin, jac=True, method="L-BFGS-B", bounds=log_bounds, options=options)
+        for begin in np.clip(starts, *log_bounds.T)
     ]
     return min(ends, key=lambda end: end.fun).x
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    """The threads of linear algebra; to find them takes longer than a fit to some dozens of points."""
+    return ThreadpoolController()
