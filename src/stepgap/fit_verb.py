@@ -1,7 +1,7 @@
 """What `stepgap fit` reads and says: the error of the nominal map in any log, and how much of it can be learnt."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -256,7 +256,10 @@ def _table(framed: bool, title: str, *scores: str) -> Table:
 def _compared_all(validation: Validation, kind: ResidualKind, coordinates: Sequence[int]) -> list[str]:
     """By how much a residual is better than each baseline."""
     by = [validation.reduction(kind, other, coordinates) for other in BASELINES]
-    return ["–" if kind == other else _percent(*astuple(one)) for one, other in zip(by, BASELINES, strict=True)]
+    return [
+        "–" if kind == other else _percent(one.value, one.standard_error)
+        for one, other in zip(by, BASELINES, strict=True)
+    ]
 
 
 def _shown(value: float, form: str) -> str:

@@ -13,6 +13,7 @@ from stepgap.learning.step_table import StepTable
 from stepgap.learning.validation import (
     FOLDS,
     HeldOut,
+    Reduction,
     contiguous_folds,
     deployment_folds,
     reduction,
@@ -54,6 +55,10 @@ def test_blocks_are_contiguous_and_of_one_size(steps: int, number: int) -> None:
     sizes = np.bincount(folds.fold)
     assert len(sizes) == folds.count == number
     assert np.ptp(sizes) <= 1
+    blocks = int(folds.block.max()) + 1
+    assert blocks >= min(FOLDS, steps // 2)
+    for block in range(blocks):
+        assert len(set(folds.fold[folds.block == block])) == 1
 
 
 @given(st.lists(st.integers(1, 40), min_size=2, max_size=30), st.randoms(use_true_random=False))
@@ -135,6 +140,15 @@ def test_its_standard_error_is_its_spread() -> None:
     spread = np.std([by.value for by in found])
     assert np.mean([by.value for by in found]) == pytest.approx(1 - np.hypot(0.6, 0.3), abs=0.01)
     assert np.sqrt(np.mean([by.standard_error**2 for by in found])) == pytest.approx(spread, rel=0.15)
+
+
+def test_few_blocks_need_a_larger_advantage() -> None:
+    assert not Reduction(0.22, 0.1, 10).certain
+    assert Reduction(0.23, 0.1, 10).certain
+    assert Reduction(1.3, 0.1, 2).certain
+    assert not Reduction(1.2, 0.1, 2).certain
+    assert not Reduction(0.2, 0.1, 10**6).certain
+    assert Reduction(0.201, 0.1, 10**6).certain
 
 
 def test_an_error_of_zero_cannot_be_reduced() -> None:
