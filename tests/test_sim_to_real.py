@@ -153,6 +153,21 @@ def test_nothing_learnt_leaves_the_nominal_map() -> None:
     assert learn(NeverWorks(), in_space([logged(1, (0.1, 0.5), (0.1, 0.5))]), ALWAYS).kind == "none"
 
 
+def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
+    learning = LearningSettings("auto", iterations=2, least_gain=0.0, features="previous_error")
+    done = run_in(tmp_path, learning=learning)
+    log = list(read_step_log(tmp_path / "steps.csv", NOMINAL.space))
+    for deployment in done[1:]:
+        saved = json.loads((tmp_path / "models" / f"iteration_{deployment.iteration}.json").read_text())
+        corrected = CorrectedMap(NOMINAL, residual_from_dict(saved))
+        assert deployment.residual == f"{saved['kind']} with previous error"
+        for row, logged in enumerate(log):
+            if logged.iteration == deployment.iteration:
+                expected = corrected.after(in_space(log[:row]), logged.iteration)
+                predicted = expected(logged.record.state, logged.record.command)
+                np.testing.assert_allclose(logged.predicted, predicted, rtol=1e-9, atol=1e-9)
+
+
 # When redeploying ends
 
 

@@ -79,7 +79,7 @@ class Deployment:
 
     Attributes:
         iteration: Its number.
-        residual: Kind of the residual model that the controller used.
+        residual: Name of the residual model that the controller used.
         steps: Steps executed.
         falls: Steps that ended without an apex; at most one, because the deployment ends with it.
         rmse: Root-mean-square error; shape (n,).
@@ -229,9 +229,8 @@ def run(
         vouched = _vouched_deployments(folder / "summary.json", writer.recorded, seed)
         for iteration in range(learning.iterations + 1):
             residual = learn(nominal, log, learning)
-            model = residual.to_dict()
             if iteration > 0:
-                write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(model))
+                write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(residual.to_dict()))
             if iteration < vouched:
                 steps = _taken_as_recorded(recorded, iteration)
             else:
@@ -242,7 +241,7 @@ def run(
                 for logged in steps:
                     log.append(logged)
                     observer.on_step(logged)
-            deployments.append(summarise(log.of_iteration(iteration), reference, model["kind"]))
+            deployments.append(summarise(log.of_iteration(iteration), reference, residual.name))
             if not recorded:
                 write_whole(folder / "summary.json", json.dumps(_summary(deployments, log, reference, seed), indent=1))
             observer.on_deployment(deployments[-1])

@@ -8,23 +8,21 @@ those of Rasmussen and Williams, Gaussian Processes for Machine Learning (2006).
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, singledispatch
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import get_lapack_funcs
-from scipy.spatial.distance import cdist, pdist
+from scipy.spatial.distance import pdist
 
 from stepgap.learning.cholesky import factorise, is_safe
-from stepgap.learning.covariance import covariance_matrix, kernel, kernel_descent
+from stepgap.learning.covariance import Covariance, covariance_matrix, kernel
 from stepgap.learning.least_squares import LeastSquares, append_value, fit_least_squares
+from stepgap.learning.saved import numbers
 from stepgap.step import Array
-
-KERNEL_BLOCK = 2**16
-"""Kernel values computed at a time, so that a large batch of queries stays in the cache."""
 
 (_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
@@ -47,11 +45,28 @@ class HyperParameters:
     slope_std: float = 0.0
 
     def __post_init__(self) -> None:
-        _require(_positive(self.length_scale), "length_scale", "positive and finite")
-        _require(_positive(self.signal_std), "signal_std", "positive and finite")
+        require(_positive(self.length_scale), "length_scale", "positive and finite")
+        require(_positive(self.signal_std), "signal_std", "positive and finite")
         for name in ("noise_std", "slope_std"):
             std = getattr(self, name)
-            _require(std == 0 or _positive(std), name, "non-negative and finite")
+            require(std == 0 or _positive(std), name, "non-negative and finite")
+
+    def covariance(self, centres: Array, origin: Array, input_scale: Array) -> Covariance:
+        """Covariance with fixed centres (M, d)."""
+        return Covariance(
+            centres, origin, input_scale * self.length_scale, self.slope_std / self.signal_std / input_scale
+        )
+
+    def std(self, variance: Array, include_noise: bool) -> Array:
+        """Standard deviation that belongs to a variance [signal²], without or with the noise."""
+        # Rounding can leave a variance slightly below zero at a point that was observed.
+        std = self.signal_std * np.sqrt(np.maximum(variance, 0))
+        return np.hypot(std, self.noise_std) if include_noise else std
+
+    def std_gradient(self, half_variance_gradient: Array, std: Array) -> Array:
+        """∂std/∂point, given ½ ∂variance/∂point [signal²] (…, d) and `std` (…)."""
+        half = self.signal_std**2 * half_variance_gradient
+        return np.divide(half, std[..., None], out=np.zeros_like(half), where=std[..., None] != 0)
 
 
 @final
@@ -87,18 +102,18 @@ class GaussianProcess:
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…) [unit of the values] (RW Eq. 2.38)."""
-        weights = self.least_squares.weights
+        covariance, weights = self._covariance, self.least_squares.weights
 
         def mean(query: Array) -> Array:
-            return self.coefficient + kernel(self._distance(query)) @ weights + self._lean(query) @ self._rise
+            return self.coefficient + covariance.kernel(query) @ weights + covariance.lean(query) @ self._rise
 
-        return self._blockwise(mean, point)
+        return covariance.blockwise(mean, point)
 
     def mean_gradient(self, point: ArrayLike) -> Array:
         """∂mean/∂point; shape (…, d) [unit of the values per unit of each input]."""
-        weights = self.least_squares.weights
-        slope = self._rise * self._steepness
-        return self._blockwise(lambda query: self._kernel_gradient(query, weights) + slope, point)
+        covariance, weights = self._covariance, self.least_squares.weights
+        slope = self._rise * covariance.steepness
+        return covariance.blockwise(lambda query: covariance.kernel_gradient(query, weights) + slope, point)
 
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Plug-in standard deviation, which takes β for exact (RW Eq. 2.26); shape (…) [unit of the values].
@@ -109,9 +124,9 @@ class GaussianProcess:
         """
 
         def variance(query: Array) -> Array:
-            return self._prior(query) - (self._whiten(query) ** 2).sum(axis=0)
+            return self._covariance.prior(query) - (self._whiten(query) ** 2).sum(axis=0)
 
-        return self._std(self._blockwise(variance, point), include_noise)
+        return self.hyper_parameters.std(self._covariance.blockwise(variance, point), include_noise)
 
     def kriging_std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Universal-kriging standard deviation: as `std`, with β only estimated (RW Eq. 2.42); shape (…).
@@ -120,12 +135,17 @@ class GaussianProcess:
             point: Shape (…, d).
             include_noise: False: of β + slopes · point + f. True: of a new noisy value.
         """
-        return self._std(self._blockwise(self._kriging_variance, point), include_noise)
+        variance = self._covariance.blockwise(self._kriging_variance, point)
+        return self.hyper_parameters.std(variance, include_noise)
 
     def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """∂std/∂point; shape (…, d) [unit of the values per unit of each input]; see `kriging_std_gradient`."""
-        half = self._blockwise(lambda query: self._half_variance_gradient(query, self._whiten(query)), point)
-        return self._std_gradient(half, self.std(point, include_noise=include_noise))
+
+        def half_variance_gradient(query: Array) -> Array:
+            return self._half_variance_gradient(query, self._whiten(query))
+
+        half = self._covariance.blockwise(half_variance_gradient, point)
+        return self.hyper_parameters.std_gradient(half, self.std(point, include_noise=include_noise))
 
     def kriging_std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """∂kriging_std/∂point; shape (…, d) [unit of the values per unit of each input].
@@ -138,14 +158,13 @@ class GaussianProcess:
         """
         basis = self.least_squares.basis
 
-        def gradient(query: Array) -> Array:
+        def half_variance_gradient(query: Array) -> Array:
             whitened = self._whiten(query)
             surplus = (1 - basis @ whitened) / (basis @ basis)
             return self._half_variance_gradient(query, whitened + np.outer(basis, surplus))
 
-        return self._std_gradient(
-            self._blockwise(gradient, point), self.kriging_std(point, include_noise=include_noise)
-        )
+        half = self._covariance.blockwise(half_variance_gradient, point)
+        return self.hyper_parameters.std_gradient(half, self.kriging_std(point, include_noise=include_noise))
 
     def to_dict(self) -> dict[str, Any]:
         """Data and hyper-parameters as JSON-ready numbers; everything else follows from them."""
@@ -166,94 +185,39 @@ class GaussianProcess:
         Raises:
             ValueError: A key is missing, or holds anything but finite numbers of the right size and sign.
         """
-        hyper_parameters = HyperParameters(
-            length_scale=_numbers(data, "length_scale", "a list of numbers", 1),
-            signal_std=float(_numbers(data, "signal_std", "a number", 0)),
-            noise_std=float(_numbers(data, "noise_std", "a number", 0)),
-            slope_std=float(_numbers(data, "slope_std", "a number", 0)),
-        )
-        points = _numbers(data, "points", "a list of equally long lists of numbers", 2)
-        values = _numbers(data, "values", "a list of numbers", 1)
-        input_scale = _numbers(data, "input_scale", "a list of numbers", 1)
+        hyper_parameters = saved_hyper_parameters(data)
+        points = numbers(data, "points", 2)
+        values = numbers(data, "values", 1)
+        input_scale = numbers(data, "input_scale", 1)
         return condition(points, values, input_scale, hyper_parameters)
 
     @cached_property
-    def _reach(self) -> Array:
-        """Length scales in the units of the points; shape (d,)."""
-        return self.input_scale * self.hyper_parameters.length_scale
-
-    @cached_property
-    def _data(self) -> Array:
-        """Points in length scales; shape (N, d)."""
-        return self.points / self._reach
-
-    @cached_property
-    def _steepness(self) -> Array:
-        """Slopes of one standard deviation, in signals per unit of each input; shape (d,)."""
-        return self.hyper_parameters.slope_std / self.hyper_parameters.signal_std / self.input_scale
-
-    @cached_property
-    def _data_lean(self) -> Array:
-        """`_lean` of the data; shape (N, d)."""
-        return self._lean(self.points)
+    def _covariance(self) -> Covariance:
+        """Of queries and the data."""
+        return self.hyper_parameters.covariance(self.points, self.points[0], self.input_scale)
 
     @cached_property
     def _rise(self) -> Array:
         """Expected slopes, in standard deviations, times the signal; shape (d,)."""
-        return self._data_lean.T @ self.least_squares.weights
-
-    def _lean(self, query: Array) -> Array:
-        """What slopes of one standard deviation add between the first point and queries [signals]; shape (Q, d)."""
-        return (query - self.points[0]) * self._steepness
-
-    def _distance(self, query: Array) -> Array:
-        """√5 r between queries (Q, d) and the data; shape (Q, N)."""
-        return np.sqrt(5 * cdist(query / self._reach, self._data, "sqeuclidean"))
-
-    def _prior(self, query: Array) -> Array:
-        """Variance without data, of all but β [signal²]; shape (Q,)."""
-        return 1 + (self._lean(query) ** 2).sum(axis=1)
+        return self._covariance.centre_lean.T @ self.least_squares.weights
 
     def _whiten(self, query: Array) -> Array:
         """factor⁻¹ (covariance of data and queries / signal²); shape (N, Q)."""
-        covariance = kernel(self._distance(query)) + self._lean(query) @ self._data_lean.T
-        return self.least_squares.factor.solve(covariance.T)
+        covariance = self._covariance
+        between = covariance.kernel(query) + covariance.lean(query) @ covariance.centre_lean.T
+        return self.least_squares.factor.solve(between.T)
 
     def _kriging_variance(self, query: Array) -> Array:
         """Variance of universal kriging [signal²]; shape (Q,)."""
         whitened, basis = self._whiten(query), self.least_squares.basis
-        return self._prior(query) - (whitened**2).sum(axis=0) + (1 - basis @ whitened) ** 2 / (basis @ basis)
+        surplus = (1 - basis @ whitened) ** 2 / (basis @ basis)
+        return self._covariance.prior(query) - (whitened**2).sum(axis=0) + surplus
 
     def _half_variance_gradient(self, query: Array, whitened: Array) -> Array:
         """½ ∂variance/∂query [signal²], given factorᵀ times the weights that values have (N, Q); shape (Q, d)."""
-        weights = self.least_squares.factor.solve_transposed(whitened).T
-        lean = self._lean(query) - weights @ self._data_lean
-        return lean * self._steepness - self._kernel_gradient(query, weights)
-
-    def _std_gradient(self, half: Array, std: Array) -> Array:
-        """∂std/∂point (…, d), given ½ ∂variance/∂point [signal²] (…, d) and the standard deviation (…)."""
-        half, std = self.hyper_parameters.signal_std**2 * half, std[..., None]
-        return np.divide(half, std, out=np.zeros_like(half), where=std != 0)
-
-    def _kernel_gradient(self, query: Array, weights: Array) -> Array:
-        """∂(k @ weights)/∂query for weights (N,) or (Q, N); shape (Q, d)."""
-        pull = kernel_descent(self._distance(query)) * weights
-        return (pull @ self._data - pull.sum(axis=1, keepdims=True) * (query / self._reach)) / self._reach
-
-    def _std(self, variance: Array, include_noise: bool) -> Array:
-        """Standard deviation that belongs to a variance [signal²]."""
-        # Rounding can leave a variance slightly below zero at a point that was observed.
-        std = self.hyper_parameters.signal_std * np.sqrt(np.maximum(variance, 0))
-        return np.hypot(std, self.hyper_parameters.noise_std) if include_noise else std
-
-    def _blockwise(self, evaluate: Callable[[Array], Array], point: ArrayLike) -> Array:
-        """Apply `evaluate` to blocks (Q, d) of queries; shape (…) or (…, d)."""
-        point = np.asarray(point, float)
-        query = np.where(np.isfinite(point), point, np.nan).reshape(-1, len(self._reach))
-        rows = max(1, KERNEL_BLOCK // len(self.values))
-        blocks = [evaluate(query[start : start + rows]) for start in range(0, max(1, len(query)), rows)]
-        result = np.concatenate(blocks) if len(blocks) > 1 else blocks[0]
-        return result.reshape(point.shape[:-1] + result.shape[1:])
+        covariance, weights = self._covariance, self.least_squares.factor.solve_transposed(whitened).T
+        lean = covariance.lean(query) - weights @ covariance.centre_lean
+        return lean * covariance.steepness - covariance.kernel_gradient(query, weights)
 
 
 def condition(
@@ -269,17 +233,16 @@ def condition(
             precision, the least variance that suffices is added to the noise.
     """
     points, values, input_scale = checked_data(points, values, input_scale)
-    length_scale, signal = hyper_parameters.length_scale, hyper_parameters.signal_std
-    _require(
-        length_scale.shape == input_scale.shape, "length_scale", f"as many numbers as input_scale ({points.shape[1]})"
-    )
-    distance = np.sqrt(5 * pdist(points / (input_scale * length_scale), "sqeuclidean"))
-    lean = (points - points[0]) * (hyper_parameters.slope_std / signal / input_scale)
-    matrix = covariance_matrix(kernel(distance), lean, (hyper_parameters.noise_std / signal) ** 2)
+    check_sizes(hyper_parameters, input_scale)
+    covariance = hyper_parameters.covariance(points, points[0], input_scale)
+    distance = np.sqrt(5 * pdist(points / covariance.reach, "sqeuclidean"))
+    noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2
+    matrix = covariance_matrix(kernel(distance), covariance.centre_lean, noise)
     least_squares = fit_least_squares(factorise(matrix), values)
     return GaussianProcess(points, values, input_scale, hyper_parameters, least_squares)
 
 
+@singledispatch
 def append(process: GaussianProcess, point: ArrayLike, value: float) -> GaussianProcess:
     """Gaussian process given one point more, at the same hyper-parameters, in O(N²).
 
@@ -295,15 +258,16 @@ def append(process: GaussianProcess, point: ArrayLike, value: float) -> Gaussian
     new, value_, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), process.input_scale)
     points, values = np.concatenate([process.points, new]), np.concatenate([process.values, value_])
     row = process._whiten(new)[:, 0]
-    prior = process._prior(points[[-1]])
+    prior = process._covariance.prior(points)
     noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2 + solved.factor.jitter
-    squared_pivot = float(prior[0] + noise - row @ row)
-    if not is_safe(squared_pivot, np.append(process._prior(process.points), prior)):
+    squared_pivot = float(prior[-1] + noise - row @ row)
+    if not is_safe(squared_pivot, prior):
         return condition(points, values, process.input_scale, hyper_parameters)
     least_squares = append_value(solved, row, math.sqrt(squared_pivot), float(value_[0]))
     return GaussianProcess(points, values, process.input_scale, hyper_parameters, least_squares)
 
 
+@singledispatch
 def leave_one_out(process: GaussianProcess) -> tuple[Array, Array]:
     """What the process would predict of each value, had it not seen that value, at the same hyper-parameters.
 
@@ -323,34 +287,58 @@ def leave_one_out(process: GaussianProcess) -> tuple[Array, Array]:
     return process.values - solved.weights / precision, process.hyper_parameters.signal_std / np.sqrt(precision)
 
 
+@singledispatch
+def leave_out(process: GaussianProcess, blocks: Sequence[slice]) -> tuple[Array, Array]:
+    """As `leave_one_out`, but each value is predicted from those outside its block.
+
+    Args:
+        process: Conditioned on all values.
+        blocks: Consecutive parts of the values; one that holds them all leaves nothing to predict from.
+    """
+    solved, values = process.least_squares, process.values
+    mean, variance = np.full(len(values), np.nan), np.full(len(values), np.inf)
+    whitened = solved.factor.solve(np.eye(len(values)))
+    basis = solved.basis / np.linalg.norm(solved.basis)
+    whitened -= np.outer(basis, basis @ whitened)
+    for block in blocks:
+        if len(values[block]) < len(values):
+            covariance = np.linalg.inv(whitened[:, block].T @ whitened[:, block])
+            mean[block] = values[block] - covariance @ solved.weights[block]
+            variance[block] = covariance.diagonal()
+    return mean, process.hyper_parameters.signal_std * np.sqrt(variance)
+
+
 def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
     """Own copies of the data, once their shapes and numbers are sound."""
     points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
-    _require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
-    _require(_positive(input_scale), "input_scale", "positive and finite")
+    require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
+    require(_positive(input_scale), "input_scale", "positive and finite")
     sized = points.ndim == 2 and len(points) > 0 and points.shape[1] == len(input_scale)
-    _require(sized, "points", f"of shape (N, {len(input_scale)}) with N ≥ 1, not {points.shape}")
-    _require(np.isfinite(points).all(), "points", "finite")
-    _require(values.shape == points.shape[:1], "values", f"of shape ({len(points)},), not {values.shape}")
-    _require(np.isfinite(values).all(), "values", "finite")
+    require(sized, "points", f"of shape (N, {len(input_scale)}) with N ≥ 1, not {points.shape}")
+    require(np.isfinite(points).all(), "points", "finite")
+    require(values.shape == points.shape[:1], "values", f"of shape ({len(points)},), not {values.shape}")
+    require(np.isfinite(values).all(), "values", "finite")
     return points, values, input_scale
 
 
-def _numbers(data: Mapping[str, Any], key: str, what: str, dimensions: int) -> Array:
-    """The array of numbers saved under `key`."""
-    _require(key in data, key, f"{what}, but it is missing")
-    try:
-        array = np.asarray(data[key])
-    except ValueError as ragged:
-        raise ValueError(f"{key} must be {what}") from ragged
-    _require(array.dtype.kind in "if" and array.ndim == dimensions, key, what)
-    return array.astype(float)
+def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
+    """Raises ValueError unless there is a length scale for each input."""
+    same = hyper_parameters.length_scale.shape == input_scale.shape
+    require(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
+
+
+def saved_hyper_parameters(data: Mapping[str, Any]) -> HyperParameters:
+    """Those of a process that was saved; raises ValueError as `GaussianProcess.from_dict` does."""
+    length_scale = numbers(data, "length_scale", 1)
+    stds = (float(numbers(data, name, 0)) for name in ("signal_std", "noise_std", "slope_std"))
+    return HyperParameters(length_scale, *stds)
 
 
 def _positive(array: ArrayLike) -> bool:
     return bool(np.all(np.isfinite(array) & (np.asarray(array) > 0)))
 
 
-def _require(holds: object, name: str, what: str) -> None:
+def require(holds: object, name: str, what: str) -> None:
+    """Raises ValueError, which says what `name` must be, unless it holds."""
     if not holds:
         raise ValueError(f"{name} must be {what}")

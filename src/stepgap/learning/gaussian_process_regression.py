@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.learning.gaussian_process import GaussianProcess, append
+from stepgap.learning.gaussian_process import GaussianProcess, append, leave_out
 from stepgap.learning.regression import Prediction, Regression
+from stepgap.learning.sparse_gaussian_process import Process, process_from_dict
 from stepgap.step import Array
 
 GAUSSIAN_PROCESSES = ("gp", "gp_on_linear", "fitrgp")
@@ -26,7 +26,7 @@ class GaussianProcessRegression(Regression):
     """
 
     kind: str
-    process: GaussianProcess
+    process: Process
 
     @property
     def inputs(self) -> int:
@@ -48,28 +48,16 @@ class GaussianProcessRegression(Regression):
 
     def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """∂std/∂point; shape (…, d)."""
-        gradient = self.process.std_gradient if self.kind == "fitrgp" else self.process.kriging_std_gradient
-        return gradient(point, include_noise=include_noise)
+        if self.kind == "fitrgp" and isinstance(self.process, GaussianProcess):
+            return self.process.std_gradient(point, include_noise=include_noise)
+        return self.process.kriging_std_gradient(point, include_noise=include_noise)
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Each value as predicted, with noise, from those outside its block (RW Eq. 5.12, block by block).
-
-        β is estimated from those alone, too. Of nothing nothing is predicted: NaN.
-        """
-        solved, values = self.process.least_squares, self.process.values
-        mean, variance = np.full(len(values), np.nan), np.full(len(values), np.nan)
-        whitened = solved.factor.solve(np.eye(len(values)))
-        basis = solved.basis / np.linalg.norm(solved.basis)
-        whitened -= np.outer(basis, basis @ whitened)
-        for block in blocks:
-            if len(values[block]) < len(values):
-                covariance = np.linalg.inv(whitened[:, block].T @ whitened[:, block])
-                mean[block] = values[block] - covariance @ solved.weights[block]
-                variance[block] = covariance.diagonal()
-        return Prediction(mean, self.process.hyper_parameters.signal_std * np.sqrt(variance))
+        """Each value as predicted, with noise, from those outside its block (RW Eq. 5.12, block by block)."""
+        return Prediction(*leave_out(self.process, blocks))
 
     def append(self, point: ArrayLike, value: float) -> "GaussianProcessRegression":
-        """The same process, conditioned on one more value, in O(N²)."""
+        """The same process, conditioned on one more value, in O(N²); in O(M³) if sparse."""
         return GaussianProcessRegression(self.kind, append(self.process, point, value))
 
     def to_dict(self) -> dict[str, Any]:
@@ -79,4 +67,4 @@ class GaussianProcessRegression(Regression):
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> "GaussianProcessRegression":
         """The regression that `to_dict` saved; ValueError names what is wrong in it."""
-        return GaussianProcessRegression(data["kind"], GaussianProcess.from_dict(data))
+        return GaussianProcessRegression(data["kind"], process_from_dict(data))

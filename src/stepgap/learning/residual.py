@@ -88,6 +88,12 @@ class Residual:
         """Name of the regressions."""
         return self.regressions[0].kind
 
+    @property
+    def name(self) -> str:
+        """Kind and, if there are any, features, in a few words."""
+        features = self.hindsight.features.replace("_", " ")
+        return self.kind if features == "none" else f"{self.kind} with {features}"
+
     def given(self, context: Array) -> "Residual":
         """The residual of the step that has this context (2n + m + 1,), as a function of state and command."""
         return replace(self, past=self.hindsight.inputs(np.asarray(context, float), len(self.regressions)))

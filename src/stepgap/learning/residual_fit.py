@@ -7,13 +7,14 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from stepgap.learning.gaussian_process_fit import fit_gaussian_process, fit_like_fitrgp
+from stepgap.learning.gaussian_process_fit import fit_like_fitrgp
 from stepgap.learning.gaussian_process_regression import GAUSSIAN_PROCESSES, GaussianProcessRegression
 from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import DEGREES, PRIOR_COUNT, Polynomial, fit_polynomial
 from stepgap.learning.regression import Regression, Zero
 from stepgap.learning.residual import FEATURES, Features, Hindsight, Residual, no_residual
 from stepgap.learning.saved import numbers, whole
+from stepgap.learning.sparse_gaussian_process import fit_process
 
 ResidualKind = Literal["none", "constant", "linear", "quadratic", "gp", "gp_on_linear", "fitrgp", "auto"]
 """What `fit_residual` fits; `auto` is whichever predicts best."""
@@ -143,7 +144,7 @@ def _fit_coordinate(
         return GaussianProcessRegression(kind, fit_like_fitrgp(points, values))
     if hindsight.timed:
         scale[-1] = TIME_SCALE
-    process = fit_gaussian_process(
+    process = fit_process(
         points,
         values,
         scale,

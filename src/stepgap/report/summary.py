@@ -32,7 +32,7 @@ class FinishedDeployment:
 
     Attributes:
         iteration: Its number, from 0.
-        residual: Kind of the residual model that the controller used.
+        residual: Name of the residual model that the controller used.
         steps: Steps executed.
         falls: Steps that ended without an apex.
         errors: For each of `MEASURES` the error of every state coordinate, NaN where unknown; shape (n,).
