@@ -1,0 +1,76 @@
+"""Steps to learn from, side by side as arrays, wherever they were recorded."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepgap.learning.step_log import StepLog
+from stepgap.step import Array, StepSpace
+
+Indices = NDArray[np.intp]
+"""Numbers of deployments, blocks or rows, from 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepTable:
+    """Steps that ended with a next state; every number is finite.
+
+    Attributes:
+        space: Names, units and ranges.
+        state: State before each step; shape (N, n).
+        command: Command applied, or what stands for it; shape (N, m).
+        next_state: State after it; shape (N, n).
+        target: State wanted after it; None if unknown; shape (N, n).
+        predicted: Next state as the nominal map predicted it; None if unknown; shape (N, n).
+        deployment: Number of the deployment it belongs to; shape (N,).
+        left_out: Rows that are not here, counted by reason in words; no zeros.
+    """
+
+    space: StepSpace
+    state: Array
+    command: Array
+    next_state: Array
+    target: Array | None
+    predicted: Array | None
+    deployment: Indices
+    left_out: Mapping[str, int] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    @property
+    def error(self) -> Array:
+        """Actual − nominal next state; shape (N, n)."""
+        if self.predicted is None:
+            raise ValueError("these steps have no predictions")
+        return self.next_state - self.predicted
+
+    def with_predictions(self, predicted: Array, why_not: str) -> "StepTable":
+        """The steps of which the next state is predicted; shape (N, n), NaN where there is no prediction."""
+        known = np.isfinite(predicted).all(axis=1)
+        failed = int((~known).sum())
+        return StepTable(
+            self.space,
+            self.state[known],
+            self.command[known],
+            self.next_state[known],
+            None if self.target is None else self.target[known],
+            predicted[known],
+            self.deployment[known],
+            {**self.left_out, **({why_not: failed} if failed else {})},
+        )
+
+
+def tabulate(log: StepLog) -> StepTable:
+    """The completed steps of a log, without predictions: those in it may be of a corrected map."""
+    known = log.completed()
+    deployment = np.array([logged.iteration for logged in known], np.intp)
+    left_out = {"that ended without an apex": log.falls} if log.falls else {}
+    return StepTable(log.space, known.state, known.applied, known.next_state, known.target, None, deployment, left_out)
+
+
+def describe_left_out(left_out: Mapping[str, int]) -> str:
+    """The rows left out and why, in words."""
+    return ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count) or "none"

@@ -1,0 +1,235 @@
+"""How much each residual would have predicted of steps it was not fitted to, and whether that is more than chance.
+
+Neighbouring steps are alike, so that contiguous blocks are held out, or whole deployments, never single steps; and so
+that the standard errors count blocks, not steps.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+from math import log, pi, sqrt
+from time import perf_counter
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from stepgap.learning.observations import Observations
+from stepgap.learning.residual import Residual, join_points
+from stepgap.learning.residual_fit import ResidualKind, fit_residual
+from stepgap.learning.step_table import Indices, StepTable
+from stepgap.step import Array
+
+FOLDS = 10
+"""Parts that are held out in turn, and blocks over which standard errors are taken at least."""
+
+LEAST_STEPS: Final = 2 * FOLDS
+"""Fewer tell nothing."""
+
+BAND: Final = 1.96
+"""Standard deviations on either side that hold 95 % of a normal distribution."""
+
+CERTAIN: Final = 2.0
+"""Standard errors by which one residual must at least be better than another to be called better."""
+
+RISK: Final = 0.05
+"""Of calling different what is not, if the scores of blocks were independent and normal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Folds:
+    """Which steps are held out together.
+
+    Attributes:
+        whole_deployments: Whether a fold consists of whole deployments; otherwise it is a contiguous block.
+        fold: Number of the fold in which each step is held out; shape (N,).
+        block: Number of the contiguous block, within a fold, that it counts with in standard errors; shape (N,).
+    """
+
+    whole_deployments: bool
+    fold: Indices
+    block: Indices
+
+    @property
+    def count(self) -> int:
+        """How many folds."""
+        return int(self.fold.max()) + 1
+
+
+def contiguous_folds(steps: int, number: int = FOLDS) -> Folds:
+    """Equal parts of the steps in their order; 2 ≤ number ≤ steps."""
+    if not 2 <= number <= steps:
+        raise ValueError(f"{number} folds of {steps} steps; there must be at least 2, and a step for each")
+    parts = max(1, min(-(-FOLDS // number), steps // number))
+    block = np.arange(steps) * (number * parts) // steps
+    return Folds(False, block // parts, block)
+
+
+def deployment_folds(deployment: Indices) -> Folds:
+    """One fold for each deployment; if they are more than `FOLDS`, one for each of so many groups of them."""
+    names, position = np.unique(deployment, return_inverse=True)
+    if len(names) < 2:
+        raise ValueError("only one deployment; there must be at least 2")
+    number = min(len(names), FOLDS)
+    fold, block, blocks = position * number // len(names), np.zeros(len(position), np.intp), 0
+    for part in range(number):
+        rows = np.flatnonzero(fold == part)
+        parts = min(-(-FOLDS // number), len(rows))
+        block[rows] = np.arange(len(rows)) * parts // len(rows) + blocks
+        blocks += parts
+    return Folds(True, fold, block)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """What a residual predicted of steps that it was not fitted to.
+
+    Attributes:
+        kind: Which residual.
+        error: Actual − nominal next state; shape (N, n).
+        mean: What the residual predicted of it; shape (N, n).
+        std: Standard deviation with noise, zero of a residual that has none; shape (N, n).
+        seconds: Time of one fit [s].
+    """
+
+    kind: ResidualKind
+    error: Array
+    mean: Array
+    std: Array
+    seconds: float
+
+    @property
+    def left(self) -> Array:
+        """Error that is left; shape (N, n)."""
+        return self.error - self.mean
+
+    @property
+    def rmse(self) -> Array:
+        """Root mean square of the error that is left; shape (n,)."""
+        return np.sqrt(np.mean(self.left**2, axis=0))
+
+    @property
+    def log_density(self) -> Array:
+        """Mean log predictive density of a step [nats, SI units]; NaN without standard deviations; shape (n,)."""
+        std = np.where(self.std > 0, self.std, np.nan)
+        return np.mean(-0.5 * (self.left / std) ** 2 - np.log(std) - 0.5 * log(2 * pi), axis=0)
+
+    @property
+    def coverage(self) -> Array:
+        """Fraction of steps within the 95 % interval; NaN without standard deviations; shape (n,)."""
+        inside = np.abs(self.left) <= BAND * self.std
+        return np.where((self.std > 0).all(axis=0), np.mean(inside, axis=0), np.nan)
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """By which fraction one residual's error is smaller than another's.
+
+    Attributes:
+        value: Of the root-mean-square error; negative if it is larger, −∞ where the other has none.
+        standard_error: From jackknifing blocks.
+        blocks: How many.
+    """
+
+    value: float
+    standard_error: float
+    blocks: int
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is above zero by `CERTAIN` standard errors and by Student's t: 2.26 of them for ten blocks."""
+        return self.value > max(CERTAIN, float(stdtrit(self.blocks - 1, 1 - RISK / 2))) * self.standard_error
+
+
+def reduction(one: HeldOut, other: HeldOut, block: Indices, coordinates: Sequence[int]) -> Reduction:
+    """By how much `one` is better than `other`, paired step by step.
+
+    Over several coordinates: of the root of the mean, over coordinates, of the ratios of the squared errors, so that
+    units do not matter.
+    """
+    columns, blocks = list(coordinates), int(block.max()) + 1
+    sums = [np.zeros((blocks, len(columns))) for _ in range(2)]
+    for total, held_out in zip(sums, (one, other), strict=True):
+        np.add.at(total, block, held_out.left[:, columns] ** 2)
+    whole = _reduction(*(total.sum(axis=0) for total in sums))
+    without = np.array([_reduction(*(np.delete(total, out, 0).sum(axis=0) for total in sums)) for out in range(blocks)])
+    spread = float(np.sum((without - without.mean()) ** 2)) if np.isfinite(without).all() else np.inf
+    return Reduction(whole, sqrt((blocks - 1) / blocks * spread), blocks)
+
+
+def _reduction(one: Array, other: Array) -> float:
+    """Of sums of squares, coordinate by coordinate."""
+    ratio = [1.0 if a == b else a / b if b > 0 else np.inf for a, b in zip(one, other, strict=True)]
+    return 1 - sqrt(np.mean(ratio))
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """How every residual did on the steps held out.
+
+    Attributes:
+        folds: Which steps were held out together.
+        held_out: By kind, from simple to complex.
+    """
+
+    folds: Folds
+    held_out: Mapping[ResidualKind, HeldOut]
+
+    def reduction(self, kind: ResidualKind, other: ResidualKind, coordinates: Sequence[int]) -> Reduction:
+        """By how much one residual is better than another in these state coordinates."""
+        return reduction(self.held_out[kind], self.held_out[other], self.folds.block, coordinates)
+
+    def best(self, coordinates: Sequence[int]) -> ResidualKind:
+        """The residual to use: from `none` on, each that is certainly better than the simpler one before."""
+        chosen, *others = self.held_out
+        for kind in others:
+            if self.reduction(kind, chosen, coordinates).certain:
+                chosen = kind
+        return chosen
+
+    def nearest(self, other: ResidualKind, coordinates: Sequence[int]) -> ResidualKind:
+        """The residual with the least error among those that are not `other`."""
+        others: list[ResidualKind] = [kind for kind in self.held_out if kind != other]
+        return max(others, key=lambda kind: self.reduction(kind, other, coordinates).value)
+
+
+def validate(
+    kinds: Sequence[ResidualKind],
+    steps: StepTable,
+    folds: Folds,
+    on_fit: Callable[[int, int], None] = lambda done, total: None,
+) -> Validation:
+    """Holds out every fold from every residual.
+
+    Args:
+        kinds: Residuals, from simple to complex.
+        steps: With predictions of the nominal map.
+        folds: Which steps are held out together.
+        on_fit: Told how many fits of how many are done.
+    """
+    held_out, done = {}, count(1)
+    for kind in kinds:
+        held_out[kind] = _hold_out(kind, steps, folds, lambda: on_fit(next(done), len(kinds) * folds.count))
+    return Validation(folds, held_out)
+
+
+def fit_steps(kind: ResidualKind, steps: StepTable, rows: NDArray[np.bool_] | None = None) -> Residual:
+    """A residual fitted to some of the steps, or to all; shape of `rows` (N,)."""
+    kept = slice(None) if rows is None else rows
+    return fit_residual(kind, Observations(steps.space, steps.state[kept], steps.command[kept], steps.error[kept]))
+
+
+def _hold_out(kind: ResidualKind, steps: StepTable, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
+    """Fits a residual to the steps outside each fold and predicts those inside."""
+    points, error = join_points(steps.state, steps.command), steps.error
+    mean, std, seconds = np.empty_like(error), np.empty_like(error), 0.0
+    for number in range(folds.count):
+        held = folds.fold == number
+        begin = perf_counter()
+        residual = fit_steps(kind, steps, ~held)
+        seconds += perf_counter() - begin
+        mean[held] = residual.mean(points[held])
+        std[held] = residual.std(points[held], include_noise=True)
+        on_fit()
+    return HeldOut(kind, error, mean, std, seconds / folds.count)
