@@ -175,9 +175,12 @@ class RigPlant(Plant):
 
     def _apex(self) -> Array:
         self._speed = self._fit.speed()
-        if isnan(self._speed):
-            self._reason = Reason.NO_APEX
-        return np.array([self._speed, self._fit.apex_height() - self._leg.shift_y])
+        state = np.array([self._speed, self._fit.apex_height() - self._leg.shift_y])
+        if np.isfinite(state).all():
+            return state
+        self._reason = Reason.NO_APEX  # the flight was too short to tell
+        self._rig.close()
+        return np.full(2, np.nan)
 
     def _tick(self, command: tuple[float, float]) -> None:
         rig, layout = self._rig, self._rig.layout
