@@ -149,4 +149,5 @@ def test_a_constant_command_without_noise_stays_on_its_limit_cycle():
         plant.start()
         heights = [plant.take_step(np.array([-7.0, -6.0])).next_state[1] for _ in range(130)]
     early, late = np.mean(heights[60:80]), np.mean(heights[110:])
-    assert abs(late - early) < 0.005  # 0.05 m where the torque's delay grew after a minute
+    # 0.05 m where the torque's delay grew after a minute; up to 0.006 m by a change of the command by 1e-9 N
+    assert abs(late - early) < 0.015

@@ -17,7 +17,7 @@ import numpy as np
 from stepgap.hopper.dynamics import Masses, flight_acceleration, stance_acceleration, terms
 from stepgap.hopper.joint_control import JointLaw, flight_torque, stance_torque
 from stepgap.hopper.leg import foot, four_bar
-from stepgap.hybrid.compiled import compiled
+from stepgap.hybrid.compiled import compiled, inlined
 
 STRETCH_ANGLE = 0.02  # α₂ at which the leg counts as fully stretched [rad]
 LEAN_ANGLE = 1.0  # |α₁| at which the robot counts as fallen [rad]
@@ -120,7 +120,7 @@ def hip_in_stance(toe, state):
     return Hip(-toe.y, -toe.x_1 * state[2] - toe.x_2 * state[3], -toe.y_1 * state[2] - toe.y_2 * state[3])
 
 
-@compiled
+@inlined
 def flight_motion(system, time, state):
     """(rate, hip, clearance of the foot [m], torques that the law asks for [N·m]) in flight."""
     bar = four_bar(system.masses.leg, state[1])
@@ -134,7 +134,7 @@ def flight_motion(system, time, state):
     return (state[2], state[3], acceleration[2], acceleration[3]), hip, clearance, (torque_1, torque_2)
 
 
-@compiled
+@inlined
 def stance_motion(system, state):
     """(rate, hip, upward ground force [N], torques that the law asks for [N·m]) in stance."""
     bar = four_bar(system.masses.leg, state[1])

@@ -83,7 +83,7 @@ def generic(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(**OPTIONS)(function)
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def compiled(function: Callable[..., Any], *, forceinline: bool = False) -> Callable[..., Any]:
     """Compiles `function` with Numba under `OPTIONS`, cached on disk.
 
     Functions compiled with it may call each other and take each other as arguments.
@@ -96,9 +96,14 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     there = _digest(_package_folder(file))
     config.CACHE_DIR = str(cache / f"{here}-{there}")
     try:
-        return numba.njit(cache=True, **OPTIONS)(function)
+        return numba.njit(cache=True, forceinline=forceinline, **OPTIONS)(function)
     finally:
         config.CACHE_DIR = previous
+
+
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `compiled`, but put into every caller, which then computes no more of the answer than it uses."""
+    return compiled(function, forceinline=True)
 
 
 def implements(operation: Callable[..., Any], system_type: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
