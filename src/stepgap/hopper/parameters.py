@@ -136,8 +136,8 @@ class CommandBounds:
     Within these every apex of the reference hops (0–0.4 m/s, 0.52–0.64 m).
     """
 
-    fx_lower: float = -15.0
-    fx_upper: float = 15.0
+    fx_lower: float = -30.0
+    fx_upper: float = 30.0
     fy_lower: float = -20.0
     fy_upper: float = 20.0
 
