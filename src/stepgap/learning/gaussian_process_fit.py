@@ -93,12 +93,13 @@ def fit_gaussian_process(
 
 
 def _widened(found: HyperParameters, size: int, fitted: int) -> HyperParameters:
-    """All variances times (N + 2p)/(N + p), for p fitted parameters; the mean stays as it is.
+    """All variances times (N + 3p)/(N + p), for p fitted parameters; the mean stays as it is.
 
-    The most probable parameters leave too little variance, as residuals of a least-squares fit do, whose
-    variance is therefore divided by N − p. Here each prior counts like one more value.
+    The most probable parameters leave too little variance, as residuals of a least-squares fit do, whose variance is
+    therefore divided by N − p and whose intervals are those of Student's t: together some 1 + 2p/N. Here each prior
+    counts like one more value. Without it 95 % intervals held 91 or 92 % of new values at N = 30.
     """
-    wider = math.sqrt((size + 2 * fitted) / (size + fitted))
+    wider = math.sqrt((size + 3 * fitted) / (size + fitted))
     stds = (wider * std for std in (found.signal_std, found.noise_std, found.slope_std))
     return HyperParameters(found.length_scale, *stds)
 
