@@ -141,7 +141,7 @@ def test_the_gait_and_its_picture(stepgap: Command) -> None:
         ("run --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
         ("run --robot.body_mass -1", ["--robot.body_mass = -1.0, but it must be positive"]),
         ("run --robot.body_mass 1e6", ["reference paper, step 1: ", "out of reach"]),
-        ("run --command.fx_lower 20", ["--command.fx_lower = 20.0, but it must lie below fx_upper = 15.0"]),
+        ("run --command.fx_lower 40", ["--command.fx_lower = 40.0, but it must lie below fx_upper = 30.0"]),
         ("run --robot.boom_inertia_vertical 0 --robot.boom_inertia_horizontal 0", ["boom_stiffness", "must"]),
         ("run --reference none.csv", ["none.csv: No such file or directory; reference must be 'paper' or"]),
         ("run --reference far.csv", ["reference far.csv, step 2: speed 3 m/s, height 0.55 m is out of reach"]),

@@ -87,7 +87,7 @@ def test_a_table(stepgap: Command) -> None:
     assert "worst error of the command" in said.out
     table = read_table("table.npz")
     assert table.points == 5
-    assert table.space.command_upper.tolist() == [15, 18]
+    assert table.space.command_upper.tolist() == [30, 18]
     apex_map = ApexMap(gains=Gains(stiffness=2400))
     works = table.reasons == Reason.OK
     speed, height = np.linspace(0, 0.4, 5), np.linspace(0.52, 0.64, 5)

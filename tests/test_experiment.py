@@ -86,9 +86,9 @@ def test_a_preset_of_the_gap_comes_before_single_keys(tmp_path: Path) -> None:
 
 
 def test_options_that_are_right_together_may_come_in_any_order() -> None:
-    both = [("command.fx_lower", "20"), ("command.fx_upper", "30")]
+    both = [("command.fx_lower", "40"), ("command.fx_upper", "50")]
     for overrides in (both, both[::-1]):
-        assert read_experiment(None, overrides).command == CommandBounds(fx_lower=20, fx_upper=30)
+        assert read_experiment(None, overrides).command == CommandBounds(fx_lower=40, fx_upper=50)
     longer = [("gains.rest_length", "0.5"), ("robot.bottom_length", "0.45"), ("gains.landing_length", "0.4")]
     assert read_experiment(None, longer).gains.rest_length == 0.5
 
@@ -125,7 +125,7 @@ WRONG = {
     "[robot]\nbottom_length = 0.1": "[robot] bottom_length = 0.1, but it must exceed top_length = 0.11",
     "[gains]\nlanding_length = 0.5": "[gains] landing_length = 0.5, but it must lie between 0.09 (leg folded)",
     "[gains]\nrest_length = 0.05": "[gains] rest_length = 0.05, but it must lie between",
-    "[command]\nfx_lower = 20": "[command] fx_lower = 20.0, but it must lie below fx_upper = 15.0",
+    "[command]\nfx_lower = 40": "[command] fx_lower = 40.0, but it must lie below fx_upper = 30.0",
     "reference = 5": "reference = 5, but it must be a text in quotes",
     "seed = ": "not TOML",
     "seed = 1\nseed = 2": "not TOML",
