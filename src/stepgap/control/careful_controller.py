@@ -118,6 +118,7 @@ class CarefulController:
             return False
         error = np.diag(RISK * self.step_map.std(state, command, include_noise=True))
         places = np.concatenate([mean[None], mean + error, mean - error])
+        stuck = places[self.nominal.evaluate(places, space.command_centre).reason != Reason.OK]
         grid = space.command_centre + space.command_scale * box_grid(ONWARD, len(space.command))
-        onward = self.nominal.evaluate(places[:, None], grid.reshape(1, -1, len(space.command))).reason
+        onward = self.nominal.evaluate(stuck[:, None], grid.reshape(1, -1, len(space.command))).reason
         return bool((onward == Reason.OK).any(axis=1).all())

@@ -20,7 +20,7 @@ from stepgap.hybrid.compiled import compiled
 from stepgap.hybrid.integrator import Tolerance, make_trace
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
-SMALLEST_SHARE = 16
+SMALLEST_SHARE = 32
 """Fewest steps worth a thread of their own."""
 NUDGE = 8e-8
 """How far from a point its neighbours lie that give the Jacobian [half ranges]."""

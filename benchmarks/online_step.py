@@ -1,0 +1,73 @@
+"""What learning from hop to hop costs: taking in a step and planning the next one, while fits go on beside.
+
+A model whose body is heavier stands for the robot. Between two steps nothing happens for as long as a hop lasts, so
+that a fit in the background has the time that it would have.
+
+    ./go python benchmarks/online_step.py --known 500
+"""
+
+import argparse
+from dataclasses import replace
+from itertools import islice
+from time import perf_counter, sleep
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from stepgap.control.careful_controller import CarefulController
+from stepgap.control.reference import paper_reference
+from stepgap.deployment import deploy
+from stepgap.hopper.apex_map import ApexMap
+from stepgap.hopper.parameters import RobotParameters
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.plants.model_plant import ModelPlant
+
+NOISE = np.array([0.008, 0.0013])
+"""Repeatability of the twin [m/s, m]."""
+
+
+def hops(nominal: ApexMap, count: int, seed: int) -> list[LoggedStep]:
+    """Steps of the uncorrected controller on the heavier robot, deployment after deployment."""
+    robot = RobotParameters()
+    heavier = ApexMap(replace(robot, body_mass=1.15 * robot.body_mass))
+    steps: list[LoggedStep] = []
+    while len(steps) < count:
+        plant = ModelPlant(heavier, np.array([0.0, 0.55]), NOISE, np.random.default_rng([seed, len(steps)]))
+        uncorrected = Learner(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
+        steps += islice(deploy(uncorrected, plant, paper_reference(), iteration=0), count - len(steps))
+    return steps
+
+
+def measure(nominal: ApexMap, known: list[LoggedStep], new: list[LoggedStep], hop: float) -> list[float]:
+    """Seconds from a measured apex to the next command, for each of the new steps."""
+    seconds = []
+    with Learner(nominal, StepLog(nominal.space, known), LearningSettings(online=True), 0) as learner:
+        for logged in new:
+            begin = perf_counter()
+            learner.observe(logged)
+            controller = CarefulController(learner.step_map(), nominal, learner.failures)
+            controller(logged.record.next_state, logged.target, guess=logged.record.command)
+            seconds.append(perf_counter() - begin)
+            sleep(hop)
+    return seconds
+
+
+def main() -> None:
+    """Prints the quantiles."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--known", type=int, default=500, help="steps known before")
+    parser.add_argument("--steps", type=int, default=100, help="steps that are timed")
+    parser.add_argument("--hop", type=float, default=0.75, help="duration of a hop [s]")
+    options = parser.parse_args()
+    nominal = ApexMap()
+    with threadpool_limits(limits=1, user_api="blas"):
+        steps = hops(nominal, options.known + options.steps, seed=0)
+        seconds = measure(nominal, steps[: options.known], steps[options.known :], options.hop)
+    median, high, most = 1e3 * np.quantile(seconds, [0.5, 0.99, 1.0])
+    print(f"{options.known} steps known: median {median:.2f} ms, 99 % within {high:.2f} ms, all within {most:.2f} ms")
+
+
+if __name__ == "__main__":
+    main()
