@@ -23,8 +23,8 @@ def libraries(quick: bool) -> tuple[list[Library], dict[str, str]]:
     elif quick:
         skipped["OpenTURNS"] = "left out by --quick"
     else:
-        note = "maximum likelihood, TNC, one start; noise known"
-        found.append(Library("OpenTURNS", note, _fit_openturns, _predict_openturns, 200))
+        note = "maximum likelihood, TNC, noise known"
+        found.append(Library("OpenTURNS", note, _fit_openturns, _predict_openturns, 200, starts=1))
     for name, module in NOT_WRITTEN.items():
         skipped[name] = "installed, but no fit is written for it" if find_spec(module) else "not installed"
     return found, skipped

@@ -77,6 +77,7 @@ class Library:
         least_points: With fewer it is left out.
         predict_gradient: From a process and a query (4,) to mean and gradient.
         append: From a process, a point and a value to a process.
+        starts: Of its search, where it takes no number of them.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Library:
     least_points: int = 0
     predict_gradient: Callable[[Any, Array], Any] | None = None
     append: Callable[[Any, Array, float], Any] | None = None
+    starts: int | None = None
 
 
 def truth(points: Array) -> Array:
@@ -140,7 +142,7 @@ def _ours() -> list[Library]:
     def sparse(points: Array, values: Array, starts: int) -> Any:
         return fit_sparse(points, values, SCALE, VALUE_SCALE)
 
-    both = {"predict_gradient": predict_gradient, "append": append}
+    both = {"predict_gradient": predict_gradient, "append": append, "starts": MOST_STARTS}
     return [
         Library("StepGap", "priors; starts compete on at most 100 points", exact, predict, 3000, **both),
         Library("StepGap, linear basis", "and slopes", linear, predict, 3000, **both),
@@ -172,7 +174,7 @@ def time_libraries(
                 "points": count,
                 "name": library.name,
                 "note": library.note,
-                "starts": starts,
+                "starts": library.starts or starts,
                 "fit_ms": 1e3 * float(np.median(fits[:, i])),
                 "fit_ratio": float(np.median(fits[:, i] / fits[:, 0])),
                 "mean_and_std_us": 1e6 * float(np.median(predictions[:, i])),
