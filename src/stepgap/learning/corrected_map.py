@@ -22,10 +22,12 @@ class CorrectedMap(StepMap):
         nominal: The map of the physics model. Not a corrected one: a residual is fitted to
             actual − nominal on all steps, so corrections never stack.
         residual: Model of actual − nominal, of the same sizes.
+        offset: Added to that at present, see `drift`; shape (n,), or 0.
     """
 
     nominal: StepMap
     residual: Residual
+    offset: Array | float = 0.0
 
     def __post_init__(self) -> None:
         if isinstance(self.nominal, CorrectedMap):
@@ -42,7 +44,7 @@ class CorrectedMap(StepMap):
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next states and reason codes; never raises for a step that fails."""
         next_state, reason = self.nominal.evaluate(state, command)
-        return Outcome(next_state + self.residual.mean(join_points(state, command)), reason)
+        return Outcome(next_state + self.residual.mean(join_points(state, command)) + self.offset, reason)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 
 from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.drift import Drift
 from stepgap.learning.observations import next_context, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
@@ -44,6 +45,7 @@ class Learner:
         self._lessons = learning.lessons(iteration)
         self._log = StepLog(log.space, log)
         self._residual = self._fitted(self._log, None)
+        self._drift = Drift.none(len(log.space.state))
         self._advantage: deque[float] = deque(maxlen=WATCHED)
         self._pool = ThreadPoolExecutor(1)
         self._fit: Future[Residual] | None = None
@@ -72,7 +74,9 @@ class Learner:
         """The map to plan the next step with."""
         advantage = np.array(self._advantage)
         worse = len(advantage) == WATCHED and advantage.sum() < -SIGNIFICANT * np.sqrt(np.sum(advantage**2))
-        return CorrectedMap(self.nominal, no_residual(*self._residual.sizes) if worse else self.residual)
+        if worse:
+            return CorrectedMap(self.nominal, no_residual(*self._residual.sizes))
+        return CorrectedMap(self.nominal, self.residual, self._drift.offset)
 
     def observe(self, logged: LoggedStep) -> None:
         """Takes in the step just executed."""
@@ -84,6 +88,8 @@ class Learner:
         residual, point = self._residual.given(context), join_points(record.state, record.applied)
         left = error - residual.mean(point)
         self._advantage.append(float(np.sum((error / scale) ** 2) - np.sum((left / scale) ** 2)))
+        if self._learning.drift and residual.kind != "none":
+            self._drift = self._drift.followed(left)
         if self._lessons > 0:
             self._lessons -= 1
             self._residual = residual.append(point, error)

@@ -29,6 +29,7 @@ class LearningSettings:
             best so far; judged from the second redeployment on.
         features: What of the step before the model takes as inputs, too; `auto`: what predicts best.
         memory: After how many steps what was learnt counts much less; inf: it counts for ever.
+        drift: Whether a correction is shifted during a deployment by what it has left of late.
         online: Whether to learn from hop to hop, from the very first one on.
         calibration: Hops before the first deployment's tracking whose commands are chosen for what they teach.
     """
@@ -38,6 +39,7 @@ class LearningSettings:
     least_gain: float = 0.01
     features: Features | Literal["auto"] = "none"
     memory: float = inf
+    drift: bool = True
     online: bool = False
     calibration: int = 0
 

@@ -24,6 +24,8 @@ def next_phase(
 ) -> Phase:
     """The phase that follows at this tick.
 
+    A body that comes down with the foot still on the ground has not flown: the leg pushes on.
+
     Args:
         phase: Present phase.
         apex_passed: The apex of the present flight is behind.
@@ -33,8 +35,10 @@ def next_phase(
         takeoff_length: ℓ at which the leg leaves the ground [m] (Sec. 3.4).
         hip_rate: ẏ [m/s].
     """
+    if phase == Phase.RISING and apex_passed:
+        return Phase.PUSHING if contact_force > touchdown_force else Phase.FALLING
     if phase == Phase.RISING:
-        return Phase.FALLING if apex_passed else phase
+        return phase
     if phase == Phase.FALLING:
         return Phase.LOADING if contact_force > touchdown_force else phase
     if phase == Phase.LOADING:
