@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import cyclopts
-from cyclopts import App, Parameter
+from cyclopts import App, Parameter, validators
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
     from stepgap.plants.plant import Plant
@@ -483,7 +483,7 @@ def _write_new(path: Path, option: str, content: str | bytes) -> None:
     print(path)
 
 
-bench = App(name="bench", help="Measure how fast and how exact parts of StepGap are on this machine.")
+bench = App(name="bench", help="Measure how fast and how exact parts of StepGap are on this machine, and how well it learns.")
 app.command(bench)
 
 
@@ -538,6 +538,52 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     with _writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
+
+
+@bench.command(name="learning")
+@says_if_it_compiles
+def bench_learning_(
+    *,
+    twins: Annotated[int, Parameter(validator=validators.Number(gte=1, lte=1000))] = 20,
+    seeds: Annotated[int, Parameter(validator=validators.Number(gte=1, lte=1000))] = 3,
+    methods: str | None = None,
+    quick: bool = False,
+    out: Path = Path("bench_learning.jsonl"),
+) -> None:
+    """Compare ways to learn on random twins: errors, hops needed, falls, intervals; about an hour of one core.
+
+    Args:
+        twins: How many; without it 20.
+        seeds: How many of each; without it 3.
+        methods: Which, as NAME,NAME; without it all.
+        quick: Take half a minute: 2 twins, 1 seed, and only linear and gp.
+        out: JSON lines of all that is measured, to which a second call adds what is missing; the summary and the
+            picture get the same name with other endings. Without it bench_learning.jsonl.
+    """
+    from stepgap.bench_learning import METHODS, SKIPPED, bench_learning
+    from stepgap.control.reference import paper_reference
+    from stepgap.files import write_whole
+    from stepgap.report.learning import describe_learning, learning_picture, summarise_learning
+
+    chosen = methods.split(",") if methods else ["linear", "gp"] if quick else list(METHODS)
+    if unknown := [name for name in chosen if name not in METHODS]:
+        raise _bad_input(f"--methods {unknown[0]}: it must be one of {', '.join(METHODS)}")
+    if not out.parent.is_dir() or out.suffix != ".jsonl":
+        raise _bad_input(f"--out {out}: give a name that ends with .jsonl in a folder that exists")
+    if quick:
+        twins, seeds = 2, 1
+    workers = os.cpu_count() or 1
+    rows = bench_learning(
+        paper_reference(), twins, seeds, chosen, out, workers, lambda line: print(line, file=sys.stderr)
+    )
+    summary = summarise_learning(rows)
+    print(describe_learning(summary))
+    for name, reason in SKIPPED.items():
+        print(f"{name} skipped: {reason}")
+    write_whole(out.with_suffix(".json"), json.dumps(summary, indent=1))
+    write_whole(out.with_suffix(".png"), learning_picture(rows, "png"))
+    for file in (out, out.with_suffix(".json"), out.with_suffix(".png")):
+        print(file)
 
 
 @app.command

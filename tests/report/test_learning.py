@@ -1,0 +1,67 @@
+"""The measures of `stepgap bench learning`, on made-up deployments."""
+
+import numpy as np
+import pytest
+
+from stepgap.report.learning import (
+    BAND,
+    BEYOND_NOISE,
+    Row,
+    describe_learning,
+    hops_to_band,
+    learning_picture,
+    summarise_learning,
+)
+
+
+def test_the_band_is_reached_when_no_later_window_leaves_it() -> None:
+    errors = np.zeros((60, 2))
+    assert hops_to_band(errors) == 20
+    errors[:10] = 10 * BAND
+    assert hops_to_band(errors) == 30, "the last bad step must have left the window"
+    errors[45] = 10 * BAND
+    assert hops_to_band(errors) is None, "the last window is not in the band"
+    errors[45] = [0.0, 4 * BAND[1]]  # 4 bands once in 20 are 0.9 bands on average
+    assert hops_to_band(errors) == 30
+    assert hops_to_band(np.zeros((19, 2))) is None
+
+
+def row(method: str, seed: int, error: float, falls: int = 0, **more: object) -> Row:
+    measures = {name: [error, error / 10] for name in ("rmse", "transient_rmse", "steady_rmse")}
+    return {"twin": 0, "seed": seed, "method": method, "steps": 9, "falls": falls, "error": error} | measures | more
+
+
+ROWS = [
+    row("none", 0, 1.0, drawn_again=1),
+    row("none", 1, 1.1, drawn_again=1),
+    row("none", 2, 1.2, falls=1, drawn_again=1),
+    row("gp", 0, 0.1, covered=[9, 5], counted=10, hops_to_band=250),
+    row("gp", 1, 2.0, covered=[10, 5], counted=10, hops_to_band=None),
+    row("gp", 2, 0.3, covered=[0, 0], counted=0, hops_to_band=240),
+    row("linear", 0, 0.2),
+    {"twin": 0, "seed": 1, "method": "linear", "steps": 0, "falls": 1},
+    row("linear", 2, 0.3, falls=1),
+]
+
+
+def test_measures_are_medians_and_counts_over_twins_and_seeds() -> None:
+    summary = summarise_learning(ROWS)
+    none, gp, linear = summary["methods"]
+    assert (summary["pairs"], summary["drawn_again"]) == (3, 1)
+    assert summary["noise"] == pytest.approx(np.log(1.1)), "of two numbers, the difference"
+    assert none["rmse"] == pytest.approx([1.1, 0.11]), "a fall counts as the largest error"
+    assert gp["rmse"] == pytest.approx([0.3, 0.03])
+    assert gp["hops_to_band"] == 250
+    assert gp["reached_band"] == 2
+    assert gp["coverage"] == [0.95, 0.5]
+    assert (gp["worse"], gp["falls"]) == (1, 0), "2.0 is more than 1.1 and chance"
+    assert (linear["worse"], linear["falls"]) == (1, 2), "where both fell none is worse"
+    assert linear["rmse"] == [None, None]
+    assert 1.1 * np.exp(BEYOND_NOISE * summary["noise"]) < 2
+
+
+def test_the_table_and_the_picture_hold_every_method() -> None:
+    table = describe_learning(summarise_learning(ROWS))
+    assert [line.split()[0] for line in table.splitlines()[2:5]] == ["none", "gp", "linear"]
+    assert "∞" in table
+    assert learning_picture(ROWS, "png").startswith(b"\x89PNG")
