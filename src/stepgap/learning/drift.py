@@ -1,9 +1,9 @@
 """What changes from hop to hop while the robot hops: an offset that follows what the residual leaves.
 
-A floor that leans, a motor that warms up or a slack cable shift the next state by something that is alike from one hop to
-the next and no function of state and command. Each coordinate has filters of several gains side by side, exponential
-means of what was left; the one that has predicted best of late is used. One of the gains is zero, so that where
-nothing drifts nothing is followed.
+A floor that leans, a motor that warms up or a slack cable shift the next state by something that is alike from one hop
+to the next and no function of state and command. Each coordinate has filters of several gains side by side, exponential
+means of what was left; the one that has predicted best of late is used. One of the gains is zero, so that where nothing
+drifts nothing is followed.
 """
 
 from dataclasses import dataclass, replace

@@ -167,20 +167,21 @@ class RigPlant(Plant):
                 self._reason = Reason.STOPPED
             left_ground = left_ground or before == Phase.PUSHING != self._phase
             if self._reason == Reason.OK and left_ground and self._phase == Phase.FALLING:
-                return self._apex()
+                state = self._apex()
+                if np.isfinite(state).all():
+                    return state
             if self._time > deadline:
                 self._reason = Reason.NO_APEX if left_ground else Reason.NO_TAKE_OFF
         self._rig.close()
         return np.full(2, np.nan)
 
     def _apex(self) -> Array:
-        self._speed = self._fit.speed()
-        state = np.array([self._speed, self._fit.apex_height() - self._leg.shift_y])
-        if np.isfinite(state).all():
-            return state
-        self._reason = Reason.NO_APEX  # the flight was too short to tell
-        self._rig.close()
-        return np.full(2, np.nan)
+        """State at the apex just passed; NaN of a flight that is too short to tell: the robot bounced, and hops on."""
+        speed = self._fit.speed()
+        if isnan(speed):
+            return np.full(2, np.nan)
+        self._speed = speed
+        return np.array([speed, self._fit.apex_height() - self._leg.shift_y])
 
     def _tick(self, command: tuple[float, float]) -> None:
         rig, layout = self._rig, self._rig.layout
