@@ -138,8 +138,8 @@ FROM_THE_FIRST_HOP: dict[str, Method] = {"online": _online, "calibrated": _calib
 METHODS = REDEPLOYED | FROM_THE_FIRST_HOP
 
 SKIPPED = {
-    "mujoco.sysid": "fits the time series of every tick to a MuJoCo model; a step log holds one apex a hop, so "
-    "`identified` fits the physics model's apex map to these instead"
+    "mujoco.sysid": "needs the packages of mujoco[sysid], and the torques and sensors of every tick, where a step log "
+    "holds one apex a hop; `identified` stands for it and fits the physics model to the log"
 }
 """What one might look for."""
 

@@ -483,7 +483,9 @@ def _write_new(path: Path, option: str, content: str | bytes) -> None:
     print(path)
 
 
-bench = App(name="bench", help="Measure how fast and how exact parts of StepGap are on this machine, and how well it learns.")
+bench = App(
+    name="bench", help="Measure how fast and how exact parts of StepGap are on this machine, and how well it learns."
+)
 app.command(bench)
 
 

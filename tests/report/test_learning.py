@@ -56,12 +56,13 @@ def test_measures_are_medians_and_counts_over_twins_and_seeds() -> None:
     assert gp["coverage"] == [0.95, 0.5]
     assert (gp["worse"], gp["falls"]) == (1, 0), "2.0 is more than 1.1 and chance"
     assert (linear["worse"], linear["falls"]) == (1, 2), "where both fell none is worse"
+    assert (none["better_than_gp"], gp["better_than_gp"], linear["better_than_gp"]) == (1, 0, 0)
     assert linear["rmse"] == [None, None]
     assert 1.1 * np.exp(BEYOND_NOISE * summary["noise"]) < 2
 
 
 def test_the_table_and_the_picture_hold_every_method() -> None:
     table = describe_learning(summarise_learning(ROWS))
-    assert [line.split()[0] for line in table.splitlines()[2:5]] == ["none", "gp", "linear"]
+    assert [line.split()[1] for line in table.splitlines()[2:5]] == ["none", "gp", "linear"]
     assert "∞" in table
     assert learning_picture(ROWS, "png").startswith(b"\x89PNG")

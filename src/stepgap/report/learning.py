@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from stepgap.report.figures import BLUE, GREY
 from stepgap.report.paper import WITH_GP
@@ -60,7 +61,10 @@ def summarise_learning(rows: Sequence[Row]) -> dict[str, Any]:
         "pairs": len(first),
         "drawn_again": sum({twin: row["drawn_again"] for (twin, _), row in first.items()}.values()),
         "noise": noise,
-        "methods": [{"method": method, **_measures(found, first, noise)} for method, found in table.items()],
+        "methods": [
+            {"method": method, **_measures(found, first, noise), "better_than_gp": _better(found, table.get("gp", {}))}
+            for method, found in table.items()
+        ],
     }
 
 
@@ -97,6 +101,13 @@ def _measures(rows: dict[Key, Row], first: dict[Key, Row], noise: float | None) 
     }
 
 
+def _better(rows: dict[Key, Row], others: dict[Key, Row]) -> int | None:
+    """On how many twins and seeds the error is smaller than that of another method; None if that was not measured."""
+    if not others:
+        return None
+    return sum(error_of(row) < error_of(others[key]) for key, row in rows.items())
+
+
 def _ratio(error: float, uncorrected: float) -> float:
     """1 where both fell."""
     return 1.0 if error == uncorrected == math.inf else error / uncorrected
@@ -111,42 +122,54 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+HEADER = (
+    "method",
+    *("speed [mm/s]", "transient", "steady"),
+    *("height [mm]", "transient", "steady"),
+    *("ratio", "hops", "in band", "falls", "worse", "beats gp", "speeds in", "heights in"),
+)
+"""Columns of the table."""
+
+
 def describe_learning(summary: dict[str, Any]) -> str:
-    """The summary as a table."""
+    """The summary as a table, also in Markdown."""
+    table = [HEADER, *map(_cells, summary["methods"])]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = [
-        f"{'method':14}{'speed RMSE [mm/s]':>26}{'height RMSE [mm]':>26}{'error':>8}{'hops to':>9}{'in':>5}"
-        f"{'':>7}{'worse':>8}{'95 % covers':>15}",
-        f"{'':14}{'all':>8}{'transient':>10}{'steady':>8}{'all':>8}{'transient':>10}{'steady':>8}{'ratio':>8}"
-        f"{'band':>9}{'band':>5}{'falls':>7}{'than none':>10}{'speed':>8}{'height':>7}",
+        "| " + " | ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)) + " |" for row in table
     ]
-    for row in summary["methods"]:
-        parts = [row[name] for name in ("rmse", "transient_rmse", "steady_rmse")]
-        speed, height = ("".join(_cell(part[i], 1e3, width) for part, width in zip(parts, (8, 10, 8))) for i in (0, 1))  # noqa: B905
-        covered = "".join(f"{share:{width}.1%}" for share, width in zip(row["coverage"] or (), (8, 7), strict=False))
-        hops, worse = row["hops_to_band"], row["worse"]
-        lines.append(
-            f"{row['method']:14}{speed}{height}{_cell(row['ratio'], 1, 8, 2)}"
-            f"{'never' if hops is None else format(hops, '.0f'):>9}{row['reached_band']:5}{row['falls']:7}"
-            f"{'-' if worse is None else worse:>8}{covered or format('-', '>15')}"
-        )
-    noise = summary["noise"]
+    lines.insert(1, "|" + "|".join(f"{'-' * (width + 1)}:" for width in widths) + "|")
     lines += [
         "",
-        f"Medians over {summary['pairs']} twins and seeds; a fall counts as an infinite error. error ratio: both "
-        "coordinates together, to deployment 0.",
-        f"hops to band: from the first hop of deployment 0 until the RMSE of {WINDOW} steps stays within "
-        f"{1e3 * BAND[0]:.1f} mm/s and {1e3 * BAND[1]:.1f} mm, which 'in band' of them reach.",
+        f"Speed and height: RMSE, median over {summary['pairs']} twins and seeds; a fall counts as an infinite error.",
+        "ratio: error of both coordinates together, to that of deployment 0.",
+        f"hops: from the first of all on, until the RMSE of {WINDOW} steps stays within {1e3 * BAND[0]:.1f} mm/s and "
+        f"{1e3 * BAND[1]:.1f} mm; in band: how many get there.",
+        "beats gp: how many have a smaller error. in: share of steps within the 95 % interval.",
     ]
-    if noise is not None:
+    if summary["noise"] is not None:
         lines.append(
-            f"worse than 0: how many have more than {math.exp(BEYOND_NOISE * noise):.2f} times the error of deployment "
-            "0; beyond that two uncorrected deployments differ in one of 20."
+            f"worse: how many have more than {math.exp(BEYOND_NOISE * summary['noise']):.2f} times the error of "
+            "deployment 0, beyond what chance makes of it in one of 40."
         )
     return "\n".join(lines)
 
 
-def _cell(value: float | None, factor: float, width: int, digits: int = 1) -> str:
-    return f"{'∞' if value is None else format(factor * value, f'.{digits}f'):>{width}}"
+def _cells(row: dict[str, Any]) -> list[str]:
+    """One line of the table."""
+    errors = [row[name][i] for i in (0, 1) for name in ("rmse", "transient_rmse", "steady_rmse")]
+    return [
+        row["method"],
+        *("∞" if error is None else f"{1e3 * error:.1f}" for error in errors),
+        "∞" if row["ratio"] is None else f"{row['ratio']:.2f}",
+        "never" if row["hops_to_band"] is None else f"{row['hops_to_band']:.0f}",
+        *(
+            "-" if row[name] is None else str(row[name])
+            for name in ("reached_band", "falls", "worse", "better_than_gp")
+        ),
+        *(f"{share:.1%}" for share in row["coverage"] or ()),
+        *("-" for _ in range(0 if row["coverage"] else 2)),
+    ]
 
 
 def learning_picture(rows: Sequence[Row], form: str) -> bytes:
@@ -166,10 +189,13 @@ def learning_picture(rows: Sequence[Row], form: str) -> bytes:
         values = np.array(ratios[name])
         low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
         offsets = place + 0.25 * np.linspace(-1, 1, len(values))
-        axes.plot(values, offsets, ".", color="0.75", markersize=4, zorder=1)
+        axes.plot(values, offsets, ".", color="0.6", markersize=4, zorder=1)
         axes.plot([low, high], [place, place], "-", color=BLUE, linewidth=3, zorder=2)
         axes.plot(middle, place, "D", color=BLUE, markerfacecolor="white", markersize=6, zorder=3)
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda ratio, place: f"{ratio:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_yticks(range(len(names)), names)
     axes.set_xlabel(f"tracking error relative to {base}: each twin and seed, quartiles and median")
     stream = BytesIO()
