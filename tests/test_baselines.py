@@ -44,6 +44,7 @@ def test_the_integral_follows_a_constant_error() -> None:
             state, command = logged.record.state, logged.record.command
             added = learner.step_map()(state, command) - NOMINAL(state, command)
             np.testing.assert_allclose(added, (1 - (1 - INTEGRAL_GAIN) ** count) * shift)
+    state, command = list(log)[-1].record.state, list(log)[-1].record.command
     with IntegralCorrection(NOMINAL, log) as told:
         np.testing.assert_allclose(told.step_map()(state, command), learner.step_map()(state, command))
 

@@ -15,7 +15,7 @@ from tests.control.maps import LossyHopper
 
 NOMINAL, REALITY = LossyHopper(), LossyHopper(loss=0.45, keep=0.6, drift=0.09)
 NOISE = np.array([0.004, 0.001])
-ONLINE = LearningSettings(online=True)
+ONLINE = LearningSettings(online=True, drift=False)
 
 
 def hops(reality: StepMap, count: int, seed: int, iteration: int = 0, first: int = 1) -> list[LoggedStep]:
@@ -123,3 +123,17 @@ def test_steps_that_failed_are_remembered() -> None:
     learner = Learner(NOMINAL, log_of([failed]), LearningSettings(), iteration=1)
     np.testing.assert_array_equal(learner.failures, [[*failed.record.state, *failed.record.applied]])
     assert Learner(NOMINAL, log_of([]), LearningSettings(), iteration=1).failures.shape == (0, 4)
+
+
+def test_a_drift_within_the_deployment_is_followed_if_asked_to() -> None:
+    known, shifted = hops(REALITY, 60, seed=0), np.array([0.03, -0.004])
+    drifting = [
+        replace(logged, record=replace(logged.record, next_state=logged.record.next_state + shifted))
+        for logged in hops(REALITY, 30, seed=8, iteration=1)
+    ]
+    for drift in (True, False):
+        learner = taught(Learner(NOMINAL, log_of(known), LearningSettings(drift=drift), 1), drifting)
+        added = learner.step_map().offset
+        np.testing.assert_allclose(added, shifted if drift else 0.0, atol=0.01)
+    uncorrected = taught(Learner(NOMINAL, log_of([]), LearningSettings(), 0), drifting)
+    np.testing.assert_array_equal(uncorrected.step_map().offset, np.zeros(2))

@@ -36,3 +36,8 @@ def test_contact_while_rising_is_no_touchdown():
 
 def test_an_impact_that_bounces_is_no_take_off():
     assert follow(Phase.LOADING, contact_force=0.0, leg_length=0.3) == Phase.LOADING
+
+
+def test_a_body_that_comes_down_with_its_foot_on_the_ground_has_not_flown():
+    assert follow(Phase.RISING, apex_passed=True, contact_force=80.0) == Phase.PUSHING
+    assert follow(Phase.RISING, apex_passed=True, contact_force=5.0) == Phase.FALLING
