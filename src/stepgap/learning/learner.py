@@ -29,9 +29,9 @@ class Learner:
     """The corrected map from step to step of one deployment.
 
     A correction that predicted the last steps significantly worse than the nominal map is left out until it predicts
-    better again, and it is shifted by what drifts. Learning online, every step enters the model before the next is planned, and the hyper-parameters are
-    fitted anew beside the hopping: a fit is taken over a fixed number of steps after it began, however long it took, so
-    that the same steps give the same commands.
+    better again, and it is shifted by what drifts. Learning online, every step enters the model before the next is
+    planned, and the hyper-parameters are fitted anew beside the hopping: a fit is taken over a fixed number of steps
+    after it began, however long it took, so that the same steps give the same commands.
 
     Args:
         nominal: Map of the physics model.
