@@ -38,10 +38,10 @@ def test_the_integral_follows_a_constant_error() -> None:
     truth = AdjustedMap(NOMINAL, shift)
     log = steps_of(truth, 3)
     learner = IntegralCorrection(NOMINAL, StepLog(NOMINAL.space))
+    state, command = [0.2, 0.58], [2.0, -5.0]
     with learner:
         for count, logged in enumerate(log, start=1):
             learner.observe(logged)
-            state, command = logged.record.state, logged.record.command
             added = learner.step_map()(state, command) - NOMINAL(state, command)
             np.testing.assert_allclose(added, (1 - (1 - INTEGRAL_GAIN) ** count) * shift)
     state, command = list(log)[-1].record.state, list(log)[-1].record.command
