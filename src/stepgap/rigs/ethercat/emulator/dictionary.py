@@ -7,7 +7,7 @@ from stepgap.rigs.ethercat.emulator.sii import Identity
 
 DEVICE_TYPE, DEVICE_NAME, IDENTITY = 0x1000, 0x1008, 0x1018
 SYNC_MANAGER_TYPES, ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C00, 0x1C12, 0x1C13
-"""Communication area (ETG.1000.6 Table 67): kinds of the sync managers, PDOs in them."""
+"""Communication area (ETG.1000.6): kinds of the sync managers, PDOs in them."""
 
 MOST_PDOS = 8
 
@@ -16,7 +16,7 @@ class Abort(Exception):
     """An SDO request is refused.
 
     Args:
-        code: Abort code (ETG.1000.6 Table 41).
+        code: Abort code (ETG.1000.6, SDO abort codes).
     """
 
     UNKNOWN_COMMAND = 0x05040001
@@ -184,7 +184,7 @@ class Dictionary:
         return Image(parts)
 
     def _check_assignment(self, index: int, subindex: int, value: int) -> None:
-        """The master clears the count, writes the PDOs, then the count (ETG.1020 §9.2)."""
+        """The master clears the count, writes the PDOs, then the count (ETG.1020, PDO assignment)."""
         if subindex == 0:
             if value > MOST_PDOS:
                 raise Abort(Abort.VALUE_RANGE)

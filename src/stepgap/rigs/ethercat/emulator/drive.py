@@ -1,13 +1,13 @@
-"""A torque-controlled drive: the state machine of CiA 402-2 §6 (ETG.6010 §5) as the drive runs it, mode 10 only."""
+"""A torque-controlled drive: CiA 402-2, device control (ETG.6010), as the drive runs it; mode 10 only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
+from stepgap.rigs.ethercat.emulator.device import Device
 from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, Entry, Mapped
 from stepgap.rigs.ethercat.emulator.mailbox import emergency
 from stepgap.rigs.ethercat.emulator.sii import Identity
-from stepgap.rigs.ethercat.emulator.slave import Device
 from stepgap.rigs.rig import Reading
 
 ERROR_REGISTER, ERROR_CODE = 0x1001, 0x603F
@@ -15,12 +15,12 @@ CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
 POSITION, VELOCITY = 0x6064, 0x606C
 TARGET_TORQUE, LARGEST_TORQUE, RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
 SUPPORTED_MODES = 0x6502
-"""Objects (CiA 402-2 §8, §10, §11)."""
+"""Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register)."""
 
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 
 COMMUNICATION_LOST, SPEED_RUN_AWAY = 0x8130, 0x8400
-"""Error codes (CiA 402-2 Table 4): process data stayed out while enabled; the machine left its bounds."""
+"""Error codes (CiA 402-2, error codes): process data stayed out while enabled; the machine left its bounds."""
 
 GENERIC_ERROR = 0x01
 """Bit of the error register (CiA 301)."""
@@ -29,14 +29,14 @@ ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)
 """An identity as Elmo's Gold drives have it."""
 
 SWITCH_ON, VOLTAGE, NO_QUICK_STOP, ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
-"""Bits of the controlword (CiA 402-2 Table 26)."""
+"""Bits of the controlword (CiA 402-2, object 0x6040)."""
 
 VOLTAGE_ENABLED, REMOTE, FOLLOWS = 0x0010, 0x0200, 0x1000
 """Bits of the statusword besides the state: power stage fed, controlwords obeyed, torque follows its target."""
 
 
 class DriveState(IntEnum):
-    """States, as the low bits of the statusword show them (CiA 402-2 Table 28)."""
+    """States, as the low bits of the statusword show them (CiA 402-2, object 0x6041)."""
 
     SWITCH_ON_DISABLED = 0x40
     READY_TO_SWITCH_ON = 0x21
@@ -47,7 +47,7 @@ class DriveState(IntEnum):
 
 
 def next_state(state: DriveState, controlword: int, before: int) -> DriveState:
-    """The state after a controlword (CiA 402-2 Figure 6); several transitions up at once are allowed from none.
+    """The state after a controlword (CiA 402-2, device control state machine); at most one state up at a time.
 
     Args:
         state: Present state.
@@ -171,7 +171,7 @@ class Drive(Device):
             self.state = DriveState.SWITCH_ON_DISABLED
         if self.state is not DriveState.FAULT and self._error.value:
             self._error.value = self._register.value = 0
-            self.messages.append(emergency(0, 0))  # the error is reset (ETG.1000.6 §5.6.4)
+            self.messages.append(emergency(0, 0))  # the error is reset
         if self._mode.value in (0, CYCLIC_SYNCHRONOUS_TORQUE):
             self._mode_display.value = self._mode.value
         self._act()

@@ -5,15 +5,15 @@ from struct import Struct, error, pack
 from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary
 
 MAILBOX_ERROR, COE = 0, 3
-"""Mailbox types (ETG.1000.4 Table 29)."""
+"""Mailbox types (ETG.1000.4, mailbox header)."""
 
 EMERGENCY, SDO_REQUEST, SDO_RESPONSE = 1, 2, 3
-"""CoE services (ETG.1000.6 Table 29). An abort is a request, whoever sends it."""
+"""CoE services (ETG.1000.6, CoE header). An abort is a request, whoever sends it."""
 
 UPLOAD, DOWNLOAD = 0x40, 0x20
 ABORT = 0x80
 COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
-"""SDO command byte (ETG.1000.6 §5.6.2): what, and its bits."""
+"""SDO command byte (ETG.1000.6, SDO services): what, and its bits."""
 
 UNSUPPORTED_PROTOCOL = 0x0002
 """Detail of a mailbox error: this mailbox type is not served."""
@@ -53,7 +53,7 @@ def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) 
 
 
 def emergency(code: int, register: int, detail: bytes = b"") -> bytes:
-    """An emergency message (ETG.1000.6 §5.6.4).
+    """An emergency message (ETG.1000.6, emergency service).
 
     Args:
         code: Error code, as in object 0x603F.

@@ -70,7 +70,7 @@ ERROR_FLAG = ACKNOWLEDGE = 0x10
 
 
 class StatusCode(IntEnum):
-    """Why a state was refused or lost (ETG.1000.6 Table 11)."""
+    """Why a state was refused or lost (ETG.1000.6, AL status codes)."""
 
     NONE = 0x0000
     INVALID_CHANGE = 0x0011

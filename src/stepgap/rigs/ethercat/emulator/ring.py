@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 from stepgap.rigs.ethercat.emulator import registers as reg
+from stepgap.rigs.ethercat.emulator.device import Device
 from stepgap.rigs.ethercat.emulator.drive import SPEED_RUN_AWAY, Drive, DriveSettings
 from stepgap.rigs.ethercat.emulator.faults import (
     DriveFault,
@@ -23,7 +24,7 @@ from stepgap.rigs.ethercat.emulator.frame import Command, Datagram, Frame, Frame
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.mailbox import emergency
 from stepgap.rigs.ethercat.emulator.registers import State, StatusCode
-from stepgap.rigs.ethercat.emulator.slave import Device, Slave
+from stepgap.rigs.ethercat.emulator.slave import Slave
 from stepgap.rigs.ethercat.emulator.terminals import AnalogInput, Coupler, Encoder
 from stepgap.rigs.rig import RigFault
 
@@ -123,7 +124,7 @@ class Ring:
         """One tick of time: the slaves act on their outputs, the machine moves, the slaves sense."""
         for slave in self.slaves:
             slave.take_outputs()
-        if all(drive.is_enabled for drive in self.drives):
+        if not self._released and all(drive.is_enabled for drive in self.drives):
             self._released = True
         if self._released:
             try:

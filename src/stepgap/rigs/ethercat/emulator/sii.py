@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from struct import pack
 
 STRINGS, GENERAL, FMMU_USE, SYNC_MANAGERS, END = 10, 30, 40, 41, 0xFFFF
-"""Categories, from word 0x40 on (ETG.2010 Table 3)."""
+"""Categories, from word 0x40 on (ETG.2010, category types)."""
 
 CANOPEN = 0x04
 """Bit of the mailbox protocols in word 0x1C: CANopen over EtherCAT."""
@@ -18,7 +18,7 @@ FIRST_CATEGORY = 0x80
 
 @dataclass(frozen=True)
 class Identity:
-    """Who a slave is: the EEPROM and object 0x1018 say the same (ETG.1000.6 §5.6.7.4).
+    """Who a slave is: the EEPROM and object 0x1018 say the same (ETG.1000.6, identity object).
 
     Attributes:
         name: Of the product, ASCII; the EEPROM and object 0x1008 tell it.

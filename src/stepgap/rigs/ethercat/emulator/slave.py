@@ -1,12 +1,12 @@
 """A slave controller: registers, FMMUs, sync managers, mailbox, watchdog, states (ETG.1000.4 §6, ETG.1000.6 §6.4)."""
 
-from abc import ABC, abstractmethod
 from collections import deque
 from struct import pack_into, unpack_from
 from typing import NamedTuple
 
 from stepgap.rigs.ethercat.emulator import registers as reg
-from stepgap.rigs.ethercat.emulator.dictionary import ASSIGN_INPUTS, ASSIGN_OUTPUTS, Dictionary, Image
+from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.dictionary import ASSIGN_INPUTS, ASSIGN_OUTPUTS, Image
 from stepgap.rigs.ethercat.emulator.frame import Command
 from stepgap.rigs.ethercat.emulator.mailbox import answer
 from stepgap.rigs.ethercat.emulator.registers import State, StatusCode
@@ -17,7 +17,6 @@ from stepgap.rigs.ethercat.emulator.sii import (
     OUTPUT_CONTROL,
     OUTPUT_START,
     Area,
-    Identity,
     build_image,
 )
 from stepgap.rigs.rig import Reading
@@ -32,33 +31,6 @@ _BROADCAST = frozenset({Command.BRD, Command.BWR, Command.BRW})
 _WRITABLE = bytearray(reg.MEMORY_SIZE)
 for _start, _end in reg.WRITABLE:
     _WRITABLE[_start:_end] = b"\1" * (_end - _start)
-
-
-class Device(ABC):
-    """What sits behind a slave controller: a drive or a terminal.
-
-    Args:
-        name: What it is called in this ring.
-        identity: Who it is.
-        dictionary: Its objects; without one it has neither mailbox nor process data.
-    """
-
-    def __init__(self, name: str, identity: Identity, dictionary: Dictionary | None = None):
-        self.name, self.identity, self.dictionary = name, identity, dictionary
-        self.messages: list[bytes] = []
-        """Mailbox messages to be sent, emergencies."""
-
-    @abstractmethod
-    def update(self, operational: bool) -> None:
-        """Acts on the outputs in the dictionary, once a tick; they are valid only where `operational`."""
-
-    @abstractmethod
-    def sense(self, reading: Reading) -> None:
-        """Puts what the machine's sensors say into the dictionary, once a tick."""
-
-    @abstractmethod
-    def power_on(self) -> None:
-        """Begins anew, as after a loss of power."""
 
 
 class _Fmmu(NamedTuple):
@@ -88,11 +60,6 @@ class Slave:
         self.wrong_mapping = False
         """The device wants one byte more than the PDOs assigned to it have."""
         self.power_on()
-
-    @property
-    def state(self) -> State:
-        """Present state of the application layer."""
-        return State(self.memory[reg.AL_STATUS] & 0x0F)
 
     @property
     def status_code(self) -> int:
@@ -157,9 +124,10 @@ class Slave:
                 start = self._outputs_at
                 self._outputs.unpack(bytes(self.memory[start : start + self._outputs.length]))
             self.device.update(operational)
-        self._mail += self.device.messages
-        self.device.messages.clear()
-        self._load_mail()
+        if self.device.messages:
+            self._mail += self.device.messages
+            self.device.messages.clear()
+            self._load_mail()
 
     def give_inputs(self, reading: Reading, time: int) -> None:
         """After a tick of the machine: what the sensors say, and the ring's time [ns]."""
@@ -320,6 +288,8 @@ class Slave:
     # ---- states
 
     def _set_state(self, state: State, code: StatusCode = StatusCode.NONE) -> None:
+        self.state = state
+        """Present state of the application layer."""
         pack_into("<H", self.memory, reg.AL_STATUS, state | (reg.ERROR_FLAG if code else 0))
         pack_into("<H", self.memory, reg.AL_STATUS_CODE, code)
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
+from stepgap.rigs.ethercat.emulator.device import Device
 from stepgap.rigs.ethercat.emulator.dictionary import Dictionary, Entry, Mapped
 from stepgap.rigs.ethercat.emulator.sii import Identity
-from stepgap.rigs.ethercat.emulator.slave import Device
 from stepgap.rigs.rig import Reading
 
 BECKHOFF = 0x00000002
