@@ -1,0 +1,1 @@
+"""The robot on an EtherCAT ring: torque-controlled drives and boom encoders."""
