@@ -71,8 +71,8 @@ def state_of(statusword: int) -> State:
 def next_controlword(statusword: int, wanted: Wanted) -> tuple[State, int]:
     """The drive's state and the controlword that brings it nearer to what is wanted.
 
-    A fault is left on `Wanted.RESET` alone, and by the rising edge of bit 7: send what another wish gives first. A quick
-    stop is left through `SWITCH_ON_DISABLED`, never straight back to torque.
+    A fault is left on `Wanted.RESET` alone, and by the rising edge of bit 7: send what another wish gives first.
+    A quick stop is left through `SWITCH_ON_DISABLED`, never straight back to torque.
     """
     state = state_of(statusword)
     return state, CONTROLWORDS.get((state, wanted), DISABLE_VOLTAGE)

@@ -4,7 +4,7 @@ import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Self
 
 SIGNED = {
     "controlword": False,
@@ -67,7 +67,8 @@ class Entry:
         return cls(int(index, 16), int(subindex, 16), int(bits), name or "")
 
 
-class Pdo(NamedTuple):
+@dataclass(frozen=True)
+class Pdo:
     """A process data object: its index and what lies in it, in order."""
 
     index: int
@@ -137,7 +138,8 @@ class PdoSet:
     inputs: tuple[Pdo, ...] = ()
 
     def __post_init__(self) -> None:
-        Packing(self.outputs), Packing(self.inputs)
+        for pdos in (self.outputs, self.inputs):
+            Packing(pdos)
 
 
 def _pdo(index: int, *entries: str) -> Pdo:
