@@ -67,7 +67,7 @@ WRONG = [
     (
         "counts_per_turn = 16384",
         "counts_per_turn = 8192",
-        "[motor_2] counts_per_turn = 16384.0, but it must be that of",
+        "[motor_2] counts_per_turn = 16384.0, but it must give with its",
     ),
     (
         "newton_per_count = 0.01",
@@ -115,6 +115,7 @@ def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.Tem
     else:
         message = key
         assert 0 < settings.limits.torque < float("inf")
-        assert 0 < settings.motor_1.torque_limit <= 32 * settings.motor_1.rated_torque
+        assert 0 <= settings.motor_1.most_units <= 32000
+        assert settings.motor_1.most_units * settings.motor_1.torque_unit <= settings.motor_1.torque_limit * (1 + 1e-15)
     assert key in message
     assert "\n" not in message

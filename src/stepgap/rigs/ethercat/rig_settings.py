@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import floor, inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +96,7 @@ class Encoder:
 
     Attributes:
         slave: Name of the device that counts.
-        counts_per_turn: Of what is measured; of a top link driven through a gear, those of the motor times its ratio.
+        counts_per_turn: Of the encoder.
         sign: 1 where the counts grow forward or upward, else −1.
         zero: Counts at angle zero.
     """
@@ -118,18 +118,39 @@ class Motor(Encoder):
     """A drive with its encoder.
 
     Attributes:
-        rated_torque: Of the motor, at the top link [N·m]; torques travel in thousandths of it.
+        rated_torque: Of the motor [N·m], as the drive has it (0x6076); torques travel in thousandths of it.
         torque_limit: Largest torque at the top link [N·m].
+        gear: Turns of motor and encoder per turn of the top link.
     """
 
     rated_torque: float
     torque_limit: float
+    gear: float = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         rated, limit = self.rated_torque, self.torque_limit
         _require(isfinite(rated) and rated > 0, "rated_torque", rated, "be positive")
-        _require(0 < limit <= 32 * rated, "torque_limit", limit, "be positive and at most 32 times rated_torque")
+        _require(isfinite(self.gear) and self.gear > 0, "gear", self.gear, "be positive")
+        most = 32 * self.torque_unit * 1000
+        _require(
+            0 < limit <= most, "torque_limit", limit, f"be positive and at most 32 times the rated torque, {most:g}"
+        )
+
+    @property
+    def torque_unit(self) -> float:
+        """What 1 in the process data is at the top link [N·m]."""
+        return self.rated_torque * self.gear / 1000
+
+    @property
+    def most_units(self) -> int:
+        """Largest torque in the process data."""
+        return floor(self.torque_limit / self.torque_unit)
+
+    @property
+    def link_counts(self) -> float:
+        """Counts a turn of the top link."""
+        return self.counts_per_turn * self.gear
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,8 +179,8 @@ class Contact:
         _require(length > 0, "takeoff_length", length, "be positive")
 
 
-MOTOR_OUTPUTS = {"target_torque", "controlword"}
-MOTOR_INPUTS = {"position", "statusword"}
+MOTOR_OUTPUTS = {"target_torque", "controlword", "mode"}
+MOTOR_INPUTS = {"position", "statusword", "mode_display"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,10 +246,10 @@ class RigSettings:
             "differ from the horizontal angle's",
         )
         _require(
-            self.motor_2.counts_per_turn == self.motor_1.counts_per_turn,
+            self.motor_2.link_counts == self.motor_1.link_counts,
             "motor_2.counts_per_turn",
             self.motor_2.counts_per_turn,
-            f"be that of motor 1, {self.motor_1.counts_per_turn}",
+            f"give with its gear the {self.motor_1.link_counts:g} counts a turn of motor 1",
         )
 
     def pdo_set(self, slave: Slave) -> PdoSet:
