@@ -1,0 +1,215 @@
+"""The object dictionary of a slave, and its process data cut from it (ETG.1000.6 §5.6, CiA 301)."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from stepgap.rigs.ethercat.emulator.sii import Identity
+
+DEVICE_TYPE, DEVICE_NAME, IDENTITY = 0x1000, 0x1008, 0x1018
+SYNC_MANAGER_TYPES, ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C00, 0x1C12, 0x1C13
+"""Communication area (ETG.1000.6 Table 67): kinds of the sync managers, PDOs in them."""
+
+MOST_PDOS = 8
+
+
+class Abort(Exception):
+    """An SDO request is refused.
+
+    Args:
+        code: Abort code (ETG.1000.6 Table 41).
+    """
+
+    UNKNOWN_COMMAND = 0x05040001
+    TOO_LONG = 0x06070010
+    READ_ONLY = 0x06010002
+    ASSIGNED_STILL = 0x06010003
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    NO_SUBINDEX = 0x06090011
+    VALUE_RANGE = 0x06090030
+    WRONG_STATE = 0x08000022
+
+    def __init__(self, code: int):
+        super().__init__(f"{code:#010x}")
+        self.code = code
+
+
+@dataclass(slots=True)
+class Entry:
+    """One value of the dictionary.
+
+    Attributes:
+        value: The number.
+        bits: Its size.
+        signed: The number may be negative.
+        writable: By SDO.
+        text: Stands instead of the number, ASCII.
+    """
+
+    value: int
+    bits: int
+    signed: bool = False
+    writable: bool = False
+    text: bytes = b""
+
+    def encoded(self) -> bytes:
+        """Little-endian bytes as an SDO carries them."""
+        if self.text:
+            return self.text
+        size = (self.bits + 7) // 8
+        return (self.value & (1 << 8 * size) - 1).to_bytes(size, "little")
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A part of a PDO: an entry, or padding where `index` is 0."""
+
+    index: int
+    subindex: int
+    bits: int
+
+
+Pdos = Mapping[int, tuple[Mapped, ...]]
+"""PDOs by the index of their mapping object, 0x1600… from the master, 0x1A00… to it."""
+
+
+class Image:
+    """Process data as bytes: the entries of the assigned PDOs one after the other, lowest bit first.
+
+    Args:
+        parts: Entry and bits of each part; no entry where it is padding.
+    """
+
+    def __init__(self, parts: Iterable[tuple[Entry | None, int]]):
+        self._fields, shift = [], 0
+        for entry, bits in parts:
+            if entry is not None:
+                self._fields.append((entry, (1 << bits) - 1, shift))
+            shift += bits
+        self.length = (shift + 7) // 8
+        """Bytes."""
+
+    def pack(self) -> bytes:
+        """The entries' present values."""
+        word = 0
+        for entry, mask, shift in self._fields:
+            word |= (entry.value & mask) << shift
+        return word.to_bytes(self.length, "little")
+
+    def unpack(self, data: bytes) -> None:
+        """Takes the entries' values out of `data`."""
+        word = int.from_bytes(data, "little")
+        for entry, mask, shift in self._fields:
+            value = word >> shift & mask
+            entry.value = value - mask - 1 if entry.signed and value > mask >> 1 else value
+
+
+class Dictionary:
+    """Objects of a slave: who it is, its PDOs, and those of its application.
+
+    Args:
+        identity: Objects 0x1008 and 0x1018.
+        objects: The application's entries by index and subindex.
+        outputs: PDOs that may be assigned to sync manager 2.
+        inputs: PDOs that may be assigned to sync manager 3.
+        assigned_outputs: Those assigned to begin with.
+        assigned_inputs: Those assigned to begin with.
+        check: Raises `Abort` where a number must not be written to an index.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        objects: Mapping[tuple[int, int], Entry],
+        outputs: Pdos,
+        inputs: Pdos,
+        assigned_outputs: tuple[int, ...],
+        assigned_inputs: tuple[int, ...],
+        check: Callable[[int, int], None] = lambda index, value: None,
+    ):
+        self._entries: dict[tuple[int, int], Entry] = {
+            (DEVICE_TYPE, 0): Entry(0, 32),
+            (DEVICE_NAME, 0): Entry(0, 0, text=identity.name.encode("ascii")),
+            **_array(IDENTITY, (identity.vendor, identity.product, identity.revision, identity.serial), 32),
+            **_array(SYNC_MANAGER_TYPES, (1, 2, 3, 4), 8),
+            **_array(ASSIGN_OUTPUTS, assigned_outputs, 16, MOST_PDOS),
+            **_array(ASSIGN_INPUTS, assigned_inputs, 16, MOST_PDOS),
+            **objects,
+        }
+        self._pdos = {ASSIGN_OUTPUTS: outputs, ASSIGN_INPUTS: inputs}
+        self._check = check
+        for index, parts in [*outputs.items(), *inputs.items()]:
+            words = tuple(part.index << 16 | part.subindex << 8 | part.bits for part in parts)
+            self._entries |= _array(index, words, 32)
+
+    def read(self, index: int, subindex: int) -> bytes:
+        """An entry's bytes.
+
+        Raises:
+            Abort: There is none.
+        """
+        return self._find(index, subindex).encoded()
+
+    def write(self, index: int, subindex: int, data: bytes, may_assign: bool) -> None:
+        """Sets an entry from its bytes.
+
+        Args:
+            index: Of the object.
+            subindex: Of the entry.
+            data: Little-endian, as long as the entry.
+            may_assign: The slave is in a state where PDOs may be assigned (PREOP).
+
+        Raises:
+            Abort: It cannot be written, or not now, or not with this value.
+        """
+        entry = self._find(index, subindex)
+        if index in self._pdos:
+            if not may_assign:
+                raise Abort(Abort.WRONG_STATE)
+            self._check_assignment(index, subindex, int.from_bytes(data, "little"))
+        elif not entry.writable:
+            raise Abort(Abort.READ_ONLY)
+        if 8 * len(data) != entry.bits:
+            raise Abort(Abort.TOO_LONG)
+        value = int.from_bytes(data, "little", signed=entry.signed)
+        self._check(index, value)
+        entry.value = value
+
+    def image(self, assignment: int) -> Image:
+        """The process data of ASSIGN_OUTPUTS or ASSIGN_INPUTS as they are assigned now."""
+        pdos, parts = self._pdos[assignment], []
+        for number in range(1, self._number(assignment, 0) + 1):
+            for part in pdos.get(self._number(assignment, number), ()):
+                parts.append((self._entries[part.index, part.subindex] if part.index else None, part.bits))
+        return Image(parts)
+
+    def _check_assignment(self, index: int, subindex: int, value: int) -> None:
+        """The master clears the count, writes the PDOs, then the count (ETG.1020 §9.2)."""
+        if subindex == 0:
+            if value > MOST_PDOS:
+                raise Abort(Abort.VALUE_RANGE)
+            assigned = [self._number(index, number) for number in range(1, value + 1)]
+            if not all(pdo in self._pdos[index] for pdo in assigned):
+                raise Abort(Abort.NOT_MAPPABLE)
+        elif self._number(index, 0) != 0:
+            raise Abort(Abort.ASSIGNED_STILL)
+        elif value not in self._pdos[index]:
+            raise Abort(Abort.NOT_MAPPABLE)
+
+    def _number(self, index: int, subindex: int) -> int:
+        return self._entries[index, subindex].value
+
+    def _find(self, index: int, subindex: int) -> Entry:
+        entry = self._entries.get((index, subindex))
+        if entry is None:
+            known = (index, 0) in self._entries
+            raise Abort(Abort.NO_SUBINDEX if known else Abort.NO_OBJECT)
+        return entry
+
+
+def _array(index: int, values: tuple[int, ...], bits: int, most: int = 0) -> dict[tuple[int, int], Entry]:
+    """An object of equal entries whose subindex 0 counts them, with room for `most`."""
+    entries = {(index, 0): Entry(len(values), 8)}
+    for number in range(max(len(values), most)):
+        entries[index, number + 1] = Entry(values[number] if number < len(values) else 0, bits)
+    return entries

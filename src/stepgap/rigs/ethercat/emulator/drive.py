@@ -1,0 +1,205 @@
+"""A torque-controlled drive: the state machine of CiA 402-2 §6 (ETG.6010 §5) as the drive runs it, mode 10 only."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, Entry, Mapped
+from stepgap.rigs.ethercat.emulator.mailbox import emergency
+from stepgap.rigs.ethercat.emulator.sii import Identity
+from stepgap.rigs.ethercat.emulator.slave import Device
+from stepgap.rigs.rig import Reading
+
+ERROR_REGISTER, ERROR_CODE = 0x1001, 0x603F
+CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
+POSITION, VELOCITY = 0x6064, 0x606C
+TARGET_TORQUE, LARGEST_TORQUE, RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
+SUPPORTED_MODES = 0x6502
+"""Objects (CiA 402-2 §8, §10, §11)."""
+
+CYCLIC_SYNCHRONOUS_TORQUE = 10
+
+COMMUNICATION_LOST, SPEED_RUN_AWAY = 0x8130, 0x8400
+"""Error codes (CiA 402-2 Table 4): process data stayed out while enabled; the machine left its bounds."""
+
+GENERIC_ERROR = 0x01
+"""Bit of the error register (CiA 301)."""
+
+ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)
+"""An identity as Elmo's Gold drives have it."""
+
+SWITCH_ON, VOLTAGE, NO_QUICK_STOP, ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
+"""Bits of the controlword (CiA 402-2 Table 26)."""
+
+VOLTAGE_ENABLED, REMOTE, FOLLOWS = 0x0010, 0x0200, 0x1000
+"""Bits of the statusword besides the state: power stage fed, controlwords obeyed, torque follows its target."""
+
+
+class DriveState(IntEnum):
+    """States, as the low bits of the statusword show them (CiA 402-2 Table 28)."""
+
+    SWITCH_ON_DISABLED = 0x40
+    READY_TO_SWITCH_ON = 0x21
+    SWITCHED_ON = 0x23
+    OPERATION_ENABLED = 0x27
+    QUICK_STOP = 0x07
+    FAULT = 0x08
+
+
+def next_state(state: DriveState, controlword: int, before: int) -> DriveState:
+    """The state after a controlword (CiA 402-2 Figure 6); several transitions up at once are allowed from none.
+
+    Args:
+        state: Present state.
+        controlword: The new one.
+        before: The one before, since a fault is reset by a rising edge.
+    """
+    if state is DriveState.FAULT:
+        rises = controlword & ~before & FAULT_RESET
+        return DriveState.SWITCH_ON_DISABLED if rises else state
+    if not controlword & VOLTAGE or state is DriveState.QUICK_STOP:  # a quick stop is over within a tick: no torque
+        return DriveState.SWITCH_ON_DISABLED
+    if not controlword & NO_QUICK_STOP:
+        return DriveState.QUICK_STOP if state is DriveState.OPERATION_ENABLED else DriveState.SWITCH_ON_DISABLED
+    if state is DriveState.SWITCH_ON_DISABLED:
+        return state if controlword & SWITCH_ON else DriveState.READY_TO_SWITCH_ON
+    if not controlword & SWITCH_ON:
+        return DriveState.READY_TO_SWITCH_ON
+    if state is DriveState.READY_TO_SWITCH_ON:
+        return DriveState.SWITCHED_ON
+    return DriveState.OPERATION_ENABLED if controlword & ENABLE else DriveState.SWITCHED_ON
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """A drive's data.
+
+    Attributes:
+        identity: Who it is.
+        rated_torque: What 1000 of a torque object means [mN·m].
+        largest_torque: Limit of the drive, in 1/1000 of `rated_torque`; the master may lower or raise it by SDO.
+        period: Of a tick [s].
+    """
+
+    identity: Identity = ELMO_GOLD
+    rated_torque: int = 16_000
+    largest_torque: int = 2500
+    period: float = 1e-3
+
+
+OUTPUT_PDOS = {
+    0x1602: (Mapped(TARGET_TORQUE, 0, 16), Mapped(CONTROLWORD, 0, 16)),
+    0x160B: (Mapped(MODE, 0, 8), Mapped(0, 0, 8)),
+}
+INPUT_PDOS = {
+    0x1A02: (
+        Mapped(POSITION, 0, 32),
+        Mapped(TORQUE, 0, 16),
+        Mapped(STATUSWORD, 0, 16),
+        Mapped(MODE_DISPLAY, 0, 8),
+        Mapped(0, 0, 8),
+    ),
+    0x1A11: (Mapped(VELOCITY, 0, 32),),
+}
+"""PDOs for torque as Elmo's drives map them; only 0x1602 and 0x1A02 are assigned after power-up."""
+
+
+class Drive(Device):
+    """A drive behind a slave controller.
+
+    Args:
+        name: What it is called in the ring.
+        settings: Its data.
+        counts: Its motor's encoder counts in a reading.
+    """
+
+    def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
+        self._settings, self._counts = settings, counts
+        self._position = self._velocity = self._status = self._error = Entry(0, 0)  # replaced by power_on
+        super().__init__(name, settings.identity)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Begins anew: switch-on disabled, no torque, PDOs as after power-up."""
+        settings = self._settings
+        self._control, self._status = Entry(0, 16, writable=True), Entry(DriveState.SWITCH_ON_DISABLED, 16)
+        self._mode, self._mode_display = Entry(0, 8, True, True), Entry(0, 8, True)
+        self._target, self._torque = Entry(0, 16, True, True), Entry(0, 16, True)
+        self._position, self._velocity = Entry(0, 32, True), Entry(0, 32, True)
+        self._largest = Entry(settings.largest_torque, 16, writable=True)
+        self._error, self._register = Entry(0, 16), Entry(0, 8)
+        entries = {
+            CONTROLWORD: self._control,
+            STATUSWORD: self._status,
+            MODE: self._mode,
+            MODE_DISPLAY: self._mode_display,
+            POSITION: self._position,
+            VELOCITY: self._velocity,
+            TARGET_TORQUE: self._target,
+            LARGEST_TORQUE: self._largest,
+            RATED_TORQUE: Entry(settings.rated_torque, 32),
+            TORQUE: self._torque,
+            ERROR_CODE: self._error,
+            ERROR_REGISTER: self._register,
+            SUPPORTED_MODES: Entry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
+        }
+        self.dictionary = Dictionary(
+            settings.identity,
+            {(index, 0): entry for index, entry in entries.items()},
+            OUTPUT_PDOS,
+            INPUT_PDOS,
+            (0x1602,),
+            (0x1A02,),
+            _check,
+        )
+        self.state, self.torque, self._before = DriveState.SWITCH_ON_DISABLED, 0.0, 0
+        self.messages.clear()
+
+    @property
+    def is_enabled(self) -> bool:
+        """Torque follows its target, if process data say so."""
+        return self.state is DriveState.OPERATION_ENABLED
+
+    def update(self, operational: bool) -> None:
+        """State machine, then torque; whoever is enabled and no longer gets process data trips."""
+        if operational:
+            self.state = next_state(self.state, self._control.value, self._before)
+            self._before = self._control.value
+        elif self.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP):
+            self.trip(COMMUNICATION_LOST)
+        elif self.state is not DriveState.FAULT:
+            self.state = DriveState.SWITCH_ON_DISABLED
+        if self.state is not DriveState.FAULT and self._error.value:
+            self._error.value = self._register.value = 0
+            self.messages.append(emergency(0, 0))  # the error is reset (ETG.1000.6 §5.6.4)
+        if self._mode.value in (0, CYCLIC_SYNCHRONOUS_TORQUE):
+            self._mode_display.value = self._mode.value
+        self._act()
+
+    def trip(self, code: int) -> None:
+        """A fault: torque off, emergency sent, latched until reset; the first one is kept."""
+        if self.state is not DriveState.FAULT:
+            self.state = DriveState.FAULT
+            self._error.value, self._register.value = code, GENERIC_ERROR
+            self.messages.append(emergency(code, GENERIC_ERROR))
+        self._act()
+
+    def sense(self, reading: Reading) -> None:
+        """Position and velocity of the motor, in counts and counts a second."""
+        counts = round(self._counts(reading))
+        self._velocity.value = round((counts - self._position.value) / self._settings.period)
+        self._position.value = counts
+
+    def _act(self) -> None:
+        """Torque [N·m] and statusword as the state has them."""
+        follows = self.state is DriveState.OPERATION_ENABLED and self._mode_display.value == CYCLIC_SYNCHRONOUS_TORQUE
+        limit = self._largest.value
+        self._torque.value = min(max(self._target.value, -limit), limit) if follows else 0
+        self.torque = self._torque.value * self._settings.rated_torque * 1e-6
+        self._status.value = self.state | VOLTAGE_ENABLED | REMOTE | (FOLLOWS if follows else 0)
+
+
+def _check(index: int, value: int) -> None:
+    """Only cyclic synchronous torque is there; 0 is no mode."""
+    if index == MODE and value not in (0, CYCLIC_SYNCHRONOUS_TORQUE):
+        raise Abort(Abort.VALUE_RANGE)

@@ -1,0 +1,123 @@
+"""EtherCAT frames and the datagrams in them (ETG.1000.4 §5.3, §5.4)."""
+
+from enum import IntEnum
+from struct import Struct
+from typing import NamedTuple
+
+ETHERTYPE = 0x88A4
+BROADCAST = b"\xff" * 6
+SHORTEST_FRAME = 60
+"""Bytes of an Ethernet frame without check sequence; shorter ones are padded."""
+LONGEST_FRAME = 1514
+
+_ETHERNET = Struct("!6s6sH")
+_ETHERCAT = Struct("<H")
+_DATAGRAM = Struct("<BBHHHH")
+_COUNTER = Struct("<H")
+_LENGTH_MASK, _MORE_FOLLOW, _DATAGRAMS = 0x07FF, 0x8000, 0x1000
+
+
+class FrameError(ValueError):
+    """The bytes are no EtherCAT frame with datagrams."""
+
+
+class Command(IntEnum):
+    """Commands of a datagram (ETG.1000.4 §5.4.1): address by position (AP), station (FP), everyone (B), logic (L)."""
+
+    NOP = 0
+    APRD = 1
+    APWR = 2
+    APRW = 3
+    FPRD = 4
+    FPWR = 5
+    FPRW = 6
+    BRD = 7
+    BWR = 8
+    BRW = 9
+    LRD = 10
+    LWR = 11
+    LRW = 12
+    ARMW = 13
+    FRMW = 14
+
+
+class Datagram(NamedTuple):
+    """One command to the slaves, and their answer.
+
+    Attributes:
+        command: A `Command`; others are passed on.
+        mark: The master's number to find the answer by.
+        address: Position or station address; the low half of a logical address.
+        offset: Register or memory address; the high half of a logical address.
+        data: To be written, or what was read.
+        counter: Working counter: how many slaves took part (+1 read, +1 written, +2 written by LRW).
+        flags: Reserved and circulating bits of the length field, kept as they are.
+        event: Event field, kept as it is.
+    """
+
+    command: int
+    mark: int
+    address: int
+    offset: int
+    data: bytes
+    counter: int = 0
+    flags: int = 0
+    event: int = 0
+
+    @property
+    def logical_address(self) -> int:
+        """Of LRD, LWR and LRW."""
+        return self.offset << 16 | self.address
+
+
+class Frame(NamedTuple):
+    """An Ethernet frame of EtherCAT datagrams."""
+
+    destination: bytes
+    source: bytes
+    datagrams: tuple[Datagram, ...]
+
+
+def decode(raw: bytes) -> Frame:
+    """The datagrams in an Ethernet frame.
+
+    Raises:
+        FrameError: Not EtherCAT, or cut off.
+    """
+    start = _ETHERNET.size + _ETHERCAT.size
+    if len(raw) < start:
+        raise FrameError(f"{len(raw)} bytes are too few for a frame")
+    destination, source, kind = _ETHERNET.unpack_from(raw)
+    (header,) = _ETHERCAT.unpack_from(raw, _ETHERNET.size)
+    end = start + (header & _LENGTH_MASK)
+    if kind != ETHERTYPE or header & 0xF000 != _DATAGRAMS:
+        raise FrameError(f"type {kind:#06x} with header {header:#06x} does not hold EtherCAT datagrams")
+    if end > len(raw):
+        raise FrameError("the frame is shorter than its header says")
+    datagrams, more = [], True
+    while more:
+        data_start = start + _DATAGRAM.size
+        if data_start > end:
+            raise FrameError("a datagram's header is cut off")
+        command, mark, address, offset, length, event = _DATAGRAM.unpack_from(raw, start)
+        data_end = data_start + (length & _LENGTH_MASK)
+        if data_end + _COUNTER.size > end:
+            raise FrameError("a datagram's data are cut off")
+        (counter,) = _COUNTER.unpack_from(raw, data_end)
+        flags, more = length & ~_LENGTH_MASK & ~_MORE_FOLLOW, bool(length & _MORE_FOLLOW)
+        data = bytes(raw[data_start:data_end])
+        datagrams.append(Datagram(command, mark, address, offset, data, counter, flags, event))
+        start = data_end + _COUNTER.size
+    return Frame(destination, source, tuple(datagrams))
+
+
+def encode(frame: Frame) -> bytes:
+    """The Ethernet frame, padded to the shortest allowed."""
+    parts = []
+    for left, datagram in zip(range(len(frame.datagrams) - 1, -1, -1), frame.datagrams, strict=True):
+        command, mark, address, offset, data, counter, flags, event = datagram
+        length = len(data) | flags | (_MORE_FOLLOW if left else 0)
+        parts += _DATAGRAM.pack(command, mark, address, offset, length, event), data, _COUNTER.pack(counter & 0xFFFF)
+    body = b"".join(parts)
+    ethernet = _ETHERNET.pack(frame.destination, frame.source, ETHERTYPE)
+    return (ethernet + _ETHERCAT.pack(len(body) | _DATAGRAMS) + body).ljust(SHORTEST_FRAME, b"\0")

@@ -1,0 +1,91 @@
+"""CANopen over EtherCAT in a slave's mailbox: SDO requests answered, emergencies sent (ETG.1000.6 §5.6)."""
+
+from struct import Struct, error, pack
+
+from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary
+
+MAILBOX_ERROR, COE = 0, 3
+"""Mailbox types (ETG.1000.4 Table 29)."""
+
+EMERGENCY, SDO_REQUEST, SDO_RESPONSE = 1, 2, 3
+"""CoE services (ETG.1000.6 Table 29). An abort is a request, whoever sends it."""
+
+UPLOAD, DOWNLOAD = 0x40, 0x20
+ABORT = 0x80
+COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
+"""SDO command byte (ETG.1000.6 §5.6.2): what, and its bits."""
+
+UNSUPPORTED_PROTOCOL = 0x0002
+"""Detail of a mailbox error: this mailbox type is not served."""
+
+_HEADER = Struct("<HHBB")
+_SDO = Struct("<HBHB")
+
+
+def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) -> bytes:
+    """The mailbox message that answers one.
+
+    Args:
+        dictionary: What is read and written.
+        request: Mailbox message of a master; anything may be in it.
+        may_assign: PDOs may be assigned in the present state.
+        room: Longest answer [bytes]; longer objects are refused, since segments are not supported.
+    """
+    try:
+        length, _, _, kind = _HEADER.unpack_from(request)
+        if kind & 0x0F != COE:
+            return _message(MAILBOX_ERROR, pack("<HH", 1, UNSUPPORTED_PROTOCOL))
+        coe, command, index, subindex = _SDO.unpack_from(request, _HEADER.size)
+        data = request[_HEADER.size + _SDO.size : _HEADER.size + length]
+    except error:
+        return _message(MAILBOX_ERROR, pack("<HH", 1, UNSUPPORTED_PROTOCOL))
+    try:
+        if coe >> 12 != SDO_REQUEST or command & COMPLETE:
+            raise Abort(Abort.UNKNOWN_COMMAND)
+        if command & COMMAND_MASK == UPLOAD:
+            return _sdo(SDO_RESPONSE, index, subindex, *_uploaded(dictionary.read(index, subindex), room))
+        if command & COMMAND_MASK == DOWNLOAD:
+            dictionary.write(index, subindex, _downloaded(command, data), may_assign)
+            return _sdo(SDO_RESPONSE, index, subindex, 0x60, bytes(4))
+        raise Abort(Abort.UNKNOWN_COMMAND)
+    except Abort as abort:
+        return _sdo(SDO_REQUEST, index, subindex, ABORT, pack("<I", abort.code))
+
+
+def emergency(code: int, register: int, detail: bytes = b"") -> bytes:
+    """An emergency message (ETG.1000.6 §5.6.4).
+
+    Args:
+        code: Error code, as in object 0x603F.
+        register: Error register, as in object 0x1001.
+        detail: Up to five bytes of the vendor's.
+    """
+    return _message(COE, pack("<HHB", EMERGENCY << 12, code, register) + detail[:5].ljust(5, b"\0"))
+
+
+def _uploaded(value: bytes, room: int) -> tuple[int, bytes]:
+    """Command and data of an upload: at most four bytes are expedited."""
+    if len(value) <= 4:
+        return UPLOAD | EXPEDITED | SIZE_GIVEN | (4 - len(value)) << 2, value.ljust(4, b"\0")
+    if _HEADER.size + _SDO.size + 4 + len(value) > room:
+        raise Abort(Abort.TOO_LONG)
+    return UPLOAD | SIZE_GIVEN, pack("<I", len(value)) + value
+
+
+def _downloaded(command: int, data: bytes) -> bytes:
+    """The value in a download."""
+    if command & EXPEDITED:
+        return data[: 4 - (command >> 2 & 3) if command & SIZE_GIVEN else 4]
+    size = int.from_bytes(data[:4], "little")
+    if size != len(data) - 4:
+        raise Abort(Abort.TOO_LONG)
+    return data[4:]
+
+
+def _sdo(service: int, index: int, subindex: int, command: int, data: bytes) -> bytes:
+    return _message(COE, _SDO.pack(service << 12, command, index, subindex) + data)
+
+
+def _message(kind: int, body: bytes) -> bytes:
+    """A mailbox message; the slave counts it when it is sent (bits 4–6 of the type byte)."""
+    return _HEADER.pack(len(body), 0, 0, kind) + body

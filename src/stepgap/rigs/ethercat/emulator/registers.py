@@ -1,0 +1,81 @@
+"""Registers of a slave controller: addresses, states and codes (ETG.1000.4 §6, ETG.1000.6 §6.4)."""
+
+from enum import IntEnum
+
+TYPE, FMMU_COUNT, SYNC_MANAGER_COUNT, RAM_SIZE, PORTS, FEATURES = 0x0000, 0x0004, 0x0005, 0x0006, 0x0007, 0x0008
+"""What the slave controller is (§6.1.1)."""
+
+STATION_ADDRESS, STATION_ALIAS = 0x0010, 0x0012
+DL_CONTROL, DL_STATUS = 0x0100, 0x0110
+"""Data link: DL_STATUS tells which ports are linked, open or looped back, and so the topology (§6.1.4)."""
+
+AL_CONTROL, AL_STATUS, AL_STATUS_CODE = 0x0120, 0x0130, 0x0134
+"""Application layer: state asked for, present state, why it was refused (ETG.1000.6 §5.3)."""
+
+PDI_CONTROL, INTERRUPT_MASK, ERROR_COUNTERS = 0x0140, 0x0200, 0x0300
+
+WATCHDOG_DIVIDER, WATCHDOG_TIME, WATCHDOG_STATUS, WATCHDOG_COUNTER = 0x0400, 0x0420, 0x0440, 0x0442
+"""Of the process data: (divider + 2) · 40 ns is the unit of the time; status bit 0 falls when it ran out (§6.3)."""
+
+PDI_WATCHDOG_TIME = 0x0410
+EEPROM_CONFIGURATION, EEPROM_CONTROL, EEPROM_ADDRESS, EEPROM_DATA = 0x0500, 0x0502, 0x0504, 0x0508
+"""Slave information interface (§6.4): write address and command, read the data."""
+
+EEPROM_READ, EEPROM_COMMANDS, EEPROM_ERRORS, EEPROM_READS_8_BYTES = 0x0100, 0x0700, 0x7800, 0x0040
+
+FMMU, FMMU_SIZE, FMMU_SLOTS = 0x0600, 16, 4
+"""Fieldbus memory management units (§6.6): logical address → memory."""
+
+SYNC_MANAGER, SYNC_MANAGER_SIZE, SYNC_MANAGER_SLOTS = 0x0800, 8, 4
+"""Sync managers (§6.7): 0 mailbox in, 1 mailbox out, 2 outputs, 3 inputs."""
+
+MAILBOX_FULL, SYNC_MANAGER_ENABLED, WATCHDOG_TRIGGER, REPEAT = 0x08, 0x01, 0x40, 0x02
+"""Bits of a sync manager's status, activation, control, and again activation and its echo."""
+
+DC_RECEIVE_TIME, DC_SYSTEM_TIME, DC_OFFSET, DC_END = 0x0900, 0x0910, 0x0920, 0x09A0
+"""Distributed clocks (§6.8)."""
+
+PROCESS_RAM, MEMORY_SIZE = 0x1000, 0x2000
+
+WRITABLE = (
+    (STATION_ADDRESS, STATION_ADDRESS + 2),
+    (DL_CONTROL, DL_CONTROL + 4),
+    (AL_CONTROL, AL_CONTROL + 2),
+    (INTERRUPT_MASK, INTERRUPT_MASK + 8),
+    (ERROR_COUNTERS, ERROR_COUNTERS + 20),
+    (WATCHDOG_DIVIDER, WATCHDOG_DIVIDER + 2),
+    (PDI_WATCHDOG_TIME, PDI_WATCHDOG_TIME + 2),
+    (WATCHDOG_TIME, WATCHDOG_TIME + 2),
+    (WATCHDOG_COUNTER, WATCHDOG_COUNTER + 2),
+    (EEPROM_CONFIGURATION, EEPROM_DATA),
+    (FMMU, FMMU + FMMU_SLOTS * FMMU_SIZE),
+    (SYNC_MANAGER, SYNC_MANAGER + SYNC_MANAGER_SLOTS * SYNC_MANAGER_SIZE),
+    (DC_OFFSET, DC_END),
+    (PROCESS_RAM, MEMORY_SIZE),
+)
+"""Ranges [from, to) that a master may write; elsewhere writing changes nothing."""
+
+
+class State(IntEnum):
+    """States of the application layer (ETG.1000.6 §6.4.1)."""
+
+    INIT = 1
+    PREOP = 2
+    SAFEOP = 4
+    OP = 8
+
+
+ERROR_FLAG = ACKNOWLEDGE = 0x10
+"""Bit of AL_STATUS: the last change was refused or a state was lost; bit of AL_CONTROL: the master has seen it."""
+
+
+class StatusCode(IntEnum):
+    """Why a state was refused or lost (ETG.1000.6 Table 11)."""
+
+    NONE = 0x0000
+    INVALID_CHANGE = 0x0011
+    UNKNOWN_STATE = 0x0012
+    INVALID_MAILBOX = 0x0016
+    WATCHDOG = 0x001B
+    INVALID_OUTPUTS = 0x001D
+    INVALID_INPUTS = 0x001E

@@ -1,0 +1,239 @@
+"""The ring: a frame in, frames out, and a machine that moves on with them; no sockets and no clock in it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+
+from stepgap.rigs.ethercat.emulator import registers as reg
+from stepgap.rigs.ethercat.emulator.drive import SPEED_RUN_AWAY, Drive, DriveSettings
+from stepgap.rigs.ethercat.emulator.faults import (
+    DriveFault,
+    DuplicatedFrame,
+    Fault,
+    LateFrame,
+    LostFrames,
+    PowerLost,
+    SentEmergency,
+    Silence,
+    Stalled,
+    Unplugged,
+    WrongMapping,
+)
+from stepgap.rigs.ethercat.emulator.frame import Command, Datagram, Frame, FrameError, decode, encode
+from stepgap.rigs.ethercat.emulator.machine import Machine
+from stepgap.rigs.ethercat.emulator.mailbox import emergency
+from stepgap.rigs.ethercat.emulator.registers import State, StatusCode
+from stepgap.rigs.ethercat.emulator.slave import Device, Slave
+from stepgap.rigs.ethercat.emulator.terminals import AnalogInput, Coupler, Encoder
+from stepgap.rigs.rig import RigFault
+
+_COUNTED_ON = frozenset({Command.APRD, Command.APWR, Command.APRW, Command.ARMW, Command.BRD, Command.BWR, Command.BRW})
+_OUTPUTS = frozenset({Command.LRW, Command.LWR})
+_SEEN = 0x02
+"""Bit that slaves set in the first byte of a frame's source address."""
+
+
+@dataclass(frozen=True)
+class RingSettings:
+    """How the ring is made up and how it passes frames.
+
+    Attributes:
+        rated_torque: What 1000 of a drive's torque means [mN·m].
+        largest_torque: The drives' limit in 1/1000 of `rated_torque`.
+        force_resolution: Contact force of one count of the analog input [N].
+        lock_step: A frame with outputs is one tick of the machine; otherwise `Ring.advance` makes ticks.
+        inputs_after_tick: In lock-step, such a frame brings back the inputs after its tick, as if sensors were faster
+            than the frame; otherwise those before it, as on a real ring, where a cycle passes before an effect is seen.
+        faults: Scripted disturbances.
+    """
+
+    rated_torque: int = 16_000
+    largest_torque: int = 2500
+    force_resolution: float = 0.1
+    lock_step: bool = True
+    inputs_after_tick: bool = False
+    faults: tuple[Fault, ...] = ()
+
+
+def robot_devices(settings: RingSettings, period: float) -> list[Device]:
+    """The robot's ring in order: `drive_1`, `drive_2`, `coupler`, `boom_horizontal`, `boom_vertical`, `contact_force`.
+
+    Args:
+        settings: Torque and force scales.
+        period: Of a tick [s].
+    """
+    drive = DriveSettings(rated_torque=settings.rated_torque, largest_torque=settings.largest_torque, period=period)
+    return [
+        *(Drive(f"drive_{motor}", drive, attrgetter(f"motor_{motor}")) for motor in (1, 2)),
+        Coupler("coupler"),
+        *(Encoder(name, attrgetter(name)) for name in ("boom_horizontal", "boom_vertical")),
+        AnalogInput("contact_force", attrgetter("contact_force"), settings.force_resolution),
+    ]
+
+
+class Ring:
+    """Slaves in a line, two of them the drives of a machine's motors 1 and 2.
+
+    The machine stands still until every drive has been enabled once, and goes back to its start when a master
+    broadcasts INIT, as masters do first of all.
+
+    Args:
+        machine: What the drives move.
+        settings: How frames pass.
+        devices: In the order in which frames pass them; the robot's by default.
+
+    Raises:
+        ValueError: There are not two drives, names are not distinct, or a fault names none of them.
+    """
+
+    def __init__(self, machine: Machine, settings: RingSettings, devices: Sequence[Device] | None = None):
+        self.slaves = [Slave(device) for device in devices or robot_devices(settings, machine.period)]
+        self._by_name = {slave.device.name: slave for slave in self.slaves}
+        self.drives = [slave.device for slave in self.slaves if isinstance(slave.device, Drive)]
+        if len(self.drives) != 2 or len(self._by_name) < len(self.slaves):
+            raise ValueError(f"a ring needs two drives and distinct names, not {', '.join(self._by_name)}")
+        for fault in settings.faults:
+            name = getattr(fault, "slave", self.slaves[0].device.name)
+            if name not in self._by_name:
+                raise ValueError(f"{fault} names no slave; those are {', '.join(self._by_name)}")
+        self._machine, self._settings = machine, settings
+        self._period = round(machine.period * 1e9)
+        self.cycles = 0
+        """Frames with outputs so far, lost ones included."""
+        self.ticks = 0
+        """Ticks of the ring's time; the machine may have stood still in some."""
+        self._late: list[bytes] = []
+        self._start()
+        for fault in settings.faults:
+            if isinstance(fault, WrongMapping) and fault.cycle == 0:
+                self._by_name[fault.slave].wrong_mapping = True
+        self._reach(len(self.slaves))
+
+    def pass_frame(self, raw: bytes) -> list[bytes]:
+        """The frames that come back for one sent; none for what is not EtherCAT."""
+        try:
+            frame = decode(raw)
+        except FrameError:
+            return []
+        if not any(datagram.command in _OUTPUTS for datagram in frame.datagrams):
+            return self._answers(frame)
+        return self._pass_cycle(frame)
+
+    def advance(self) -> None:
+        """One tick of time: the slaves act on their outputs, the machine moves, the slaves sense."""
+        for slave in self.slaves:
+            slave.take_outputs()
+        if all(drive.is_enabled for drive in self.drives):
+            self._released = True
+        if self._released:
+            try:
+                self._reading = self._machine.tick(self.drives[0].torque, self.drives[1].torque)
+            except RigFault:
+                for drive in self.drives:
+                    drive.trip(SPEED_RUN_AWAY)
+        self.ticks += 1
+        for slave in self.slaves:
+            slave.give_inputs(self._reading, self.ticks * self._period)
+
+    def _start(self) -> None:
+        self._reading, self._released = self._machine.start(), False
+        for slave in self.slaves:
+            slave.device.sense(self._reading)
+
+    def _pass_cycle(self, frame: Frame) -> list[bytes]:
+        """A frame with outputs, disturbed as the script says; in lock-step a tick follows."""
+        cycle, settings = self.cycles, self._settings
+        self.cycles += 1
+        lost, copies, late = False, 1, False
+        if settings.faults:
+            self._disturb(cycle)
+            lost = any(isinstance(fault, LostFrames) and _lasts(fault, cycle) for fault in settings.faults)
+            copies += DuplicatedFrame(cycle) in settings.faults
+            late = LateFrame(cycle) in settings.faults
+        answers = [] if lost else self._answers(frame)
+        if settings.lock_step:
+            self.advance()
+            if settings.inputs_after_tick:
+                answers = [self._sensed_anew(answer) for answer in answers]
+        answers, self._late = self._late + answers * copies, []
+        if late:
+            answers, self._late = [], answers
+        return answers
+
+    def _answers(self, frame: Frame) -> list[bytes]:
+        """The frame after it has passed all slaves in reach; nothing where the first one is not."""
+        if self._reached == 0:
+            return []
+        if any(datagram.command == Command.BWR and _asks_for_init(datagram) for datagram in frame.datagrams):
+            self._start()
+        datagrams = tuple(self._pass(datagram) for datagram in frame.datagrams)
+        source = bytes([frame.source[0] | _SEEN]) + frame.source[1:]
+        return [encode(Frame(frame.destination, source, datagrams))]
+
+    def _pass(self, datagram: Datagram) -> Datagram:
+        command, _, address, offset, sent, counter, _, _ = datagram
+        data = bytearray(sent)
+        for slave in self.slaves[: self._reached]:
+            counter += slave.exchange(command, address, offset, data)
+            if command in _COUNTED_ON:
+                address = address + 1 & 0xFFFF
+        return datagram._replace(address=address, data=bytes(data), counter=counter & 0xFFFF)
+
+    def _sensed_anew(self, raw: bytes) -> bytes:
+        """An answer with the inputs as they are now."""
+        frame, datagrams = decode(raw), []
+        for datagram in frame.datagrams:
+            data = bytearray(datagram.data)
+            if datagram.command == Command.LRW:
+                for slave in self.slaves[: self._reached]:
+                    slave.exchange(Command.LRD, datagram.address, datagram.offset, data)
+            datagrams.append(datagram._replace(data=bytes(data)))
+        return encode(frame._replace(datagrams=tuple(datagrams)))
+
+    def _reach(self, count: int) -> None:
+        """Frames turn back after so many slaves, and the ports say so."""
+        self._reached = count
+        for number, slave in enumerate(self.slaves, 1):
+            slave.link(1 if number in (count, len(self.slaves)) else 2)
+
+    def _disturb(self, cycle: int) -> None:
+        """What the script does to slaves and time in this cycle."""
+        reached, number = len(self.slaves), {name: place for place, name in enumerate(self._by_name)}
+        for fault in self._settings.faults:
+            if isinstance(fault, Stalled):
+                self._by_name[fault.slave].stalled = _lasts(fault, cycle)
+            elif isinstance(fault, Unplugged) and _lasts(fault, cycle):
+                reached = min(reached, number[fault.slave])
+            if fault.cycle == cycle:
+                self._begin(fault)
+        if reached != self._reached:
+            self._reach(reached)
+
+    def _begin(self, fault: Fault) -> None:
+        """What happens once."""
+        slave = self._by_name.get(getattr(fault, "slave", ""))
+        if isinstance(fault, Silence):
+            for _ in range(fault.ticks):
+                self.advance()
+        if slave is None:
+            return
+        if isinstance(fault, PowerLost):
+            slave.power_on()
+            self._reach(self._reached)
+        elif isinstance(fault, DriveFault) and isinstance(slave.device, Drive):
+            slave.device.trip(fault.code)
+        elif isinstance(fault, SentEmergency):
+            slave.device.messages.append(emergency(fault.code, 0))
+        elif isinstance(fault, WrongMapping):
+            slave.wrong_mapping = True
+            if slave.state in (State.SAFEOP, State.OP):
+                slave.drop(State.PREOP, StatusCode.INVALID_INPUTS)
+
+
+def _lasts(fault: LostFrames | Unplugged, cycle: int) -> bool:
+    return fault.cycle <= cycle < fault.cycle + fault.cycles
+
+
+def _asks_for_init(datagram: Datagram) -> bool:
+    place = reg.AL_CONTROL - datagram.offset
+    return 0 <= place < len(datagram.data) and datagram.data[place] & 0x0F == State.INIT

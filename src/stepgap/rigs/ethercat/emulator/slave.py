@@ -1,0 +1,383 @@
+"""A slave controller: registers, FMMUs, sync managers, mailbox, watchdog, states (ETG.1000.4 §6, ETG.1000.6 §6.4)."""
+
+from abc import ABC, abstractmethod
+from collections import deque
+from struct import pack_into, unpack_from
+from typing import NamedTuple
+
+from stepgap.rigs.ethercat.emulator import registers as reg
+from stepgap.rigs.ethercat.emulator.dictionary import ASSIGN_INPUTS, ASSIGN_OUTPUTS, Dictionary, Image
+from stepgap.rigs.ethercat.emulator.frame import Command
+from stepgap.rigs.ethercat.emulator.mailbox import answer
+from stepgap.rigs.ethercat.emulator.registers import State, StatusCode
+from stepgap.rigs.ethercat.emulator.sii import (
+    INPUT_CONTROL,
+    INPUT_START,
+    MAILBOX_AREAS,
+    OUTPUT_CONTROL,
+    OUTPUT_START,
+    Area,
+    Identity,
+    build_image,
+)
+from stepgap.rigs.rig import Reading
+
+NO_IMAGE = Image(())
+
+_READS = frozenset({Command.APRD, Command.FPRD, Command.BRD, Command.APRW, Command.FPRW, Command.BRW, Command.LRD})
+_WRITES = frozenset({Command.APWR, Command.FPWR, Command.BWR, Command.APRW, Command.FPRW, Command.BRW, Command.LWR})
+_BY_POSITION = frozenset({Command.APRD, Command.APWR, Command.APRW})
+_BY_STATION = frozenset({Command.FPRD, Command.FPWR, Command.FPRW})
+_BROADCAST = frozenset({Command.BRD, Command.BWR, Command.BRW})
+_WRITABLE = bytearray(reg.MEMORY_SIZE)
+for _start, _end in reg.WRITABLE:
+    _WRITABLE[_start:_end] = b"\1" * (_end - _start)
+
+
+class Device(ABC):
+    """What sits behind a slave controller: a drive or a terminal.
+
+    Args:
+        name: What it is called in this ring.
+        identity: Who it is.
+        dictionary: Its objects; without one it has neither mailbox nor process data.
+    """
+
+    def __init__(self, name: str, identity: Identity, dictionary: Dictionary | None = None):
+        self.name, self.identity, self.dictionary = name, identity, dictionary
+        self.messages: list[bytes] = []
+        """Mailbox messages to be sent, emergencies."""
+
+    @abstractmethod
+    def update(self, operational: bool) -> None:
+        """Acts on the outputs in the dictionary, once a tick; they are valid only where `operational`."""
+
+    @abstractmethod
+    def sense(self, reading: Reading) -> None:
+        """Puts what the machine's sensors say into the dictionary, once a tick."""
+
+    @abstractmethod
+    def power_on(self) -> None:
+        """Begins anew, as after a loss of power."""
+
+
+class _Fmmu(NamedTuple):
+    """An active mapping: logical bytes [start, end) ↔ memory from `place` on (ETG.1000.4 §6.6; whole bytes only)."""
+
+    start: int
+    end: int
+    place: int
+    reads: bool
+    writes: bool
+
+
+class Slave:
+    """A slave controller with a device behind it."""
+
+    def __init__(self, device: Device):
+        self.device = device
+        areas: tuple[Area, ...] = ()
+        if device.dictionary is not None:
+            outputs, inputs = (device.dictionary.image(which).length for which in (ASSIGN_OUTPUTS, ASSIGN_INPUTS))
+            ports = Area(OUTPUT_START, outputs, OUTPUT_CONTROL, 3), Area(INPUT_START, inputs, INPUT_CONTROL, 4)
+            areas = MAILBOX_AREAS + ports
+        self._areas = areas
+        self._eeprom = build_image(device.identity, areas)
+        self.stalled = False
+        """The device no longer acts nor senses; the slave controller goes on."""
+        self.wrong_mapping = False
+        """The device wants one byte more than the PDOs assigned to it have."""
+        self.power_on()
+
+    @property
+    def state(self) -> State:
+        """Present state of the application layer."""
+        return State(self.memory[reg.AL_STATUS] & 0x0F)
+
+    @property
+    def status_code(self) -> int:
+        """Why the last change of state was refused, or a state was lost."""
+        return unpack_from("<H", self.memory, reg.AL_STATUS_CODE)[0]
+
+    def power_on(self) -> None:
+        """Everything as after power-up."""
+        self.memory = bytearray(reg.MEMORY_SIZE)
+        self.memory[reg.TYPE] = 0x11
+        self.memory[reg.FMMU_COUNT : reg.FEATURES] = bytes([reg.FMMU_SLOTS, reg.SYNC_MANAGER_SLOTS, 4, 0x0F])
+        pack_into("<H", self.memory, reg.FEATURES, 0x000C)  # distributed clocks, 64 bit
+        self.memory[reg.PDI_CONTROL] = 0x05 if self._areas else 0x00
+        pack_into("<H", self.memory, reg.WATCHDOG_DIVIDER, 2498)
+        pack_into("<H", self.memory, reg.WATCHDOG_TIME, 1000)  # 100 ms
+        pack_into("<H", self.memory, reg.PDI_WATCHDOG_TIME, 1000)
+        self.memory[reg.WATCHDOG_STATUS] = 1
+        self._fmmus: list[_Fmmu] = []
+        self._mail: deque[bytes] = deque()
+        self._sent, self._mail_counter = b"", 0
+        self._time = self._written = 0
+        self._outputs, self._inputs, self._outputs_at, self._inputs_at = NO_IMAGE, NO_IMAGE, 0, 0
+        self._set_state(State.INIT)
+        self.device.power_on()
+
+    def link(self, ports: int) -> None:
+        """Says that the first `ports` (1 or 2) are linked, the others looped (DL_STATUS, ETG.1000.4 §6.1.4)."""
+        pack_into("<H", self.memory, reg.DL_STATUS, 0x5611 if ports == 1 else 0x5A31)
+
+    def exchange(self, command: int, address: int, offset: int, data: bytearray) -> int:
+        """Takes part in a datagram that passes (ETG.1000.4 §5.4.1); changes `data`.
+
+        Returns:
+            By how much the working counter grows.
+        """
+        if Command.LRD <= command <= Command.LRW:
+            return self._exchange_logical(command, offset << 16 | address, data)
+        if command in _BY_POSITION:
+            taken = address == 0
+        elif command in _BY_STATION:
+            taken = address == self._word(reg.STATION_ADDRESS)
+        elif command in (Command.ARMW, Command.FRMW):
+            own = 0 if command == Command.ARMW else self._word(reg.STATION_ADDRESS)
+            return self._read_into(offset, data) if address == own else self._write(offset, bytes(data))
+        else:
+            taken = command in _BROADCAST
+        if not taken:
+            return 0
+        written = bytes(data)
+        counter = self._read_into(offset, data, command in _BROADCAST) if command in _READS else 0
+        if command in _WRITES:
+            counter += self._write(offset, written) * (2 if command in _READS else 1)
+        return counter
+
+    def take_outputs(self) -> None:
+        """Before a tick of the machine: watches over the outputs and lets the device act on them."""
+        if self.state is State.OP:
+            self._watch()
+        if not self.stalled:
+            operational = self.state is State.OP
+            if operational:
+                start = self._outputs_at
+                self._outputs.unpack(bytes(self.memory[start : start + self._outputs.length]))
+            self.device.update(operational)
+        self._mail += self.device.messages
+        self.device.messages.clear()
+        self._load_mail()
+
+    def give_inputs(self, reading: Reading, time: int) -> None:
+        """After a tick of the machine: what the sensors say, and the ring's time [ns]."""
+        self._time = time
+        pack_into("<Q", self.memory, reg.DC_SYSTEM_TIME, time)
+        if self.stalled:
+            return
+        self.device.sense(reading)
+        self._refresh_inputs()
+
+    def drop(self, state: State, code: StatusCode) -> None:
+        """Falls back to a state and says why; the master has to acknowledge it."""
+        self._set_state(state, code)
+
+    def _refresh_inputs(self) -> None:
+        if self.state >= State.SAFEOP and self._inputs.length:
+            self.memory[self._inputs_at : self._inputs_at + self._inputs.length] = self._inputs.pack()
+
+    def _watch(self) -> None:
+        """The watchdog of the process data (ETG.1000.4 §6.3, ETG.1000.6 §6.4.1): back to SAFEOP."""
+        limit = self._word(reg.WATCHDOG_TIME) * (self._word(reg.WATCHDOG_DIVIDER) + 2) * 40
+        if self._outputs.length and limit and self._time - self._written >= limit:
+            self.memory[reg.WATCHDOG_STATUS] = 0
+            self.memory[reg.WATCHDOG_COUNTER] = min(self.memory[reg.WATCHDOG_COUNTER] + 1, 255)
+            self.drop(State.SAFEOP, StatusCode.WATCHDOG)
+
+    # ---- memory
+
+    def _word(self, address: int) -> int:
+        return self.memory[address] | self.memory[address + 1] << 8
+
+    def _exchange_logical(self, command: int, address: int, data: bytearray) -> int:
+        """LRD, LWR, LRW: old memory goes out, new data come in, through every FMMU that overlaps."""
+        read = written = False
+        end, incoming = address + len(data), bytes(data)
+        for fmmu in self._fmmus:
+            low, high = max(address, fmmu.start), min(end, fmmu.end)
+            if low >= high:
+                continue
+            place, part = fmmu.place + low - fmmu.start, slice(low - address, high - address)
+            if fmmu.reads and command != Command.LWR:
+                data[part] = self.memory[place : place + high - low]
+                read = True
+            if fmmu.writes and command != Command.LRD:
+                written |= bool(self._write(place, incoming[part]))
+        return read + written * (2 if command == Command.LRW else 1)
+
+    def _read_into(self, offset: int, data: bytearray, combine: bool = False) -> int:
+        """Copies memory into `data`, or for a broadcast ORs it; 1 if it could be read."""
+        end = offset + len(data)
+        if end > reg.MEMORY_SIZE or not data:
+            return 0
+        start, length, full = self._mailbox(1)
+        mail = start <= offset < start + length
+        if mail and not full:
+            return 0
+        found = self.memory[offset:end]
+        data[:] = bytes(a | b for a, b in zip(data, found, strict=True)) if combine else found
+        if mail and end >= start + length:
+            self.memory[reg.SYNC_MANAGER + reg.SYNC_MANAGER_SIZE + 5] &= ~reg.MAILBOX_FULL
+            self._load_mail()
+        return 1
+
+    def _write(self, offset: int, data: bytes) -> int:
+        """Writes where a master may, and does what the registers written stand for; 1 if it could be written."""
+        end = offset + len(data)
+        if end > reg.MEMORY_SIZE or not data:
+            return 0
+        if offset >= reg.PROCESS_RAM:
+            self.memory[offset:end] = data
+            self._take_written(offset, end)
+            return 1
+        for place, byte in enumerate(data, offset):
+            if _WRITABLE[place]:
+                self.memory[place] = byte
+        self._act_on_registers(offset, end)
+        return 1
+
+    def _act_on_registers(self, start: int, end: int) -> None:
+        def touches(register: int, size: int) -> bool:
+            return start < register + size and register < end
+
+        if touches(reg.AL_CONTROL, 1):
+            self._request_state(self.memory[reg.AL_CONTROL])
+        if touches(reg.EEPROM_CONTROL, 2):
+            self._serve_eeprom()
+        if touches(reg.FMMU, reg.FMMU_SLOTS * reg.FMMU_SIZE):
+            self._fmmus = [fmmu for slot in range(reg.FMMU_SLOTS) if (fmmu := self._read_fmmu(slot))]
+        if touches(reg.SYNC_MANAGER, reg.SYNC_MANAGER_SLOTS * reg.SYNC_MANAGER_SIZE):
+            self._repeat_mail()
+        if touches(reg.DC_RECEIVE_TIME, 4):
+            pack_into("<II", self.memory, reg.DC_RECEIVE_TIME, *2 * (self._time & 0xFFFFFFFF,))
+
+    def _take_written(self, start: int, end: int) -> None:
+        """Process data feed the watchdog; the last byte of a mailbox sets it off."""
+        base = reg.SYNC_MANAGER + 2 * reg.SYNC_MANAGER_SIZE
+        place, length = unpack_from("<HH", self.memory, base)
+        if start < place + length and place < end and self.memory[base + 4] & reg.WATCHDOG_TRIGGER:
+            self._written = self._time
+            self.memory[reg.WATCHDOG_STATUS] = 1
+        place, length, _ = self._mailbox(0)
+        if self.device.dictionary and start < place + length <= end and self.state is not State.INIT:
+            request = bytes(self.memory[place : place + length])
+            room = self._mailbox(1)[1]
+            self._mail.append(answer(self.device.dictionary, request, self.state is State.PREOP, room))
+            self._load_mail()
+
+    def _read_fmmu(self, slot: int) -> _Fmmu | None:
+        """The mapping in a slot if it is active and within memory; `length` counts bytes."""
+        base = reg.FMMU + slot * reg.FMMU_SIZE
+        start, length, _, _, place, _, kind, active = unpack_from("<IHBBHBBB", self.memory, base)
+        if not active & 1 or place < reg.PROCESS_RAM or place + length > reg.MEMORY_SIZE:
+            return None
+        return _Fmmu(start, start + length, place, bool(kind & 1), bool(kind & 2))
+
+    # ---- mailbox (ETG.1000.4 §5.6)
+
+    def _mailbox(self, number: int) -> tuple[int, int, bool]:
+        """Start, length and fullness of sync manager 0 or 1; no length where it is off or not in free memory."""
+        base = reg.SYNC_MANAGER + number * reg.SYNC_MANAGER_SIZE
+        start, length, _, status, active = unpack_from("<HHBBB", self.memory, base)
+        on = active & reg.SYNC_MANAGER_ENABLED and reg.PROCESS_RAM <= start <= reg.MEMORY_SIZE - length
+        return start, length if on else 0, bool(status & reg.MAILBOX_FULL)
+
+    def _load_mail(self) -> None:
+        """Puts the next message into an empty outgoing mailbox."""
+        start, length, full = self._mailbox(1)
+        if self._mail and length and not full:
+            message = bytearray(self._mail.popleft())
+            self._mail_counter = self._mail_counter % 7 + 1
+            message[5] |= self._mail_counter << 4
+            self._put_mail(bytes(message), start, length)
+
+    def _put_mail(self, message: bytes, start: int, length: int) -> None:
+        self._sent = message
+        self.memory[start : start + length] = message.ljust(length, b"\0")[:length]
+        self.memory[reg.SYNC_MANAGER + reg.SYNC_MANAGER_SIZE + 5] |= reg.MAILBOX_FULL
+
+    def _repeat_mail(self) -> None:
+        """A master that lost an answer toggles the repeat bit, and finds its echo when the answer lies there again."""
+        base = reg.SYNC_MANAGER + reg.SYNC_MANAGER_SIZE
+        if (self.memory[base + 6] ^ self.memory[base + 7]) & reg.REPEAT:
+            start, length, _ = self._mailbox(1)
+            if length and self._sent:
+                self._put_mail(self._sent, start, length)
+            self.memory[base + 7] ^= reg.REPEAT
+
+    # ---- EEPROM
+
+    def _serve_eeprom(self) -> None:
+        """Reads eight bytes at a word address (ETG.1000.4 §6.4); writing is not supported and changes nothing."""
+        if self._word(reg.EEPROM_CONTROL) & reg.EEPROM_COMMANDS == reg.EEPROM_READ:
+            place = 2 * unpack_from("<I", self.memory, reg.EEPROM_ADDRESS)[0]
+            content = self._eeprom[place : place + 8].ljust(8, b"\xff")
+            self.memory[reg.EEPROM_DATA : reg.EEPROM_DATA + 8] = content
+        pack_into("<H", self.memory, reg.EEPROM_CONTROL, reg.EEPROM_READS_8_BYTES)
+
+    # ---- states
+
+    def _set_state(self, state: State, code: StatusCode = StatusCode.NONE) -> None:
+        pack_into("<H", self.memory, reg.AL_STATUS, state | (reg.ERROR_FLAG if code else 0))
+        pack_into("<H", self.memory, reg.AL_STATUS_CODE, code)
+
+    def _request_state(self, control: int) -> None:
+        """A master asks for a state (ETG.1000.6 §6.4.1): up one at a time, down at will, errors acknowledged first."""
+        if self.memory[reg.AL_STATUS] & reg.ERROR_FLAG and not control & reg.ACKNOWLEDGE:
+            return
+        wanted, present = control & 0x0F, self.state
+        if wanted not in tuple(State):
+            self._set_state(present, StatusCode.UNKNOWN_STATE)
+        elif wanted > 2 * present:
+            self._set_state(present, StatusCode.INVALID_CHANGE)
+        else:
+            self._set_state(*self._enter(State(wanted), present))
+            self._refresh_inputs()
+
+    def _enter(self, wanted: State, present: State) -> tuple[State, StatusCode]:
+        """The state reached, and why it is not the one wanted."""
+        if wanted is State.INIT:
+            self._mail.clear()
+            return wanted, StatusCode.NONE
+        if wanted is State.PREOP and present is State.INIT and not self._managers_agree(0, 1):
+            return present, StatusCode.INVALID_MAILBOX
+        if wanted is State.SAFEOP and present is State.PREOP:
+            return self._enter_safe_operational()
+        if wanted is State.OP:
+            self._written = self._time
+        return wanted, StatusCode.NONE
+
+    def _enter_safe_operational(self) -> tuple[State, StatusCode]:
+        """The lengths that the master mapped must be those of the assigned PDOs."""
+        dictionary = self.device.dictionary
+        self._outputs, self._inputs = NO_IMAGE, NO_IMAGE
+        if dictionary is not None:
+            outputs, inputs = dictionary.image(ASSIGN_OUTPUTS), dictionary.image(ASSIGN_INPUTS)
+            more = 1 if self.wrong_mapping else 0
+            if not self._maps(2, outputs.length):
+                return State.PREOP, StatusCode.INVALID_OUTPUTS
+            if not self._maps(3, inputs.length + more):
+                return State.PREOP, StatusCode.INVALID_INPUTS
+            self._outputs, self._inputs = outputs, inputs
+            self._outputs_at, self._inputs_at = self._manager(2)[0], self._manager(3)[0]
+        return State.SAFEOP, StatusCode.NONE
+
+    def _maps(self, number: int, expected: int) -> bool:
+        """A sync manager of process data is on, in free memory, as long as expected; off where nothing is."""
+        start, length, enabled = self._manager(number)
+        if not expected:
+            return not (enabled and length)
+        return enabled and length == expected and reg.PROCESS_RAM <= start <= reg.MEMORY_SIZE - length
+
+    def _managers_agree(self, *numbers: int) -> bool:
+        """The mailboxes lie where the EEPROM says."""
+        return not self._areas or all(
+            self._manager(number) == (self._areas[number].start, self._areas[number].length, True) for number in numbers
+        )
+
+    def _manager(self, number: int) -> tuple[int, int, bool]:
+        base = reg.SYNC_MANAGER + number * reg.SYNC_MANAGER_SIZE
+        start, length = unpack_from("<HH", self.memory, base)
+        return start, length, bool(self.memory[base + 6] & reg.SYNC_MANAGER_ENABLED)

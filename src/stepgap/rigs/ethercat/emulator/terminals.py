@@ -1,0 +1,98 @@
+"""Coupler, encoder terminal and analog input terminal, like Beckhoff's EK1100, EL5151 and EL3101."""
+
+from collections.abc import Callable
+
+from stepgap.rigs.ethercat.emulator.dictionary import Dictionary, Entry, Mapped
+from stepgap.rigs.ethercat.emulator.sii import Identity
+from stepgap.rigs.ethercat.emulator.slave import Device
+from stepgap.rigs.rig import Reading
+
+BECKHOFF = 0x00000002
+COUPLER_IDENTITY = Identity("EK1100", BECKHOFF, 0x044C2C52, 0x00110000)
+ENCODER_IDENTITY = Identity("EL5151", BECKHOFF, 0x141F3052, 0x00110000)
+ANALOG_IDENTITY = Identity("EL3101", BECKHOFF, 0x0C1D3052, 0x00110000)
+
+INPUTS, OUTPUTS, VALUE, LATCH = 0x6000, 0x7000, 0x11, 0x12
+"""Objects and subindices of a terminal's first channel (ETG.5001)."""
+
+
+class Coupler(Device):
+    """Joins terminals to the ring; neither mailbox nor process data."""
+
+    def __init__(self, name: str, identity: Identity = COUPLER_IDENTITY):
+        super().__init__(name, identity)
+
+    def update(self, operational: bool) -> None:
+        """Nothing to act on."""
+
+    def sense(self, reading: Reading) -> None:
+        """Nothing to sense."""
+
+    def power_on(self) -> None:
+        """Nothing to forget."""
+
+
+class Encoder(Device):
+    """An incremental encoder's counter, 32 bits, which wraps; it can be latched and set in reality, not here.
+
+    Args:
+        name: What it is called in the ring.
+        counts: The encoder's counts in a reading.
+        identity: Who it is.
+    """
+
+    def __init__(self, name: str, counts: Callable[[Reading], float], identity: Identity = ENCODER_IDENTITY):
+        self._counts = counts
+        super().__init__(name, identity)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """PDOs as after power-up; the counter follows the machine, as if the encoder were absolute."""
+        self._counter = Entry(0, 32)
+        objects = {
+            (INPUTS, VALUE): self._counter,
+            (INPUTS, LATCH): Entry(0, 32),
+            (OUTPUTS, VALUE): Entry(0, 32, writable=True),
+        }
+        outputs = {0x1600: (Mapped(0, 0, 16), Mapped(OUTPUTS, VALUE, 32))}
+        inputs = {0x1A00: (Mapped(0, 0, 16), Mapped(INPUTS, VALUE, 32), Mapped(INPUTS, LATCH, 32))}
+        self.dictionary = Dictionary(self.identity, objects, outputs, inputs, (0x1600,), (0x1A00,))
+
+    def update(self, operational: bool) -> None:
+        """Setting the counter is not supported."""
+
+    def sense(self, reading: Reading) -> None:
+        """The counter, which wraps at 2³²."""
+        self._counter.value = round(self._counts(reading)) & 0xFFFFFFFF
+
+
+class AnalogInput(Device):
+    """An analog input of 16 bits, saturating.
+
+    Args:
+        name: What it is called in the ring.
+        value: The value in a reading.
+        resolution: Value of one count.
+        identity: Who it is.
+    """
+
+    def __init__(
+        self, name: str, value: Callable[[Reading], float], resolution: float, identity: Identity = ANALOG_IDENTITY
+    ):
+        self._value, self._resolution = value, resolution
+        super().__init__(name, identity)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """PDOs as after power-up."""
+        self._counts = Entry(0, 16, True)
+        objects = {(INPUTS, VALUE): self._counts}
+        inputs = {0x1A00: (Mapped(0, 0, 16), Mapped(INPUTS, VALUE, 16))}
+        self.dictionary = Dictionary(self.identity, objects, {}, inputs, (), (0x1A00,))
+
+    def update(self, operational: bool) -> None:
+        """Nothing to act on."""
+
+    def sense(self, reading: Reading) -> None:
+        """The value in counts."""
+        self._counts.value = min(max(round(self._value(reading) / self._resolution), -32768), 32767)

@@ -1,0 +1,291 @@
+"""The ring over a veth pair, with SOEM (pysoem) as its master and the twin behind the drives."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from struct import Struct, pack
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stepgap.hopper.parameters import RobotParameters
+from stepgap.rigs.ethercat.emulator.emulator import emulated
+from stepgap.rigs.ethercat.emulator.faults import DriveFault, LostFrames, PowerLost, Silence, WrongMapping
+from stepgap.rigs.ethercat.emulator.machine import Machine, TwinMachine
+from stepgap.rigs.ethercat.emulator.network import RING_END, NoNetwork, raw_socket, veth_pair
+from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
+from tests.rigs.ethercat.emulator.bench import (
+    DRIVE_INPUT,
+    DRIVE_OUTPUT,
+    DRIVES,
+    ENCODER_INPUT,
+    ENCODERS,
+    LENGTHS,
+    Flywheels,
+)
+
+INTERFACE = f"sg{os.getpid() % 10**7}"
+ANALOG_INPUT = Struct("<Hh")
+PREOP, SAFEOP, OP, ERROR = 2, 4, 8, 0x10
+LONGEST_RUN = 100_000
+TIMEOUT = 50_000
+"""Longest wait for a frame [µs]; a lost one costs it."""
+
+pysoem: Any = pytest.importorskip("pysoem", reason="the master of these tests is missing: pip install pysoem")
+
+
+def make_twin() -> Machine:
+    return TwinMachine(Twin(RobotParameters(), RealityGap(), np.random.default_rng(0)))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _network() -> None:
+    try:
+        with veth_pair(INTERFACE) as end, raw_socket(end):
+            pass
+    except NoNetwork as reason:
+        pytest.skip(str(reason))
+
+
+@contextmanager
+def master(settings: RingSettings) -> Iterator[Any]:
+    """SOEM on an emulated ring, its slaves found, the drives' PDOs assigned."""
+    with emulated(INTERFACE, make_twin, settings):
+        bus = pysoem.Master()
+        bus.open(INTERFACE)
+        try:
+            assert bus.config_init() == len(LENGTHS)
+            bus.emergencies = []
+            for slave in bus.slaves:
+                slave.add_emergency_callback(lambda message: bus.emergencies.append(message.error_code))
+            for drive in DRIVES:
+                assign(bus.slaves[drive], 0x1C12, 0x1602, 0x160B)
+                assign(bus.slaves[drive], 0x1C13, 0x1A02, 0x1A11)
+            yield bus
+        finally:
+            bus.close()
+
+
+def assign(slave: Any, index: int, *pdos: int) -> None:
+    slave.sdo_write(index, 0, b"\0")
+    for number, pdo in enumerate(pdos, 1):
+        slave.sdo_write(index, number, pack("<H", pdo))
+    slave.sdo_write(index, 0, bytes([len(pdos)]))
+
+
+def operational(bus: Any) -> Any:
+    bus.config_map()
+    assert bus.state_check(SAFEOP, TIMEOUT) == SAFEOP
+    bus.config_dc()
+    assert cycle(bus, control=0) == bus.expected_wkc
+    bus.state = OP
+    bus.write_state()
+    assert bus.state_check(OP, TIMEOUT) == OP
+    return bus
+
+
+def cycle(bus: Any, torque_1: int = 0, torque_2: int = 0, control: int = 0x0F) -> int:
+    """Working counter of one cycle; -1 for a lost frame."""
+    for drive, torque in zip(DRIVES, (torque_1, torque_2), strict=True):
+        bus.slaves[drive].output = DRIVE_OUTPUT.pack(torque, control, 10)
+    bus.send_processdata()
+    return bus.receive_processdata(TIMEOUT)
+
+
+def enabled(bus: Any) -> Any:
+    operational(bus)
+    for control, state in ((0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)):
+        for _ in range(LONGEST_RUN):  # a drive acts on the controlword once a tick
+            cycle(bus, control=control)
+            if [statusword(bus, drive) & 0x6F for drive in DRIVES] == [state] * 2:
+                break
+    return bus
+
+
+def statusword(bus: Any, drive: int) -> int:
+    return DRIVE_INPUT.unpack(bus.slaves[drive].input)[2]
+
+
+def counts(bus: Any) -> list[int]:
+    """What a `Reading` holds, the contact force in counts."""
+    motors = [DRIVE_INPUT.unpack(bus.slaves[drive].input)[0] for drive in DRIVES]
+    boom = [ENCODER_INPUT.unpack(bus.slaves[encoder].input)[1] for encoder in ENCODERS]
+    return [*motors, *boom, ANALOG_INPUT.unpack(bus.slaves[5].input)[1]]
+
+
+def states(bus: Any) -> list[tuple[int, int]]:
+    bus.read_state()
+    return [(slave.state, slave.al_status) for slave in bus.slaves]
+
+
+def test_soem_brings_the_ring_up():
+    with master(RingSettings()) as bus:
+        operational(bus)
+        assert states(bus) == [(OP, 0)] * 6
+        assert bus.expected_wkc == 4 * 3 + 1
+        assert [(len(slave.output), len(slave.input)) for slave in bus.slaves] == list(LENGTHS)
+        assert [(slave.man, slave.name) for slave in bus.slaves] == [
+            (0x9A, "Gold drive"),
+            (0x9A, "Gold drive"),
+            (2, "EK1100"),
+            (2, "EL5151"),
+            (2, "EL5151"),
+            (2, "EL3101"),
+        ]
+        assert bus.slaves[0].sdo_read(0x1018, 2) == pack("<I", bus.slaves[0].id)
+        assert bus.slaves[0].sdo_read(0x1008, 0) == b"Gold drive"
+        with pytest.raises(pysoem.SdoError) as refused:
+            bus.slaves[0].sdo_read(0x2000, 0)
+        assert refused.value.abort_code == 0x06020000
+
+
+def test_the_ring_moves_the_twin_as_direct_calls_do():
+    rng = np.random.default_rng(1)
+    torques = rng.integers(-300, 300, size=(400, 2)).tolist()
+    twin = make_twin()
+    with master(RingSettings(inputs_after_tick=True)) as bus:
+        enabled(bus)
+        twin.start()
+        twin.tick(0, 0)  # as when the drives were enabled
+        for torque_1, torque_2 in torques:
+            assert cycle(bus, torque_1, torque_2) == bus.expected_wkc
+            reading = twin.tick(torque_1 * 0.016, torque_2 * 0.016)
+            assert counts(bus) == [*reading[:4], round(reading.contact_force / 0.1)]
+
+
+def test_a_wrong_mapping_is_refused():
+    with master(RingSettings(faults=(WrongMapping(0, "drive_2"),))) as bus:
+        with pytest.raises(pysoem.SdoError):
+            assign(bus.slaves[0], 0x1C12, 0x1607)
+        assign(bus.slaves[0], 0x1C12, 0x1602, 0x160B)
+        bus.config_map()
+        bus.state_check(SAFEOP, TIMEOUT)
+        assert states(bus)[1] == (PREOP | ERROR, 0x1E)
+
+
+def test_silence_ends_torque_and_is_told():
+    with master(RingSettings(faults=(Silence(10, 200),))) as bus:
+        enabled(bus)
+        for _ in range(8):
+            cycle(bus, 100, 100)
+        assert states(bus)[:2] == [(SAFEOP | ERROR, 0x1B)] * 2
+        assert [statusword(bus, drive) & 0x4F for drive in DRIVES] == [0x08, 0x08]
+        bus.slaves[0].mbx_receive()
+        assert bus.emergencies == [0x8130]
+
+
+def test_lost_frames_are_timeouts_and_heal():
+    with master(RingSettings(faults=(LostFrames(8, 3),))) as bus:
+        enabled(bus)
+        counters = [cycle(bus, 10, 10) for _ in range(10)]
+        assert counters.count(-1) == 3
+        assert counters[-1] == bus.expected_wkc
+        assert states(bus) == [(OP, 0)] * 6
+
+
+def test_a_drive_fault_shows_in_the_statusword():
+    with master(RingSettings(faults=(DriveFault(8, "drive_1", 0x2310),))) as bus:
+        enabled(bus)
+        for _ in range(8):
+            cycle(bus, 10, 10)
+        assert [statusword(bus, drive) & 0x4F for drive in DRIVES] == [0x08, 0x07]
+        assert bus.slaves[0].sdo_read(0x603F, 0) == pack("<H", 0x2310)
+
+
+def test_a_slave_gone_and_back_is_found_lost():
+    with master(RingSettings(faults=(PowerLost(8, "contact_force", 3),))) as bus:
+        enabled(bus)
+        counters = [cycle(bus, 10, 10) for _ in range(8)]
+        assert counters[-1] == bus.expected_wkc - 1
+        bus.read_state()
+        assert [slave.state for slave in bus.slaves] == [OP] * 5 + [0]
+
+
+def test_on_the_wall_clock_time_goes_on_without_frames():
+    with master(RingSettings(lock_step=False)) as bus:
+        enabled(bus)
+        before = counts(bus)
+        assert any(cycle(bus, 100, 100) > 0 and counts(bus) != before for _ in range(LONGEST_RUN))
+        lost = [(SAFEOP | ERROR, 0x1B)] * 2
+        assert any(states(bus)[:2] == lost for _ in range(LONGEST_RUN))  # to read a state feeds no watchdog
+
+
+# ---- the network
+
+
+def interfaces() -> set[str]:
+    return {path.name for path in Path("/sys/class/net").iterdir()}
+
+
+def test_nothing_is_left_behind():
+    with emulated(INTERFACE, Flywheels, RingSettings()):
+        assert {INTERFACE, INTERFACE + RING_END} <= interfaces()
+    assert not {INTERFACE, INTERFACE + RING_END} & interfaces()
+
+
+def test_a_ring_that_is_there_already_is_said():
+    said = pytest.raises(NoNetwork, match=f"exists.*ip link del {INTERFACE}")
+    with veth_pair(INTERFACE), said, emulated(INTERFACE, Flywheels, RingSettings()):
+        pass
+
+
+def test_a_name_too_long_is_refused():
+    with pytest.raises(NoNetwork, match="1 to 10 characters"), veth_pair("eleven-long"):
+        pass
+
+
+def test_a_missing_interface_is_said():
+    with pytest.raises(NoNetwork, match="'nothing-there' cannot be used: No such device"):
+        raw_socket("nothing-there")
+
+
+PROGRAM = """
+from functools import partial
+from stepgap.rigs.ethercat.emulator.emulator import run_emulator
+from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from tests.rigs.ethercat.emulator.bench import Flywheels
+run_emulator({interface!r}, Flywheels(), RingSettings(), partial(print, flush=True))
+"""
+APART = """
+import sys
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, run_in_namespace
+try:
+    run_in_namespace([sys.executable, "-c", {program!r}])
+except NoNetwork as reason:
+    print(reason)
+"""
+
+
+def run_program(program: str) -> subprocess.Popen[str]:
+    root = Path(__file__).parents[4]
+    return subprocess.Popen([sys.executable, "-c", program], cwd=root, stdout=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_and_takes_the_interface_away(number):
+    with run_program(PROGRAM.format(interface=INTERFACE)) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == (
+            f"EtherCAT ring on {INTERFACE}: drive_1, drive_2, coupler, boom_horizontal, boom_vertical, contact_force\n"
+        )
+        process.send_signal(number)
+        assert process.wait() == 0
+    assert INTERFACE not in interfaces()
+
+
+def test_a_namespace_of_its_own_hides_it():
+    with run_program(APART.format(program=PROGRAM.format(interface=INTERFACE))) as process:
+        assert process.stdout is not None
+        said = process.stdout.readline()
+        if not said.startswith("EtherCAT ring"):
+            pytest.skip(said)
+        assert INTERFACE not in interfaces()
+        process.terminate()
+        assert process.wait() == 0
