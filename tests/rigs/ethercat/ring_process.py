@@ -1,7 +1,8 @@
 """An emulated ring in a process of its own that says what happens behind its drives."""
 
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from select import select
@@ -91,6 +92,8 @@ def live_ring(*faults: Fault) -> Iterator[LiveRing]:
 
 
 def _serve(pipe: Connection, faults: tuple[Fault, ...]) -> None:
+    with suppress(PermissionError):  # pysoem waits 2 ms for some answers, less than a busy machine may take
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     machine = Recorder()
     ring = Ring(machine, RingSettings(inputs_after_tick=True, faults=faults))
     try:

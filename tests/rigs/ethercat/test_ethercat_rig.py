@@ -1,6 +1,7 @@
 """The rig on the emulated ring: what is refused, what is read and sent, what happens when something breaks."""
 
 from dataclasses import replace
+from functools import cache
 from math import inf, nan
 
 import pytest
@@ -69,6 +70,7 @@ def ticks_until_fault(rig: EthercatRig, ticks: int, torque: float = 8.0) -> tupl
     return ticks, ""
 
 
+@cache
 def cycles_to_connect() -> int:
     """Frames with outputs that a bring-up takes."""
     with live_ring() as ring, rig_of():

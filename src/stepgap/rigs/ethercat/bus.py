@@ -21,6 +21,8 @@ PATIENCE = 2.0
 REPLY_TIMEOUT = 20_000
 """How long a frame is waited for while the bus is brought up [µs]; SOEM's 2,000 are short where a kernel is busy."""
 
+WATCHDOG_ATTEMPTS = 5
+
 _U8, _U16, _U32 = Struct("<B"), Struct("<H"), Struct("<I")
 
 
@@ -159,7 +161,16 @@ class Bus:
                 self._assign(number, assignment, wanted)
                 self._check_mapping(number, wanted, packing)
         if pdos.outputs:
-            self._master.slaves[number].set_watchdog("processdata", self._settings.watchdog * 1e3)
+            self._set_watchdog(number)
+
+    def _set_watchdog(self, number: int) -> None:
+        """Registers, not objects: pysoem waits 2 ms for each, so a reply may be missed where a kernel is busy."""
+        for _ in range(WATCHDOG_ATTEMPTS):
+            try:
+                return self._master.slaves[number].set_watchdog("processdata", self._settings.watchdog * 1e3)
+            except self._soem.WkcError:
+                continue
+        raise RigFault(f"{self.label(number)}: the watchdog cannot be set")
 
     def _assign(self, number: int, assignment: int, pdos: tuple[Pdo, ...]) -> None:
         """Assigns PDOs, unless they are; some terminals know but one set and refuse to be told."""

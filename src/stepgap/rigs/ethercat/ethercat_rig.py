@@ -17,7 +17,7 @@ from stepgap.rigs.ethercat.cia402 import (
     state_of,
 )
 from stepgap.rigs.ethercat.pdo import Packing
-from stepgap.rigs.ethercat.rig_settings import Encoder, Motor, RigSettings
+from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings
 from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
 
 ERROR_CODE, LARGEST_TORQUE, RATED_TORQUE = 0x603F, 0x6072, 0x6076
