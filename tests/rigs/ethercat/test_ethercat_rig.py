@@ -51,8 +51,7 @@ SETTINGS = RigSettings(
     boom_vertical=Encoder(slave="boom_vertical", counts_per_turn=16384),
     contact=Contact(slave="contact_force", newton_per_count=0.1, touchdown_force=5),
     limits=SafetyLimits(torque=20.0),
-    tick=0.01,
-    reply_timeout=0.01,  # a busy machine may keep the ring waiting
+    reply_timeout=0.02,  # a busy machine may keep the ring waiting
 )
 
 

@@ -198,7 +198,7 @@ class RigSettings:
         contact: Ground force.
         limits: What the safety function allows.
         tick: Time between two frames [s].
-        reply_timeout: How long a frame is waited for [s].
+        reply_timeout: How long a frame is waited for [s]; more than a tick only for a ring in lock-step.
         watchdog: Time without a frame after which drives give no torque [s].
         pdo_sets: Sets of PDOs besides those that ship.
     """
@@ -222,7 +222,10 @@ class RigSettings:
         _require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
         _require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
         _require(
-            0 < self.reply_timeout <= self.tick, "reply_timeout", self.reply_timeout, "be positive, at most a tick"
+            0 < self.reply_timeout < self.watchdog,
+            "reply_timeout",
+            self.reply_timeout,
+            f"be positive and less than watchdog = {self.watchdog}",
         )
         _require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
         names = [slave.name for slave in self.slaves]
