@@ -3,7 +3,7 @@
 import csv
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -16,9 +16,7 @@ from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.learning.settings import LearningSettings
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.step import StepSpace
-
-LARGEST_FILE = 2**20
-"""Largest file of settings or targets that is read [bytes]."""
+from stepgap.strict_toml import LARGEST_FILE, InputError, Place, located, merge, read_toml, shown, with_table
 
 PAPER = "paper"
 """Name of the built-in reference."""
@@ -26,18 +24,8 @@ PAPER = "paper"
 PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": RealityGap.none}
 """What `[gap] preset` may name; a preset sets every difference before single keys change some."""
 
-LARGEST_WHOLE = 10**300
-"""Whole numbers from here on are not taken for a number."""
-
 SHORT_OPTIONS = {"learning.iterations": "iterations", "learning.calibration": "calibrate", "learning.online": "online"}
 """Options of the command line whose name is not that of the setting."""
-
-Place = Callable[[str], str]
-"""How the user knows a dotted setting: by its file and table, or by its option."""
-
-
-class InputError(ValueError):
-    """Something the user gave is wrong; the message is one line that says what would be right."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +52,7 @@ class Experiment:
 
     def __post_init__(self) -> None:
         if not 0 <= self.seed < 2**63:
-            raise ValueError(f"seed = {_shown(self.seed)}, but it must lie between 0 and 2⁶³")
+            raise ValueError(f"seed = {shown(self.seed)}, but it must lie between 0 and 2⁶³")
 
 
 def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()) -> Experiment:
@@ -79,7 +67,7 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
     """
     experiment = Experiment()
     if path is not None:
-        experiment = _changed(experiment, _read_toml(path), lambda name: f"{path}: {_with_table(name)}")
+        experiment = _changed(experiment, read_toml(path, "an experiment"), lambda name: f"{path}: {with_table(name)}")
         if experiment.reference != PAPER:
             experiment = replace(experiment, reference=str(path.parent / experiment.reference))
     table: dict[str, Any] = {}
@@ -130,23 +118,6 @@ def _to_table(settings: Any) -> dict[str, Any]:
     return table
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes, so it is no experiment file")
-        return tomllib.loads(content.decode("utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: this is not text; an experiment is a TOML file in UTF-8") from None
-    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: not TOML: {error}") from None
-
-
 def _parse_value(text: str) -> Any:
     """The TOML value that `text` spells; a bare word is a string."""
     try:
@@ -165,19 +136,13 @@ def _set(table: dict[str, Any], keys: list[str], value: Any) -> None:
     table[keys[-1]] = value
 
 
-def _with_table(name: str) -> str:
-    """A dotted name as `[table] key`."""
-    table, dot, key = name.rpartition(".")
-    return f"[{table}] {key}" if dot else key
-
-
 def _changed(experiment: Experiment, table: Mapping[str, Any], place: Place) -> Experiment:
     """The experiment with the values of a TOML table; InputError if it is none then."""
-    experiment = _merge(*_with_preset(experiment, table, place), place)
+    experiment = merge(*_with_preset(experiment, table, place), place, more=("gap.preset",))
     try:
         experiment.gains.check(experiment.robot)
     except ValueError as error:
-        raise _located(error, place, "gains.") from None
+        raise located(error, place, "gains.") from None
     return experiment
 
 
@@ -193,55 +158,6 @@ def _with_preset(
         close = get_close_matches(str(name), PRESETS, n=1)
         hint = f"; did you mean '{close[0]}'?" if close else ""
         wanted = " or ".join(f"'{known}'" for known in PRESETS)
-        raise InputError(f"{place('gap.preset')} = {_shown(name)}, but it must be {wanted}{hint}")
+        raise InputError(f"{place('gap.preset')} = {shown(name)}, but it must be {wanted}{hint}")
     rest = {key: value for key, value in gap.items() if key != "preset"}
     return replace(experiment, gap=PRESETS[name]()), {**table, "gap": rest}
-
-
-def _merge(settings: Any, table: Mapping[str, Any], place: Place, prefix: str = "") -> Any:
-    """The dataclass `settings` with the values of a TOML table, checked for names and types."""
-    types = get_type_hints(type(settings))
-    known = [entry.name for entry in fields(settings)]
-    changes: dict[str, Any] = {}
-    for key, value in table.items():
-        here = place(prefix + key)
-        if key not in known:
-            known += ["preset"] if type(settings) is RealityGap else []
-            close = get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"the keys here are {', '.join(known)}"
-            raise InputError(f"{here}: unknown key; {hint}")
-        current = getattr(settings, key)
-        if is_dataclass(current):
-            if not isinstance(value, Mapping):
-                raise InputError(f"{here} = {_shown(value)}, but it must be a table")
-            changes[key] = _merge(current, value, place, f"{prefix}{key}.")
-        else:
-            changes[key] = _as_type(value, types[key], here)
-    try:
-        return replace(settings, **changes)
-    except ValueError as error:
-        raise _located(error, place, prefix) from None
-
-
-def _located(error: ValueError, place: Place, prefix: str) -> InputError:
-    """The error of a settings class, `key = value, but it must …`, with the place where the user knows the key."""
-    key, *rest = str(error).partition(" = ")
-    return InputError("".join([place(prefix + key), *rest]))
-
-
-def _as_type(value: Any, wanted: Any, here: str) -> Any:
-    """The value, if it has the type of the field; a whole number may stand for a number."""
-    words = {float: "a number", int: "a whole number", bool: "true or false"}
-    if wanted is float and type(value) is int and abs(value) < LARGEST_WHOLE:
-        return float(value)
-    if type(value) is not (wanted if wanted in words else str):
-        raise InputError(f"{here} = {_shown(value)}, but it must be {words.get(wanted, 'a text in quotes')}")
-    return value
-
-
-def _shown(value: Any) -> str:
-    """A TOML value for a message."""
-    if isinstance(value, int) and abs(value) >= LARGEST_WHOLE:
-        return "a very large whole number"
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 60 else f"{text[:60]}…"

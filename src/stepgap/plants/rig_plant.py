@@ -15,7 +15,8 @@ from stepgap.hybrid.compiled import compiled
 from stepgap.plants.estimator import FlightFit, JointRates
 from stepgap.plants.phases import Phase, next_phase
 from stepgap.plants.plant import Plant
-from stepgap.plants.safety import Limited, SafetyLimits, check_torque
+from stepgap.plants.safety import HEALTHY, Limited, Motion, Watch, check_torque
+from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import Reading, Rig, RigFault
 from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
 
@@ -94,6 +95,7 @@ class RigPlant(Plant):
         gains: Joint controller.
         bounds: Range of the command.
         on_tick: Called with every `Tick`, for logs.
+        limits: What the safety function allows; without, what it allows this robot in simulation.
     """
 
     def __init__(
@@ -103,9 +105,14 @@ class RigPlant(Plant):
         gains: Gains,
         bounds: CommandBounds,
         on_tick: Callable[[Tick], None] | None = None,
+        limits: SafetyLimits | None = None,
     ):
         self._rig, self._space, self._on_tick = rig, bounds.space(), on_tick
-        self._law, self._masses, self._limits = joint_law(robot, gains), masses_of(robot), SafetyLimits.of(robot)
+        self._law, self._masses, self._limits = (
+            joint_law(robot, gains),
+            masses_of(robot),
+            limits or SafetyLimits.of(robot),
+        )
         self._state = np.full(2, np.nan)
         self._reset()
 
@@ -115,7 +122,7 @@ class RigPlant(Plant):
         self._fit, self._rates = FlightFit(), JointRates(self._rig.layout.tick)
         self._lost_x = self._lost_y = 0.0
         self._push_ticks = 0
-        self._reason = Reason.OK
+        self._watch, self._reason = Watch(), Reason.OK
 
     @property
     def space(self) -> StepSpace:
@@ -200,7 +207,9 @@ class RigPlant(Plant):
             torque = _stance_torque(self._law, alpha_1, alpha_2, force_x, force_y)
         else:
             torque = flight_torque(self._law, alpha_1, alpha_2, rate_1, rate_2, self._flight_speed())
-        checked = check_torque(self._limits, torque[0], torque[1], alpha_2, rate_1, rate_2)
+        motion = Motion(alpha_1, alpha_2, rate_1, rate_2, self._leg.length, y)
+        checked = check_torque(self._limits, self._watch, motion, HEALTHY, torque[0], torque[1])
+        self._watch = checked.watch
         applied = rig.write(checked.torque_1, checked.torque_2)
         if self._phase == Phase.PUSHING:
             self._count_loss(alpha_1, alpha_2, torque[0] - applied[0], torque[1] - applied[1])

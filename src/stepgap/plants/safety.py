@@ -1,11 +1,14 @@
-"""What may be written to the motors: one pure function between the controller and every rig."""
+"""What may be written to the motors: one pure function between the controller and every rig.
 
-from dataclasses import dataclass
+This is software: it cannot help when the computer hangs. What must stop a motor then is the drives' watchdog, and for
+people's safety a contactor or the drives' STO input.
+"""
+
 from enum import IntFlag
 from math import isfinite
 from typing import NamedTuple
 
-from stepgap.hopper.parameters import RobotParameters
+from stepgap.rigs.limits import SafetyLimits
 
 
 class Limited(IntFlag):
@@ -16,64 +19,167 @@ class Limited(IntFlag):
     TORQUE = 2
     JOINT_SPEED = 4
     STRETCH = 8
+    TORQUE_STEP = 16
+    JOINT_ANGLE = 32
+    LEG_LENGTH = 64
+    HIP_HEIGHT = 128
+    LOST_FRAMES = 256
+    STALE = 512
+    LATE = 1024
+    DRIVE = 2048
+    EMERGENCY_STOP = 4096
 
     @property
     def stops(self) -> bool:
         """The deployment must end."""
-        return bool(self & (Limited.NOT_FINITE | Limited.JOINT_SPEED))
+        return bool(self & ~KEEPS_ON)
 
 
-@dataclass(frozen=True)
-class SafetyLimits:
-    """What the joints may do.
+KEEPS_ON = Limited.TORQUE | Limited.TORQUE_STEP | Limited.STRETCH
+"""What only changes the torques; all else stops."""
+
+
+class Motion(NamedTuple):
+    """What the sensors say of the robot.
 
     Attributes:
-        torque: Largest motor torque [N·m].
-        joint_speed: Largest speed of a top link [rad/s]; a hop of the reference stays below 40.
-        stretch_angle: α₂ below which the leg may not be stretched further [rad].
+        alpha_1: Mean angle of the top links α₁ [rad].
+        alpha_2: Half the angle between the top links α₂ [rad].
+        rate_1: α̇₁ [rad/s].
+        rate_2: α̇₂ [rad/s].
+        leg_length: ℓ [m].
+        hip_height: y [m].
     """
 
-    torque: float
-    joint_speed: float = 120.0
-    stretch_angle: float = 0.1
+    alpha_1: float
+    alpha_2: float
+    rate_1: float
+    rate_2: float
+    leg_length: float
+    hip_height: float
 
-    @classmethod
-    def of(cls, robot: RobotParameters) -> "SafetyLimits":
-        """The limits of a robot."""
-        return cls(torque=robot.torque_limit)
+
+class Health(NamedTuple):
+    """How the tick itself went.
+
+    Attributes:
+        frame_lost: The bus gave no valid frame.
+        stale: The reading is that of the tick before.
+        late: The tick began past its deadline.
+        drives_enabled: Both statuswords say that the drives take torques.
+        emergency_stop: Somebody asked for the software stop.
+    """
+
+    frame_lost: bool = False
+    stale: bool = False
+    late: bool = False
+    drives_enabled: bool = True
+    emergency_stop: bool = False
+
+
+HEALTHY = Health()
+"""A tick without complaint: all that a rig can say which raises `RigFault` by itself instead."""
+
+
+class Watch(NamedTuple):
+    """What the check remembers from tick to tick; a new one starts with motors limp.
+
+    Attributes:
+        torque_1: Last torque of motor 1 [N·m].
+        torque_2: Last torque of motor 2 [N·m].
+        lost: Frames lost in a row.
+        stale: Stale readings in a row.
+        late: Late ticks in a row.
+        stopped: Why torque is off for good.
+    """
+
+    torque_1: float = 0.0
+    torque_2: float = 0.0
+    lost: int = 0
+    stale: int = 0
+    late: int = 0
+    stopped: Limited = Limited.NOTHING
 
 
 class Checked(NamedTuple):
-    """Torques that may be written [N·m], and why they differ from those asked."""
+    """Torques that may be written [N·m], why they differ from those asked, and the watch for the next tick."""
 
     torque_1: float
     torque_2: float
     limited: Limited
+    watch: Watch
 
 
 def check_torque(
-    limits: SafetyLimits, torque_1: float, torque_2: float, alpha_2: float, rate_1: float, rate_2: float
+    limits: SafetyLimits, watch: Watch, motion: Motion, health: Health, torque_1: float, torque_2: float
 ) -> Checked:
-    """Limits the torques; zero where something is wrong.
+    """Limits the torques; zero where something is wrong, and from then on.
 
     Args:
         limits: What is allowed.
+        watch: Of the tick before.
+        motion: Of this tick.
+        health: Of this tick.
         torque_1: Torque asked of motor 1 [N·m].
         torque_2: Torque asked of motor 2 [N·m].
-        alpha_2: Half the angle between the top links [rad].
-        rate_1: α̇₁ [rad/s].
-        rate_2: α̇₂ [rad/s].
     """
-    if not isfinite(torque_1 + torque_2 + alpha_2 + rate_1 + rate_2):
-        return Checked(0.0, 0.0, Limited.NOT_FINITE)
-    if abs(rate_1) + abs(rate_2) > limits.joint_speed:
-        return Checked(0.0, 0.0, Limited.JOINT_SPEED)
+    lost = stale = late = 0
+    stopped = watch.stopped
+    if health is not HEALTHY:
+        lost, stale, late = (
+            count + 1 if bad else 0
+            for count, bad in zip(watch[2:5], (health.frame_lost, health.stale, health.late), strict=True)
+        )
+        stopped |= _unhealthy(limits, health, lost, stale, late)
+    if beyond := _out_of_range(limits, motion, torque_1 + torque_2):
+        stopped |= beyond
+    if stopped:
+        return Checked(0.0, 0.0, stopped, Watch(0.0, 0.0, lost, stale, late, stopped))
+
     limited = Limited.NOTHING
-    if alpha_2 < limits.stretch_angle and torque_1 < torque_2:
+    if motion.alpha_2 < limits.stretch_angle and torque_1 < torque_2:
         torque_1 = torque_2 = 0.5 * (torque_1 + torque_2)
         limited |= Limited.STRETCH
-    if abs(torque_1) > limits.torque or abs(torque_2) > limits.torque:
-        torque_1 = min(limits.torque, max(-limits.torque, torque_1))
-        torque_2 = min(limits.torque, max(-limits.torque, torque_2))
+    most = limits.torque
+    if abs(torque_1) > most or abs(torque_2) > most:
+        torque_1, torque_2 = min(most, max(-most, torque_1)), min(most, max(-most, torque_2))
         limited |= Limited.TORQUE
-    return Checked(torque_1, torque_2, limited)
+    step = limits.torque_step
+    if abs(torque_1 - watch.torque_1) > step or abs(torque_2 - watch.torque_2) > step:
+        torque_1 = min(watch.torque_1 + step, max(watch.torque_1 - step, torque_1))
+        torque_2 = min(watch.torque_2 + step, max(watch.torque_2 - step, torque_2))
+        limited |= Limited.TORQUE_STEP
+    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late))
+
+
+def _out_of_range(limits: SafetyLimits, motion: Motion, torques: float) -> Limited:
+    """Why the motion or the torques, given as their sum, cannot go on."""
+    alpha_1, alpha_2, rate_1, rate_2, leg_length, hip_height = motion
+    if not isfinite(torques + alpha_1 + alpha_2 + rate_1 + rate_2 + leg_length + hip_height):
+        return Limited.NOT_FINITE
+    reason = Limited.NOTHING
+    if abs(rate_1) + abs(rate_2) > limits.joint_speed:
+        reason |= Limited.JOINT_SPEED
+    if abs(alpha_1) > limits.lean_angle or alpha_2 > limits.fold_angle:
+        reason |= Limited.JOINT_ANGLE
+    if not limits.shortest_leg <= leg_length <= limits.longest_leg:
+        reason |= Limited.LEG_LENGTH
+    if not limits.lowest_hip <= hip_height <= limits.highest_hip:
+        reason |= Limited.HIP_HEIGHT
+    return reason
+
+
+def _unhealthy(limits: SafetyLimits, health: Health, lost: int, stale: int, late: int) -> Limited:
+    """Why the tick's health, its bad ticks in a row counted, cannot go on."""
+    reason = Limited.NOTHING
+    if lost > limits.lost_frames:
+        reason |= Limited.LOST_FRAMES
+    if stale > limits.stale_ticks:
+        reason |= Limited.STALE
+    if late > limits.late_ticks:
+        reason |= Limited.LATE
+    if not health.drives_enabled:
+        reason |= Limited.DRIVE
+    if health.emergency_stop:
+        reason |= Limited.EMERGENCY_STOP
+    return reason

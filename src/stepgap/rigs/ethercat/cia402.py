@@ -1,0 +1,78 @@
+"""The power state machine of drives (CiA 402 = IEC 61800-7-201), as a pure function."""
+
+from enum import Enum, auto
+
+CYCLIC_TORQUE = 10
+"""Mode of operation: cyclic synchronous torque."""
+
+
+class State(Enum):
+    """What a drive's statusword says."""
+
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    ENABLED = "operation enabled"
+    QUICK_STOP = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+    UNKNOWN = "of no state the standard knows"
+
+
+class Wanted(Enum):
+    """Where a drive is to go."""
+
+    OFF = auto()
+    ENABLED = auto()
+    QUICK_STOP = auto()
+    RESET = auto()
+
+
+MASKED_STATES = {
+    0x4F: {
+        0x00: State.NOT_READY,
+        0x40: State.SWITCH_ON_DISABLED,
+        0x0F: State.FAULT_REACTION,
+        0x08: State.FAULT,
+    },
+    0x6F: {
+        0x21: State.READY,
+        0x23: State.SWITCHED_ON,
+        0x27: State.ENABLED,
+        0x07: State.QUICK_STOP,
+    },
+}
+"""State by statusword under a mask."""
+
+DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN, SWITCH_ON, ENABLE, RESET = 0x00, 0x02, 0x06, 0x07, 0x0F, 0x80
+"""Controlwords."""
+
+CONTROLWORDS = {
+    (State.SWITCH_ON_DISABLED, Wanted.ENABLED): SHUTDOWN,
+    (State.READY, Wanted.ENABLED): SWITCH_ON,
+    (State.SWITCHED_ON, Wanted.ENABLED): ENABLE,
+    (State.ENABLED, Wanted.ENABLED): ENABLE,
+    (State.ENABLED, Wanted.QUICK_STOP): QUICK_STOP,
+    (State.QUICK_STOP, Wanted.QUICK_STOP): QUICK_STOP,
+    (State.FAULT, Wanted.RESET): RESET,
+}
+"""The next controlword on the way to what is wanted; without one here, the voltage is taken away."""
+
+
+def state_of(statusword: int) -> State:
+    """The state that a statusword spells."""
+    for mask, states in MASKED_STATES.items():
+        if (state := states.get(statusword & mask)) is not None:
+            return state
+    return State.UNKNOWN
+
+
+def next_controlword(statusword: int, wanted: Wanted) -> tuple[State, int]:
+    """The drive's state and the controlword that brings it nearer to what is wanted.
+
+    A fault is left on `Wanted.RESET` alone, and by the rising edge of bit 7: send what another wish gives first.
+    A quick stop is left through `SWITCH_ON_DISABLED`, never straight back to torque.
+    """
+    state = state_of(statusword)
+    return state, CONTROLWORDS.get((state, wanted), DISABLE_VOLTAGE)

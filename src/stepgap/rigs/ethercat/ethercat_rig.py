@@ -1,0 +1,234 @@
+"""A robot on an EtherCAT bus as a `Rig`: two drives in cyclic synchronous torque, two encoders, a contact force."""
+
+from collections.abc import Callable
+from math import isfinite
+from struct import Struct
+from time import monotonic, sleep
+
+from stepgap.hopper.parameters import RobotParameters
+from stepgap.rigs.ethercat.bus import PATIENCE, Bus
+from stepgap.rigs.ethercat.cia402 import (
+    CYCLIC_TORQUE,
+    DISABLE_VOLTAGE,
+    ENABLE,
+    State,
+    Wanted,
+    next_controlword,
+    state_of,
+)
+from stepgap.rigs.ethercat.pdo import Packing
+from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings
+from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+
+ERROR_CODE, LARGEST_TORQUE, RATED_TORQUE = 0x603F, 0x6072, 0x6076
+_U16, _U32 = Struct("<H"), Struct("<I")
+
+LAST_FRAMES = 3
+"""Frames without torque that are sent when all is over, in case one is lost."""
+
+
+def unwrapped(raw: int, before: int, bits: int) -> int:
+    """The count nearest to `before` that a counter of so many bits shows as `raw`."""
+    half = 1 << (bits - 1)
+    return before + ((raw - before + half) & (2 * half - 1)) - half
+
+
+class EthercatRig(Rig):
+    """Drives and encoders as `rig.toml` describes them.
+
+    A frame leaves with every `write`, and the next `read` takes it in. A lost frame, or one that a slave did not take
+    part in, repeats the reading before; too many in a row are a fault. Whatever is wrong takes the voltage from both
+    drives, and the fault stays for the life of the object: to go on, a person makes a new one. A drive found in fault
+    at connect is reset once, since connecting is such an act.
+
+    Args:
+        settings: The robot's bus; `limits.lost_frames` is the budget.
+        robot: Its boom gives the layout.
+    """
+
+    def __init__(self, settings: RigSettings, robot: RobotParameters):
+        contact = settings.contact
+        self._settings, self._bus = settings, Bus(settings)
+        self._layout = RigLayout(
+            tick=settings.tick,
+            boom_length=robot.boom_length,
+            pivot_height=settings.pivot_height,
+            motor_counts=settings.motor_1.link_counts,
+            boom_counts_horizontal=settings.boom_horizontal.counts_per_turn,
+            boom_counts_vertical=settings.boom_vertical.counts_per_turn,
+            touchdown_force=contact.touchdown_force,
+            takeoff_length=contact.takeoff_length,
+        )
+        self._motors = (settings.motor_1, settings.motor_2)
+        self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
+        self._angles = tuple(
+            _Angle(settings, encoder, name)
+            for encoder, name in (
+                (settings.motor_1, "position"),
+                (settings.motor_2, "position"),
+                (settings.boom_horizontal, "counter"),
+                (settings.boom_vertical, "counter"),
+            )
+        )
+        self._contact = settings.position(contact.slave)
+        self._connected, self._fault = False, ""
+        self._lost, self._under_way = 0, False
+        self._reading = Reading(0, 0, 0, 0, 0.0)
+
+    @property
+    def layout(self) -> RigLayout:
+        """How to read the counts; their zeros and signs are taken care of."""
+        return self._layout
+
+    def connect(self) -> None:
+        """Brings the bus up, checks it, and enables the drives with no torque.
+
+        Raises:
+            RigFault: The bus is not as the settings say, a drive does not enable, or the rig had a fault before.
+        """
+        if self._fault:
+            raise RigFault(f"the rig had a fault: {self._fault}; see to it, then start anew")
+        self.close()
+        self._bus.connect(self._check_drives)
+        self._connected = True
+        try:
+            self._lead(Wanted.RESET, lambda states: State.FAULT not in states)
+            self._lead(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
+            self._take()
+        except RigFault:
+            self.close()
+            raise
+        self._lost, self._under_way = 0, False
+
+    def read(self) -> Reading:
+        """Counts and force of the last frame, or of an earlier one while no more than the budget are lost.
+
+        Raises:
+            RigFault: Not connected, too many frames lost, or a drive does not take torques any more.
+        """
+        self._check_up()
+        if not self._under_way:
+            return self._reading
+        self._under_way = False
+        if self._bus.receive():
+            self._lost = 0
+            self._take()
+        else:
+            self._lost += 1
+            if self._lost > self._settings.limits.lost_frames:
+                fault = self._trip(f"{self._lost} frames in a row were lost or not served by every slave")
+                raise RigFault(f"{fault}: {self._bus.complaint()}")
+        return self._reading
+
+    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+        """Sends the motor torques [N·m] and returns those sent: whole thousandths of the rated torque, within limits.
+
+        Raises:
+            RigFault: A torque is not finite, or the rig is stopped.
+        """
+        self._check_up()
+        if self._under_way:
+            self.read()
+        if not (isfinite(torque_1) and isfinite(torque_2)):
+            raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
+        sent = []
+        for drive, motor, torque in zip(self._drives, self._motors, (torque_1, torque_2), strict=True):
+            unit, most = motor.torque_unit, motor.most_units
+            units = round(min(max(torque / unit, -most), most))
+            self._command(drive, motor.sign * units, ENABLE)
+            sent.append(units * unit)
+        self._bus.send()
+        self._under_way = True
+        return sent[0], sent[1]
+
+    def close(self) -> None:
+        """No torque, drives off, slaves to INIT; may be called twice."""
+        if self._connected:
+            self._connected = False
+            self._voltage_off()
+        self._bus.close()
+
+    def _check_drives(self) -> None:
+        """The drives' scales of torque must be the settings'; their own limits are set to the motors'."""
+        for drive, motor in zip(self._drives, self._motors, strict=True):
+            rated = self._bus.read_object(drive, RATED_TORQUE, _U32)
+            if rated != round(motor.rated_torque * 1000):
+                raise RigFault(
+                    f"{self._bus.label(drive)} has a rated torque of {rated / 1000:g} N·m (0x6076), "
+                    f"but the settings say {motor.rated_torque:g}"
+                )
+            self._bus.write_object(drive, LARGEST_TORQUE, _U16, motor.most_units)
+
+    def _lead(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
+        """Exchanges frames without torque until the drives' states are as wanted."""
+        until, words = monotonic() + PATIENCE, [DISABLE_VOLTAGE, DISABLE_VOLTAGE]
+        while True:
+            for drive, word in zip(self._drives, words, strict=True):
+                self._command(drive, 0, word)
+            self._bus.send()
+            if self._bus.receive():
+                status = [self._bus.inputs(drive)["statusword"] for drive in self._drives]
+                states, words = zip(*(next_controlword(word, wanted) for word in status), strict=True)
+                if arrived(states):
+                    return
+                if monotonic() > until:
+                    raise RigFault(f"the drives do not get {wanted.name.lower()}: {self._drive_words()}")
+            elif monotonic() > until:
+                raise RigFault(f"no frame comes back: {self._bus.complaint()}")
+            sleep(self._settings.tick)
+
+    def _take(self) -> None:
+        """The reading of a good frame, if both drives take torques."""
+        for drive in self._drives:
+            values = self._bus.inputs(drive)
+            if state_of(values["statusword"]) != State.ENABLED or values["mode_display"] != CYCLIC_TORQUE:
+                fault = self._trip(f"{self._bus.label(drive)} takes no torque any more")
+                raise RigFault(f"{fault}: {self._drive_words()}")
+        motor_1, motor_2, horizontal, vertical = (angle.counts(self._bus) for angle in self._angles)
+        contact = self._settings.contact
+        force = contact.newton_per_count * (self._bus.inputs(self._contact)["force"] - contact.zero)
+        self._reading = Reading(motor_1, motor_2, horizontal, vertical, force)
+
+    def _command(self, drive: int, units: int, controlword: int) -> None:
+        self._bus.set_outputs(drive, {"target_torque": units, "controlword": controlword, "mode": CYCLIC_TORQUE})
+
+    def _check_up(self) -> None:
+        if self._fault or not self._connected:
+            raise RigFault(self._fault or "the rig is not connected")
+
+    def _trip(self, message: str) -> RigFault:
+        """Voltage off at once and for good; returns the fault to raise."""
+        self._fault = message
+        self._voltage_off()
+        return RigFault(message)
+
+    def _voltage_off(self) -> None:
+        for _ in range(LAST_FRAMES):
+            for drive in self._drives:
+                self._command(drive, 0, DISABLE_VOLTAGE)
+            self._bus.send()
+            self._bus.receive()
+
+    def _drive_words(self) -> str:
+        """What the drives say of themselves; not for the time of a tick."""
+        words = []
+        for drive in self._drives:
+            values = self._bus.inputs(drive)
+            text = f"{self._bus.label(drive)} is {state_of(values['statusword']).value}, mode {values['mode_display']}"
+            if error := self._bus.read_object(drive, ERROR_CODE, _U16):
+                text += f", error 0x{error:04X}"
+            words.append(text)
+        return "; ".join(words)
+
+
+class _Angle:
+    """Counts of one encoder: unwrapped, from its zero, forward positive."""
+
+    def __init__(self, settings: RigSettings, encoder: Encoder, name: str):
+        self._slave, self._encoder, self._name = settings.position(encoder.slave), encoder, name
+        packing = Packing(settings.pdo_set(settings.slaves[self._slave]).inputs)
+        self._bits, self._count = packing.places[name][0].bits, 0
+
+    def counts(self, bus: Bus) -> int:
+        self._count = unwrapped(bus.inputs(self._slave)[self._name], self._count, self._bits)
+        return self._encoder.sign * (self._count - self._encoder.zero)

@@ -1,0 +1,180 @@
+"""Process data as data: which objects lie where in the bytes that a slave exchanges every cycle."""
+
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+SIGNED = {
+    "controlword": False,
+    "target_torque": True,
+    "mode": True,
+    "statusword": False,
+    "position": True,
+    "velocity": True,
+    "torque": True,
+    "mode_display": True,
+    "counter": True,
+    "force": True,
+}
+"""The values a rig uses, and whether each has a sign. A counter that has none is read as if it had: it is unwrapped."""
+
+FORMATS = {8: "b", 16: "h", 32: "i"}
+
+WRITTEN_ENTRY = re.compile(r"(0x[0-9a-f]{4}):([0-9a-f]{2}):(\d{1,2})(?: +([a-z_]+))?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One object in a PDO.
+
+    Attributes:
+        index: Of the object; 0 fills a gap.
+        subindex: Of the object.
+        bits: Its size.
+        name: What the rig uses it for, one of `SIGNED`; empty where it does not.
+
+    Raises:
+        ValueError: Size or name are none.
+    """
+
+    index: int
+    subindex: int
+    bits: int
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.name and self.name not in SIGNED:
+            raise ValueError(f"{self.name} is no value of a rig; those are {', '.join(SIGNED)}")
+        if self.bits not in FORMATS and (self.name or not 0 < self.bits <= 64):
+            raise ValueError(f"{self} has {self.bits} bits, but it must have 8, 16 or 32, or 1 to 64 without a name")
+
+    def __str__(self) -> str:
+        return f"0x{self.index:04X}:{self.subindex:02X}:{self.bits}" + (f" {self.name}" if self.name else "")
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """The entry that `0xINDEX:SUB:BITS NAME` spells, subindex in hex; the name may be left out.
+
+        Raises:
+            ValueError: It spells none.
+        """
+        match = WRITTEN_ENTRY.fullmatch(text)
+        if match is None:
+            raise ValueError(f"'{text[:60]}' is no entry; write it as '0x6041:00:16 statusword'")
+        index, subindex, bits, name = match.groups()
+        return cls(int(index, 16), int(subindex, 16), int(bits), name or "")
+
+
+@dataclass(frozen=True)
+class Pdo:
+    """A process data object: its index and what lies in it, in order."""
+
+    index: int
+    entries: tuple[Entry, ...]
+
+
+class Packing:
+    """The bytes of some PDOs, one after the other; little-endian, length fixed.
+
+    Args:
+        pdos: In the order of their assignment.
+
+    Raises:
+        ValueError: A named value does not start at a byte, a name occurs twice, or the whole is not full bytes.
+    """
+
+    def __init__(self, pdos: tuple[Pdo, ...]):
+        entries = [entry for pdo in pdos for entry in pdo.entries]
+        self.names = tuple(entry.name for entry in entries if entry.name)
+        if len(set(self.names)) < len(self.names):
+            raise ValueError(f"a value is mapped twice: {', '.join(self.names)}")
+        self.places: dict[str, tuple[Entry, int]] = {}
+        codes, bit = "<", 0
+        for entry in entries:
+            if entry.name:
+                self.places[entry.name] = (entry, bit)
+                if bit % 8:
+                    raise ValueError(f"{entry} starts at bit {bit}, but it must start at a byte")
+                code = FORMATS[entry.bits]
+                codes += code if SIGNED[entry.name] else code.upper()
+            else:
+                codes += "x" * ((bit + entry.bits) // 8 - bit // 8)
+            bit += entry.bits
+        if bit % 8:
+            raise ValueError(f"the PDOs have {bit} bits, but they must fill bytes")
+        self._struct = struct.Struct(codes)
+        assert self._struct.size == bit // 8
+        self.size = self._struct.size
+
+    def pack(self, values: Mapping[str, int]) -> bytes:
+        """The bytes of all named values; exactly `size` of them.
+
+        Raises:
+            struct.error: A value does not fit.
+            KeyError: One is missing.
+        """
+        return self._struct.pack(*[values[name] for name in self.names])
+
+    def unpack(self, data: bytes) -> dict[str, int]:
+        """The named values in the bytes.
+
+        Raises:
+            struct.error: There are more or fewer than `size`.
+        """
+        return dict(zip(self.names, self._struct.unpack(data), strict=True))
+
+
+@dataclass(frozen=True)
+class PdoSet:
+    """What a slave exchanges: PDOs from the master (0x1C12) and to it (0x1C13).
+
+    Raises:
+        ValueError: They cannot be packed.
+    """
+
+    outputs: tuple[Pdo, ...] = ()
+    inputs: tuple[Pdo, ...] = ()
+
+    def __post_init__(self) -> None:
+        for pdos in (self.outputs, self.inputs):
+            Packing(pdos)
+
+
+def _pdo(index: int, *entries: str) -> Pdo:
+    return Pdo(index, tuple(map(Entry.parse, entries)))
+
+
+PDO_SETS: Mapping[str, PdoSet] = {
+    "none": PdoSet(),
+    # As ETH Zurich's elmo_ethercat_sdk maps cyclic synchronous torque; the fill bytes came with firmware 1.1.15.
+    "elmo-cst": PdoSet(
+        outputs=(
+            _pdo(0x1602, "0x6071:00:16 target_torque", "0x6040:00:16 controlword"),
+            _pdo(0x160B, "0x6060:00:8 mode", "0x0000:00:8"),
+        ),
+        inputs=(
+            _pdo(
+                0x1A02,
+                "0x6064:00:32 position",
+                "0x6077:00:16 torque",
+                "0x6041:00:16 statusword",
+                "0x6061:00:8 mode_display",
+                "0x0000:00:8",
+            ),
+            _pdo(0x1A11, "0x606C:00:32 velocity"),
+        ),
+    ),
+    # Control and status bits that the rig does not use are summed up as fill.
+    "beckhoff-el5101": PdoSet(
+        outputs=(_pdo(0x1603, "0x0000:00:16", "0x7010:11:32"),),
+        inputs=(_pdo(0x1A04, "0x0000:00:16", "0x6010:11:32 counter", "0x6010:12:32"),),
+    ),
+    "beckhoff-el5151": PdoSet(
+        outputs=(_pdo(0x1600, "0x0000:00:16", "0x7000:11:32"),),
+        inputs=(_pdo(0x1A00, "0x0000:00:16", "0x6000:11:32 counter", "0x6000:12:32"),),
+    ),
+    "analog-input": PdoSet(inputs=(_pdo(0x1A00, "0x0000:00:16", "0x6000:11:16 force"),)),
+}
+"""Sets that ship, by the name that `rig.toml` uses; it may describe others."""

@@ -1,0 +1,285 @@
+"""What stands on the bus and what its numbers mean: `rig.toml`, read strictly."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import floor, inf, isfinite
+from pathlib import Path
+from typing import Any
+
+from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
+from stepgap.rigs.limits import SafetyLimits
+from stepgap.strict_toml import build, read_toml, shown, with_table
+
+
+def _require(condition: bool, name: str, value: Any, rule: str) -> None:
+    """Raises ValueError `name = value, but it must RULE` unless the condition holds."""
+    if not condition:
+        raise ValueError(f"{name} = {shown(value)}, but it must {rule}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenPdo:
+    """A PDO as the file describes it.
+
+    Attributes:
+        index: Of the PDO, such as 0x1A00.
+        entries: In order, each as `Entry.parse` reads it.
+    """
+
+    index: int
+    entries: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        _require(0x1600 <= self.index <= 0x1BFF, "index", self.index, "lie between 0x1600 and 0x1BFF")
+        for entry in self.entries:
+            try:
+                Entry.parse(entry)
+            except ValueError as error:
+                raise ValueError(f"entries = {shown(entry)}, but it must be right: {error}") from None
+
+    def pdo(self) -> Pdo:
+        """What is described."""
+        return Pdo(self.index, tuple(map(Entry.parse, self.entries)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenPdoSet:
+    """A set of PDOs as the file describes it.
+
+    Attributes:
+        name: By which slaves refer to it.
+        outputs: From the master to the slave.
+        inputs: From the slave to the master.
+    """
+
+    name: str
+    outputs: tuple[WrittenPdo, ...] = ()
+    inputs: tuple[WrittenPdo, ...] = ()
+
+    def __post_init__(self) -> None:
+        _require(self.name not in PDO_SETS, "name", self.name, f"differ from those that ship: {', '.join(PDO_SETS)}")
+        try:
+            self.pdo_set()
+        except ValueError as error:
+            raise ValueError(f"name = {shown(self.name)}, but it must be a set of PDOs: {error}") from None
+
+    def pdo_set(self) -> PdoSet:
+        """What is described."""
+        return PdoSet(tuple(pdo.pdo() for pdo in self.outputs), tuple(pdo.pdo() for pdo in self.inputs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slave:
+    """One device of the bus.
+
+    Attributes:
+        name: For messages, and for the tables that use it.
+        vendor: Vendor ID.
+        product: Product code.
+        pdos: Name of its set of PDOs.
+    """
+
+    name: str
+    vendor: int
+    product: int
+    pdos: str = "none"
+
+    def __post_init__(self) -> None:
+        _require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a text of one line")
+        for name in ("vendor", "product"):
+            _require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoder:
+    """An angle, 2π · sign · (counts − zero) / counts_per_turn.
+
+    Attributes:
+        slave: Name of the device that counts.
+        counts_per_turn: Of the encoder.
+        sign: 1 where the counts grow forward or upward, else −1.
+        zero: Counts at angle zero.
+    """
+
+    slave: str
+    counts_per_turn: float
+    sign: int = 1
+    zero: int = 0
+
+    def __post_init__(self) -> None:
+        counts = self.counts_per_turn
+        _require(isfinite(counts) and counts > 0, "counts_per_turn", counts, "be positive")
+        _require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
+        _require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor(Encoder):
+    """A drive with its encoder.
+
+    Attributes:
+        rated_torque: Of the motor [N·m], as the drive has it (0x6076); torques travel in thousandths of it.
+        torque_limit: Largest torque at the top link [N·m].
+        gear: Turns of motor and encoder per turn of the top link.
+    """
+
+    rated_torque: float
+    torque_limit: float
+    gear: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rated, limit = self.rated_torque, self.torque_limit
+        _require(isfinite(rated) and rated > 0, "rated_torque", rated, "be positive")
+        _require(isfinite(self.gear) and self.gear > 0, "gear", self.gear, "be positive")
+        most = 32 * self.torque_unit * 1000
+        _require(
+            0 < limit <= most, "torque_limit", limit, f"be positive and at most 32 times the rated torque, {most:g}"
+        )
+
+    @property
+    def torque_unit(self) -> float:
+        """What 1 in the process data is at the top link [N·m]."""
+        return self.rated_torque * self.gear / 1000
+
+    @property
+    def most_units(self) -> int:
+        """Largest torque in the process data."""
+        return floor(self.torque_limit / self.torque_unit)
+
+    @property
+    def link_counts(self) -> float:
+        """Counts a turn of the top link."""
+        return self.counts_per_turn * self.gear
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """How the ground is felt; force = newton_per_count · (counts − zero).
+
+    Attributes:
+        slave: Name of the device that measures the force.
+        newton_per_count: Its scale [N]; negative where pressing makes the counts fall.
+        touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
+        zero: Counts without force.
+        takeoff_length: Leg length at which the leg leaves the ground [m] (Sec. 3.4).
+    """
+
+    slave: str
+    newton_per_count: float
+    touchdown_force: float
+    zero: int = 0
+    takeoff_length: float = inf
+
+    def __post_init__(self) -> None:
+        scale, force, length = self.newton_per_count, self.touchdown_force, self.takeoff_length
+        _require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
+        _require(isfinite(force) and force >= 0, "touchdown_force", force, "be finite and not negative")
+        _require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
+        _require(length > 0, "takeoff_length", length, "be positive")
+
+
+MOTOR_OUTPUTS = {"target_torque", "controlword", "mode"}
+MOTOR_INPUTS = {"position", "statusword", "mode_display"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigSettings:
+    """A robot on an EtherCAT bus.
+
+    Attributes:
+        interface: Network interface of the bus.
+        pivot_height: Height of the boom's pivot above the ground [m].
+        slaves: All devices, in the order of the bus.
+        motor_1: Turns the top link at α₁ + α₂.
+        motor_2: Turns the top link at α₁ − α₂.
+        boom_horizontal: Yaw of the boom.
+        boom_vertical: Pitch of the boom.
+        contact: Ground force.
+        limits: What the safety function allows.
+        tick: Time between two frames [s].
+        reply_timeout: How long a frame is waited for [s]; more than a tick only for a ring in lock-step.
+        watchdog: Time without a frame after which drives give no torque [s].
+        pdo_sets: Sets of PDOs besides those that ship.
+    """
+
+    interface: str
+    pivot_height: float
+    slaves: tuple[Slave, ...]
+    motor_1: Motor
+    motor_2: Motor
+    boom_horizontal: Encoder
+    boom_vertical: Encoder
+    contact: Contact
+    limits: SafetyLimits
+    tick: float = 1e-3
+    reply_timeout: float = 5e-4
+    watchdog: float = 0.05
+    pdo_sets: tuple[WrittenPdoSet, ...] = ()
+
+    def __post_init__(self) -> None:
+        _require(bool(self.interface.strip()), "interface", self.interface, "name a network interface, such as 'eth0'")
+        _require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
+        _require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
+        _require(
+            0 < self.reply_timeout < self.watchdog,
+            "reply_timeout",
+            self.reply_timeout,
+            f"be positive and less than watchdog = {self.watchdog}",
+        )
+        _require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
+        names = [slave.name for slave in self.slaves]
+        _require(len(set(names)) == len(names), "slaves", names, "have names that differ")
+        sets = self._sets()
+        for number, slave in enumerate(self.slaves, start=1):
+            _require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
+        for table, outputs, inputs in (
+            ("motor_1", MOTOR_OUTPUTS, MOTOR_INPUTS),
+            ("motor_2", MOTOR_OUTPUTS, MOTOR_INPUTS),
+            ("boom_horizontal", set[str](), {"counter"}),
+            ("boom_vertical", set[str](), {"counter"}),
+            ("contact", set[str](), {"force"}),
+        ):
+            self._check_use(table, outputs, inputs)
+        _require(self.motor_2.slave != self.motor_1.slave, "motor_2.slave", self.motor_2.slave, "differ from motor 1's")
+        _require(
+            self.boom_vertical.slave != self.boom_horizontal.slave,
+            "boom_vertical.slave",
+            self.boom_vertical.slave,
+            "differ from the horizontal angle's",
+        )
+        _require(
+            self.motor_2.link_counts == self.motor_1.link_counts,
+            "motor_2.counts_per_turn",
+            self.motor_2.counts_per_turn,
+            f"give with its gear the {self.motor_1.link_counts:g} counts a turn of motor 1",
+        )
+
+    def pdo_set(self, slave: Slave) -> PdoSet:
+        """What a slave exchanges."""
+        return self._sets()[slave.pdos]
+
+    def position(self, name: str) -> int:
+        """Place on the bus of the slave with a name, from 0."""
+        return [slave.name for slave in self.slaves].index(name)
+
+    def _sets(self) -> Mapping[str, PdoSet]:
+        return {**PDO_SETS, **{written.name: written.pdo_set() for written in self.pdo_sets}}
+
+    def _check_use(self, table: str, outputs: set[str], inputs: set[str]) -> None:
+        """Refuses a slave that is not there, or that does not exchange the values a table needs."""
+        name, names = getattr(self, table).slave, [slave.name for slave in self.slaves]
+        _require(name in names, f"{table}.slave", name, f"name one of the slaves: {', '.join(names)}")
+        pdos = self.pdo_set(self.slaves[names.index(name)])
+        lacking = outputs - set(Packing(pdos.outputs).names) | inputs - set(Packing(pdos.inputs).names)
+        rule = f"be a slave whose PDOs have {', '.join(sorted(lacking))}"
+        _require(not lacking, f"{table}.slave", name, rule)
+
+
+def read_rig_settings(path: Path) -> RigSettings:
+    """The rig that a TOML file describes.
+
+    Raises:
+        InputError: Naming file, key and what would be right.
+    """
+    return build(RigSettings, read_toml(path, "a rig"), lambda name: f"{path}: {with_table(name)}")

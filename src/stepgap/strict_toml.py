@@ -1,0 +1,162 @@
+"""Settings from TOML, read strictly: unknown keys, wrong types and values are refused with what would be right."""
+
+import tomllib
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import MISSING, fields, is_dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, cast, get_args, get_origin, get_type_hints
+
+LARGEST_FILE = 2**20
+"""Largest file of settings that is read [bytes]."""
+
+LARGEST_WHOLE = 10**300
+"""Whole numbers from here on are not taken for a number."""
+
+Place = Callable[[str], str]
+"""How the user knows a dotted setting: by its file and table, or by its option."""
+
+
+class InputError(ValueError):
+    """Something the user gave is wrong; the message is one line that says what would be right."""
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """The table of a TOML file.
+
+    Args:
+        path: The file.
+        what: The file holds, with its article, for messages.
+
+    Raises:
+        InputError: It cannot be read as such.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
+            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not {what}")
+        return tomllib.loads(content.decode("utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: this is not text; {what} is a TOML file in UTF-8") from None
+    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: not TOML: {error}") from None
+
+
+def with_table(name: str) -> str:
+    """A dotted name as `[table] key`."""
+    table, dot, key = name.rpartition(".")
+    return f"[{table}] {key}" if dot else key
+
+
+def merge(settings: Any, table: Mapping[str, Any], place: Place, prefix: str = "", more: Collection[str] = ()) -> Any:
+    """The dataclass `settings` with the values of a TOML table, checked for names and types.
+
+    Args:
+        settings: What holds where the table says nothing.
+        table: Names are those of the fields.
+        place: How messages name a key.
+        prefix: Dotted name of the table, with a dot at the end.
+        more: Dotted keys that the file may have besides, to be offered where one is misspelt.
+
+    Raises:
+        InputError: Naming key and what would be right.
+    """
+    current = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
+    values = _values(type(settings), current, table, place, prefix, more)
+    try:
+        return replace(settings, **values)
+    except ValueError as error:
+        raise located(error, place, prefix) from None
+
+
+def build(kind: type[Any], table: Mapping[str, Any], place: Place, prefix: str = "") -> Any:
+    """A dataclass from a TOML table; fields without a default must be in it. Arguments and errors as of `merge`."""
+    required = [entry.name for entry in fields(kind) if entry.default is MISSING and entry.default_factory is MISSING]
+    defaults = {entry.name: entry.default for entry in fields(kind) if is_dataclass(entry.default)}
+    values = _values(kind, defaults, table, place, prefix)
+    for name in required:
+        if name not in values:
+            raise InputError(f"{place(prefix + name)}: missing; it must be given")
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise located(error, place, prefix) from None
+
+
+def _values(
+    kind: type,
+    current: Mapping[str, Any],
+    table: Mapping[str, Any],
+    place: Place,
+    prefix: str,
+    more: Collection[str] = (),
+) -> dict[str, Any]:
+    """The values of a table as the fields of a dataclass want them."""
+    types = get_type_hints(kind)
+    known = [entry.name for entry in fields(kind)]
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        here, inner = place(prefix + key), f"{prefix}{key}."
+        if key not in known:
+            known += [name.removeprefix(prefix) for name in more if name.rpartition(".")[0] == prefix.rstrip(".")]
+            close = get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"the keys here are {', '.join(known)}"
+            raise InputError(f"{here}: unknown key; {hint}")
+        wanted = types[key]
+        if is_dataclass(current.get(key)):
+            values[key] = merge(current[key], _as_table(value, here), place, inner, more)
+        elif is_dataclass(wanted):
+            values[key] = build(cast("type", wanted), _as_table(value, here), place, inner)
+        elif get_origin(wanted) is tuple:
+            values[key] = _as_list(get_args(wanted)[0], value, place, prefix + key)
+        else:
+            values[key] = as_type(value, wanted, here)
+    return values
+
+
+def _as_table(value: Any, here: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"{here} = {shown(value)}, but it must be a table")
+    return value
+
+
+def _as_list(kind: type, value: Any, place: Place, name: str) -> tuple[Any, ...]:
+    """Texts from an array, or dataclasses from an array of tables; messages count from 1."""
+    here, of_tables = place(name), is_dataclass(kind)
+    if not isinstance(value, list):
+        wanted = f"tables, each headed [[{name}]]" if of_tables else "a list of texts in quotes"
+        raise InputError(f"{here} = {shown(value)}, but it must be {wanted}")
+    places = [f"{name} {number}" for number in range(1, len(value) + 1)]
+    if of_tables:
+        pairs = zip(places, value, strict=True)
+        return tuple(build(kind, _as_table(each, place(at)), place, f"{at}.") for at, each in pairs)
+    return tuple(as_type(each, kind, place(at)) for at, each in zip(places, value, strict=True))
+
+
+def located(error: ValueError, place: Place, prefix: str) -> InputError:
+    """The error of a settings class, `key = value, but it must …`, with the place where the user knows the key."""
+    key, *rest = str(error).partition(" = ")
+    return InputError("".join([place(prefix + key), *rest]))
+
+
+def as_type(value: Any, wanted: Any, here: str) -> Any:
+    """The value, if it has the type of the field; a whole number may stand for a number."""
+    words = {float: "a number", int: "a whole number", bool: "true or false"}
+    if wanted is float and type(value) is int and abs(value) < LARGEST_WHOLE:
+        return float(value)
+    if type(value) is not (wanted if wanted in words else str):
+        raise InputError(f"{here} = {shown(value)}, but it must be {words.get(wanted, 'a text in quotes')}")
+    return value
+
+
+def shown(value: Any) -> str:
+    """A TOML value for a message."""
+    if isinstance(value, int) and abs(value) >= LARGEST_WHOLE:
+        return "a very large whole number"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 60 else f"{text[:60]}…"

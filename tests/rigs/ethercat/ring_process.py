@@ -1,0 +1,115 @@
+"""An emulated ring in a process of its own that says what happens behind its drives."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from select import select
+from typing import NamedTuple
+
+import pytest
+
+from stepgap.rigs.ethercat.emulator.faults import Fault
+from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
+from stepgap.rigs.ethercat.emulator.machine import Machine
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, veth_pair
+from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
+from stepgap.rigs.rig import Reading
+
+INTERFACE = "stepgap0"
+
+
+class Behind(NamedTuple):
+    """What the ring says of itself.
+
+    Attributes:
+        cycles: Frames with outputs so far.
+        torques: What the drives gave in every tick of the machine [N·m].
+        enabled: Which drives are enabled.
+        now: What the drives give now [N·m].
+    """
+
+    cycles: int
+    torques: list[tuple[float, float]]
+    enabled: list[bool]
+    now: list[float]
+
+
+class Recorder(Machine):
+    """Remembers torques; its sensors count its ticks."""
+
+    def __init__(self) -> None:
+        self.torques: list[tuple[float, float]] = []
+
+    @property
+    def period(self) -> float:
+        return 1e-3
+
+    def start(self) -> Reading:
+        self.torques = []
+        return self._reading()
+
+    def tick(self, torque_1: float, torque_2: float) -> Reading:
+        self.torques.append((torque_1, torque_2))
+        return self._reading()
+
+    def _reading(self) -> Reading:
+        ticks = len(self.torques)
+        return Reading(ticks, 10 * ticks, -ticks, 2 * ticks, 0.5 * ticks)
+
+
+class LiveRing:
+    """The test's end of the process."""
+
+    def __init__(self, pipe: Connection):
+        self._pipe = pipe
+
+    def look(self) -> Behind:
+        self._pipe.send("look")
+        return self._pipe.recv()
+
+
+@contextmanager
+def live_ring(*faults: Fault) -> Iterator[LiveRing]:
+    """A ring in lock-step; skips the test where raw sockets are not allowed."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    here, there = context.Pipe()
+    process = context.Process(target=_serve, args=(there, faults), daemon=True)
+    process.start()
+    there.close()
+    with here:
+        said = here.recv()
+        if said:
+            process.join()
+            pytest.skip(said)
+        try:
+            yield LiveRing(here)
+        finally:
+            here.close()
+            process.join()
+
+
+def _serve(pipe: Connection, faults: tuple[Fault, ...]) -> None:
+    with suppress(PermissionError):  # pysoem waits 2 ms for some answers, less than a busy machine may take
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    machine = Recorder()
+    ring = Ring(machine, RingSettings(inputs_after_tick=True, faults=faults))
+    try:
+        with veth_pair(INTERFACE) as end, raw_socket(end) as raw:
+            pipe.send("")
+            while True:
+                ready = select([raw, pipe], [], [])[0]
+                if pipe in ready:
+                    pipe.recv()
+                    drives = ring.drives
+                    enabled, now = [drive.is_enabled for drive in drives], [drive.torque for drive in drives]
+                    pipe.send(Behind(ring.cycles, machine.torques, enabled, now))
+                elif raw in ready:
+                    for answer in ring.pass_frame(raw.recv(LONGEST_FRAME)):
+                        raw.send(answer)
+    except NoNetwork as refused:
+        pipe.send(str(refused))
+    except EOFError:
+        return

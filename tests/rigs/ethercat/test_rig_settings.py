@@ -1,0 +1,121 @@
+"""rig.toml: read strictly, refused with what would be right."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
+from stepgap.strict_toml import InputError
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "rig.toml"
+TEXT = EXAMPLE.read_text(encoding="utf-8")
+
+
+def read(tmp_path: Path, text: str) -> RigSettings:
+    path = tmp_path / "rig.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_rig_settings(path)
+
+
+def test_the_example_is_a_rig() -> None:
+    settings = read_rig_settings(EXAMPLE)
+    assert [slave.name for slave in settings.slaves][2:4] == ["coupler", "yaw encoder"]
+    assert settings.motor_2.sign == -1
+    assert type(settings.motor_1.counts_per_turn) is float
+    assert settings.limits.torque_step == 20
+    assert settings.position(settings.contact.slave) == 5
+    assert settings.pdo_set(settings.slaves[5]).inputs[0].index == 0x1A00
+
+
+WRONG = [
+    ('interface = "eth0"', "", "interface: missing; it must be given"),
+    ('interface = "eth0"', "interface = 3", "interface = 3, but it must be a text in quotes"),
+    ('interface = "eth0"', 'interface = " "', "interface = ' ', but it must name a network interface"),
+    ("tick = 0.001", "tik = 0.001", "tik: unknown key; did you mean tick?"),
+    ("tick = 0.001", "tick = nan", "tick = nan, but it must lie between 0.0001 and 0.01"),
+    ("watchdog = 0.05", "watchdog = 5", "watchdog = 5.0, but it must be at least two ticks, at most 0.5"),
+    ("product = 0x044C2C52", "", "[slaves 3] product: missing; it must be given"),
+    ("product = 0x044C2C52", "product = -1", "[slaves 3] product = -1, but it must lie between 0 and 2³²"),
+    ("product = 0x044C2C52", "produkt = 1", "[slaves 3] produkt: unknown key; did you mean product?"),
+    ('name = "right drive"', 'name = "left drive"', "slaves = ['left drive', 'left drive', "),
+    ('pdos = "beckhoff-el5101"', 'pdos = "el5101"', "[slaves 4] pdos = 'el5101', but it must be one of none, elmo-cst"),
+    ('pdos = "beckhoff-el5101"', "", "[boom_horizontal] slave = 'yaw encoder', but it must be a slave whose PDOs have"),
+    ('name = "foot-force"', 'name = "elmo-cst"', "[pdo_sets 1] name = 'elmo-cst', but it must differ from those"),
+    ("0x6000:11:16 force", "0x6000:11:12 force", "[pdo_sets 1.inputs 1] entries = '0x6000:11:12 force', but it must"),
+    ("0x6000:11:16 force", "6000 force", "'6000 force' is no entry; write it as '0x6041:00:16 statusword'"),
+    ('"0x0000:00:16"', '"0x0000:00:3"', "[pdo_sets 1] name = 'foot-force', but it must be a set of PDOs: 0x6000:11:16"),
+    ('"0x0000:00:16", ', "7, ", "[pdo_sets 1.inputs 1] entries 1 = 7, but it must be a text in quotes"),
+    ("sign = -1", "sign = 0", "[motor_2] sign = 0, but it must be 1 or -1"),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = inf",
+        "[motor_1] torque_limit = inf, but it must be positive and at most 32",
+    ),
+    (
+        'slave = "right drive"',
+        'slave = "left drive"',
+        "[motor_2] slave = 'left drive', but it must differ from motor 1",
+    ),
+    (
+        'slave = "right drive"',
+        'slave = "coupler"',
+        "[motor_2] slave = 'coupler', but it must be a slave whose PDOs have",
+    ),
+    ('slave = "right drive"', 'slave = "x"', "[motor_2] slave = 'x', but it must name one of the slaves: left drive"),
+    (
+        "counts_per_turn = 16384",
+        "counts_per_turn = 8192",
+        "[motor_2] counts_per_turn = 16384.0, but it must give with its",
+    ),
+    (
+        "newton_per_count = 0.01",
+        "newton_per_count = 0",
+        "[contact] newton_per_count = 0.0, but it must be finite and not",
+    ),
+    ("torque = 38.0", "torque = inf", "[limits] torque = inf, but it must be finite"),
+    ("lost_frames = 2", "lost_frames = 9", "[limits] lost_frames = 9, but it must lie between 0 and 5"),
+    ("longest_leg = 0.31", "longest_leg = 0.05", "[limits] longest_leg = 0.05, but it must exceed shortest_leg = 0.1"),
+    ("[limits]", "[limit]", "limit: unknown key; did you mean limits?"),
+    ("[limits]", "[", "not TOML"),
+]
+
+
+@pytest.mark.parametrize(("good", "bad", "says"), WRONG, ids=lambda text: text[:30])
+def test_a_wrong_file_is_refused_with_what_would_be_right(tmp_path: Path, good: str, bad: str, says: str) -> None:
+    at = "\n" + good if f"\n{good}" in TEXT else good
+    assert at in TEXT
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, TEXT.replace(at, at.replace(good, bad), 1))
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'rig.toml'}: ")
+    assert says in message
+    assert "\n" not in message
+
+
+def lines_with_numbers() -> list[int]:
+    return [at for at, line in enumerate(TEXT.splitlines()) if " = " in line and '"' not in line]
+
+
+@given(
+    at=st.sampled_from(lines_with_numbers()),
+    value=st.one_of(
+        st.floats().map(str), st.integers().map(str), st.booleans().map(lambda yes: str(yes).lower()), st.just("[]")
+    ),
+)
+def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
+    lines = TEXT.splitlines()
+    key = lines[at].partition(" = ")[0]
+    lines[at] = f"{key} = {value}"
+    try:
+        settings = read(tmp_path_factory.getbasetemp(), "\n".join(lines))
+    except InputError as error:
+        message = str(error)
+    else:
+        message = key
+        assert 0 < settings.limits.torque < float("inf")
+        assert 0 <= settings.motor_1.most_units <= 32000
+        assert settings.motor_1.most_units * settings.motor_1.torque_unit <= settings.motor_1.torque_limit * (1 + 1e-15)
+    assert key in message
+    assert "\n" not in message
