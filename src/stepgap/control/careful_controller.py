@@ -52,7 +52,10 @@ class CarefulController:
             ValueError: State, target or guess has the wrong size, or the target or guess is not finite.
         """
         exact = StepController(self.step_map)(state, target, guess)
-        if self._sure(state, exact.command) and self.is_safe(state, exact.command):
+        map_std = self.step_map.std(state, exact.command)
+        step_std = self.step_map.std(state, exact.command, include_noise=True)
+        sure = (2 * map_std**2 <= step_std**2).all()  # the map errs less than one measured step scatters
+        if sure and self._leads_on(state, exact.command, exact.predicted, step_std):
             return exact
         state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
         commands = np.array([exact.command, *self._cautious_commands(state, target, exact.command)])
@@ -65,11 +68,6 @@ class CarefulController:
         predicted = self.step_map(state, command)
         distance = float(np.linalg.norm((predicted - target) / self.step_map.space.state_scale))
         return StepPlan(command, predicted, distance <= REACHED, distance)
-
-    def _sure(self, state: ArrayLike, command: Array) -> bool:
-        """Whether the map errs less there than one measured step scatters."""
-        map_std = self.step_map.std(state, command)
-        return bool((2 * map_std**2 <= self.step_map.std(state, command, include_noise=True) ** 2).all())
 
     def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
         """The nominal command, and the nearest ones of least expected squared distance from it and from `start`."""
@@ -110,13 +108,18 @@ class CarefulController:
 
     def is_safe(self, state: ArrayLike, command: Array) -> bool:
         """Whether the step makes an apex from which the robot can hop on, also if it errs, and resembles no failure."""
-        space = self.step_map.space
         mean, reason = self.step_map.evaluate(state, command)
+        step_std = self.step_map.std(state, command, include_noise=True)
+        return bool(reason == Reason.OK) and self._leads_on(state, command, mean, step_std)
+
+    def _leads_on(self, state: ArrayLike, command: Array, mean: Array, std: Array) -> bool:
+        """The same of a step that is predicted to make an apex, with a standard deviation (n,)."""
+        space = self.step_map.space
         scale = np.concatenate([space.state_scale, space.command_scale])
         apart = np.abs(self.failures - np.concatenate([state, command])) / scale
-        if reason != Reason.OK or (apart.max(axis=-1, initial=0.0) < APART).any():
+        if (apart.max(axis=-1, initial=0.0) < APART).any():
             return False
-        error = np.diag(RISK * self.step_map.std(state, command, include_noise=True))
+        error = np.diag(RISK * std)
         places = np.concatenate([mean[None], mean + error, mean - error])
         stuck = places[self.nominal.evaluate(places, space.command_centre).reason != Reason.OK]
         grid = space.command_centre + space.command_scale * box_grid(ONWARD, len(space.command))

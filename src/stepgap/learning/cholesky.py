@@ -8,7 +8,7 @@ from scipy.linalg import get_lapack_funcs
 
 from stepgap.step import Array
 
-LONGEST_TAIL = 64
+LONGEST_TAIL = 128
 """Appended rows that are kept apart; with more, they are copied into one factor with the base."""
 
 JITTERS = (0.0, 1e-12, 1e-10, 1e-8)

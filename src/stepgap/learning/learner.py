@@ -50,6 +50,7 @@ class Learner:
         self._pool = ThreadPoolExecutor(1)
         self._fit: Future[Residual] | None = None
         self._fit_from = self._due = len(self._log)
+        self._context = next_context(self._log, nominal, iteration)
         self._since: list[tuple[Array, Array, Array]] = []
 
     def __enter__(self) -> Self:
@@ -61,7 +62,7 @@ class Learner:
     @property
     def residual(self) -> Residual:
         """Model of actual − nominal for the step to come."""
-        return self._residual.given(self._context())
+        return self._residual.given(self._context)
 
     @property
     def failures(self) -> Array:
@@ -80,8 +81,9 @@ class Learner:
 
     def observe(self, logged: LoggedStep) -> None:
         """Takes in the step just executed."""
-        record, scale, context = logged.record, self.nominal.space.state_scale, self._context()
+        record, scale, context = logged.record, self.nominal.space.state_scale, self._context
         self._log.append(logged)
+        self._context = next_context(self._log, self.nominal, self._iteration)
         error = record.next_state - self.nominal.evaluate(record.state, record.applied).next_state
         if not np.isfinite(error).all():
             return
@@ -113,6 +115,3 @@ class Learner:
         learning, observations = self._learning, observe(log, self.nominal)
         kind = learning.residual if len(observations) else "none"
         return fit_residual(kind, observations, learning.features, learning.memory, start)
-
-    def _context(self) -> Array:
-        return next_context(self._log, self.nominal, self._iteration)
