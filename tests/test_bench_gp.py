@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap import bench_gp
+from stepgap import bench_gp, bench_run
 from tests.command_line import Command, refused
 
 
@@ -36,7 +36,7 @@ def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
 
 
 def test_outside_a_checkout_it_says_that_there_are_no_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench_gp, "__file__", str(tmp_path / "lib" / "stepgap" / "bench_gp.py"))
+    monkeypatch.setattr(bench_run, "__file__", str(tmp_path / "lib" / "stepgap" / "bench_run.py"))
     result = bench_gp.bench_gp(0, True)
     assert {row["name"] for row in result["rows"]} == {"StepGap", "StepGap, linear basis"}
     assert result["skipped"] == {"all peers": "found only in a checkout"}

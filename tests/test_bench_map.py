@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.peers import full_system
-from stepgap import bench_map
+from stepgap import bench_map, bench_run
 from stepgap.hopper import Gains, RobotParameters
 from stepgap.hopper.apex_map import ApexMap
 from tests.command_line import Command, refused
@@ -47,7 +47,7 @@ def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
 
 @pytest.mark.usefixtures("tiny")
 def test_outside_a_checkout_it_says_that_there_are_no_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench_map, "__file__", str(tmp_path / "lib" / "stepgap" / "bench_map.py"))
+    monkeypatch.setattr(bench_run, "__file__", str(tmp_path / "lib" / "stepgap" / "bench_run.py"))
     said: list[str] = []
     result = bench_map.bench_map(ApexMap(), 0, True, said.append)
     assert said[0] == "no checkout, so no peers: their code lies in benchmarks/peers"

@@ -6,27 +6,22 @@ inputs, and one thread for linear algebra: more would wait for each other wherev
 part of the package; they lie in `benchmarks/peers` of a checkout.
 """
 
-import os
-import platform
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
-from importlib.metadata import version
-from importlib.util import find_spec
-from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from stepgap.bench_run import machine, peers, timed
 from stepgap.learning.gaussian_process import append
 from stepgap.learning.gaussian_process_fit import fit_gaussian_process
 from stepgap.learning.sparse_gaussian_process import fit_sparse
 from stepgap.step import Array
+
+PACKAGES = ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns")
+"""Whose versions the result names."""
 
 Say = Callable[[str], None]
 
@@ -106,7 +101,7 @@ def bench_gp(seed: int, quick: bool, say: Say = lambda line: None) -> dict[str, 
         say: Is told what comes next.
     """
     size = QUICK if quick else FULL
-    with _peers() as catalogue:
+    with peers("gaussian_processes") as catalogue:
         say("no checkout, so no peers: their code lies in benchmarks/peers" if catalogue is None else "peers found")
         found, skipped = catalogue.libraries(quick) if catalogue else ([], {"all peers": "found only in a checkout"})
     rows: list[dict[str, Any]] = []
@@ -119,7 +114,7 @@ def bench_gp(seed: int, quick: bool, say: Say = lambda line: None) -> dict[str, 
         "schema": 1,
         "quick": quick,
         "seed": seed,
-        "machine": _machine(),
+        "machine": machine(PACKAGES),
         "starts": {"most": MOST_STARTS, "up_to_points": MANY_STARTS_SIZE},
         "rows": rows,
         "skipped": skipped,
@@ -196,43 +191,7 @@ def _draw(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
 
 def _turns(calls: list[Callable[[], object]], rounds: int) -> Array:
     """Times of calls that take turns [s]; shape (rounds, calls)."""
-    return np.array([[_timed(call) for call in calls] for _ in range(rounds)])
-
-
-def _timed(call: Callable[[], object]) -> float:
-    begin = perf_counter()
-    call()
-    return perf_counter() - begin
-
-
-@contextmanager
-def _peers() -> Iterator[Any]:
-    """The catalogue of peers, or None outside of a checkout."""
-    root = Path(__file__).parents[2]
-    if not (root / "benchmarks" / "peers" / "gaussian_processes.py").is_file():
-        yield None
-        return
-    sys.path.insert(0, str(root))
-    try:
-        yield import_module("benchmarks.peers.gaussian_processes")
-    finally:
-        sys.path.remove(str(root))
-
-
-def _machine() -> dict[str, Any]:
-    names = [name for name in ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns") if _installed(name)]
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {
-        "processor": platform.machine(),
-        "cores": os.cpu_count(),
-        "load": load,
-        "python": platform.python_version(),
-        **{name: version(name) for name in names},
-    }
-
-
-def _installed(name: str) -> bool:
-    return find_spec({"scikit-learn": "sklearn"}.get(name, name)) is not None
+    return np.array([[timed(call) for call in calls] for _ in range(rounds)])
 
 
 def describe_bench(result: dict[str, Any]) -> str:

@@ -5,24 +5,21 @@ peers are no part of the package; they lie in `benchmarks/peers` of a checkout.
 """
 
 import os
-import platform
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.metadata import version
-from importlib.util import find_spec
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from stepgap.bench_run import machine, peers, timed
 from stepgap.control.command_table import build_table, measure_table
 from stepgap.control.step_controller import StepController
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.step import Array, Reason
+
+PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")
+"""Whose versions the result names."""
 
 Evaluate = Callable[[Any, Any], Any]
 """State (n,) and command (m,) to next state (n,)."""
@@ -92,7 +89,7 @@ def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Say = lambda line: 
     """
     size, rng = QUICK if quick else FULL, np.random.default_rng(seed)
     states, commands = draw(nominal, rng, size.points)
-    with _peers() as catalogue:
+    with peers("catalogue") as catalogue:
         say("peers" if catalogue else "no checkout, so no peers: their code lies in benchmarks/peers")
         found, skipped = catalogue.engines(nominal, quick) if catalogue else ([], {})
         reference = catalogue.reference(nominal, quick) if catalogue else None
@@ -110,7 +107,7 @@ def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Say = lambda line: 
         "schema": 1,
         "quick": quick,
         "seed": seed,
-        "machine": _machine(),
+        "machine": machine(PACKAGES),
         "engines": rows,
         "skipped": skipped if catalogue else {"all peers": "benchmarks/peers is found only in a checkout"},
         "jacobian": jacobian,
@@ -146,20 +143,6 @@ def _ours(nominal: ApexMap, states: Array, commands: Array) -> list[Engine]:
             "StepGap in a batch", "15 maps a call, each map", lambda *_: nominal.evaluate(*many), 20, maps=15, error=0.0
         ),
     ]
-
-
-@contextmanager
-def _peers() -> Iterator[Any]:
-    """The catalogue of peers, or None outside of a checkout."""
-    root = Path(__file__).parents[2]
-    if not (root / "benchmarks" / "peers" / "catalogue.py").is_file():
-        yield None
-        return
-    sys.path.insert(0, str(root))
-    try:
-        yield import_module("benchmarks.peers.catalogue")
-    finally:
-        sys.path.remove(str(root))
 
 
 def time_engines(
@@ -211,7 +194,7 @@ def _largest_error(nominal: ApexMap, evaluate: Evaluate, states: Array, commands
 def _jacobian(nominal: ApexMap, reference: Evaluate | None, states: Array, commands: Array) -> dict[str, Any]:
     """Cost in maps, and the largest error against Richardson differences of the reference, of its largest entry."""
     many = draw(nominal, np.random.default_rng(0), 15)
-    pairs = [(_timed(lambda: nominal.jacobian(*many)), _timed(lambda: nominal.evaluate(*many))) for _ in range(9)]
+    pairs = [(timed(lambda: nominal.jacobian(*many)), timed(lambda: nominal.evaluate(*many))) for _ in range(9)]
     errors = []
     for state, command in zip(states, commands, strict=True):
         if reference is not None:
@@ -254,16 +237,16 @@ def _batch(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, 
     """Maps a second on one core and on all, taking turns."""
     many = draw(nominal, rng, count)
     if not hasattr(os, "sched_setaffinity"):
-        return {"cores": os.cpu_count(), "one_core_us": None, "all_cores_us": _timed(lambda: nominal.evaluate(*many))}
+        return {"cores": os.cpu_count(), "one_core_us": None, "all_cores_us": timed(lambda: nominal.evaluate(*many))}
     cores = os.sched_getaffinity(0)
     one, every = [], []
     for _ in range(BATCH_ROUNDS):
         try:
             os.sched_setaffinity(0, {min(cores)})
-            one.append(_timed(lambda: nominal.evaluate(*many)))
+            one.append(timed(lambda: nominal.evaluate(*many)))
         finally:
             os.sched_setaffinity(0, cores)
-        every.append(_timed(lambda: nominal.evaluate(*many)))
+        every.append(timed(lambda: nominal.evaluate(*many)))
     us = [1e6 * float(np.median(taken)) / count for taken in (one, every)]
     speed_up = float(np.median(np.array(one) / every))
     return {"cores": len(cores), "one_core_us": us[0], "all_cores_us": us[1], "speed_up": speed_up}
@@ -284,24 +267,6 @@ def _table(nominal: ApexMap, rng: np.random.Generator, points: int) -> dict[str,
     except ValueError:  # so coarse that no cell lies within reach
         worst = None
     return {"points": points, "seconds": seconds, "within_reach": float(table.reached.mean()), "worst_error": worst}
-
-
-def _timed(call: Callable[[], object]) -> float:
-    begin = perf_counter()
-    call()
-    return perf_counter() - begin
-
-
-def _machine() -> dict[str, Any]:
-    names = [name for name in ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka") if find_spec(name)]
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {
-        "processor": platform.machine(),
-        "cores": os.cpu_count(),
-        "load": load,
-        "python": platform.python_version(),
-        **{name: version(name) for name in names},
-    }
 
 
 def describe_bench(result: dict[str, Any]) -> str:
