@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.hopper import RobotParameters
-from stepgap.plants.safety import HEALTHY, Health, Limited, Motion, Watch, check_torque
+from stepgap.plants.safety import BRAKED, Limited, Motion, Watch, check_torque
 from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.rig import HEALTHY, Health
 
 LIMITS = SafetyLimits.of(RobotParameters())
 TIGHT = SafetyLimits(
@@ -51,14 +52,19 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_for_good():
     health = rng.random((ticks, 5)) < [0.2, 0.2, 0.2, 0.005, 0.005]
     health[:, 3] ^= True
     watch, seen = Watch(), set()
-    for torque, motion, well in zip(torques.tolist(), motions.tolist(), health.tolist(), strict=True):
+    late = rng.integers(1, 4, ticks).tolist()
+    for torque, motion, well, ticks_late in zip(torques.tolist(), motions.tolist(), health.tolist(), late, strict=True):
+        well[2] *= ticks_late
         checked = check_torque(TIGHT, watch, Motion(*motion), Health(*well), *torque)
         applied, before, limited = checked[:2], watch[:2], checked.limited
         seen.update(reason for reason in Limited if reason & limited)
         assert all(abs(value) <= TIGHT.torque for value in applied)  # false for NaN
         assert checked.watch[:2] == applied
         if limited.stops:
-            assert applied == (0.0, 0.0)
+            turning = (motion[2] + motion[3], motion[2] - motion[3])
+            assert applied == (0.0, 0.0) if limited & ~BRAKED else all(
+                torque * speed <= 0 for torque, speed in zip(applied, turning, strict=True)
+            )
             assert checked.watch.stopped == limited
         else:
             limits = TIGHT.torque_step * (1 + 1e-12)
@@ -113,7 +119,7 @@ def test_torque_steps_are_limited_from_what_was_written_last():
     [
         (Health(frame_lost=True), Limited.LOST_FRAMES),
         (Health(stale=True), Limited.STALE),
-        (Health(late=True), Limited.LATE),
+        (Health(late=1), Limited.LATE),
     ],
 )
 def test_a_budget_is_of_bad_ticks_in_a_row(bad, reason):
@@ -128,6 +134,28 @@ def test_a_budget_is_of_bad_ticks_in_a_row(bad, reason):
     well = Limited.NOTHING
     assert limited([bad, bad, HEALTHY, bad, bad, Health(), bad]) == [well] * 7
     assert limited([bad, bad, bad, HEALTHY]) == [well, well, reason, reason]
+
+
+def test_one_long_delay_counts_as_all_the_ticks_it_took():
+    assert check(1, 1, health=Health(late=2)).limited == Limited.NOTHING
+    assert check(1, 1, health=Health(late=3)).limited == Limited.LATE
+
+
+def test_motors_brake_before_torque_goes_off_where_sensors_can_be_relied_on():
+    limits, watch, torques = replace(TIGHT, brake_ticks=3, brake_damping=0.5), Watch(20.0, 20.0), []
+    for rates in [(4.0, 6.0), (-4.0, 6.0), (200.0, 0.0), (4.0, 6.0)]:
+        hip_height = 0.5 if torques else 1.0
+        checked = check(38, 38, limits, watch, rate_1=rates[0], rate_2=rates[1], hip_height=hip_height)
+        torques.append(checked[:2])
+        watch = checked.watch
+    assert torques[:2] == [(-5.0, 1.0), (-1.0, 5.0)]
+    assert torques[2] == (0.0, 0.0), "a joint that is too fast may be an encoder that errs"
+    assert watch.stopped == Limited.HIP_HEIGHT | Limited.JOINT_SPEED
+    watch = Watch(stopped=Limited.HIP_HEIGHT, braked=2)
+    for braking in (True, False, False):
+        checked = check(38, 38, limits, watch, rate_1=1.0)
+        assert (checked.torque_1 != 0) == braking
+        watch = checked.watch
 
 
 def test_a_drive_without_torque_and_the_emergency_stop_stop_at_once():

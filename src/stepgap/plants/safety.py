@@ -9,6 +9,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.rig import HEALTHY, Health
 
 
 class Limited(IntFlag):
@@ -38,6 +39,10 @@ class Limited(IntFlag):
 KEEPS_ON = Limited.TORQUE | Limited.TORQUE_STEP | Limited.STRETCH
 """What only changes the torques; all else stops."""
 
+BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited.LATE
+"""Stops at which sensors and drives can still be relied on, so that the motors brake before torque goes off. A joint that
+is too fast is not among them: it may be an encoder with the wrong sign, and braking by that would accelerate."""
+
 
 class Motion(NamedTuple):
     """What the sensors say of the robot.
@@ -59,28 +64,6 @@ class Motion(NamedTuple):
     hip_height: float
 
 
-class Health(NamedTuple):
-    """How the tick itself went.
-
-    Attributes:
-        frame_lost: The bus gave no valid frame.
-        stale: The reading is that of the tick before.
-        late: The tick began past its deadline.
-        drives_enabled: Both statuswords say that the drives take torques.
-        emergency_stop: Somebody asked for the software stop.
-    """
-
-    frame_lost: bool = False
-    stale: bool = False
-    late: bool = False
-    drives_enabled: bool = True
-    emergency_stop: bool = False
-
-
-HEALTHY = Health()
-"""A tick without complaint: all that a rig can say which raises `RigFault` by itself instead."""
-
-
 class Watch(NamedTuple):
     """What the check remembers from tick to tick; a new one starts with motors limp.
 
@@ -89,8 +72,9 @@ class Watch(NamedTuple):
         torque_2: Last torque of motor 2 [N·m].
         lost: Frames lost in a row.
         stale: Stale readings in a row.
-        late: Late ticks in a row.
-        stopped: Why torque is off for good.
+        late: Ticks missed in a row.
+        stopped: Why the motors brake or are off for good.
+        braked: Ticks since then.
     """
 
     torque_1: float = 0.0
@@ -99,6 +83,7 @@ class Watch(NamedTuple):
     stale: int = 0
     late: int = 0
     stopped: Limited = Limited.NOTHING
+    braked: int = 0
 
 
 class Checked(NamedTuple):
@@ -113,7 +98,7 @@ class Checked(NamedTuple):
 def check_torque(
     limits: SafetyLimits, watch: Watch, motion: Motion, health: Health, torque_1: float, torque_2: float
 ) -> Checked:
-    """Limits the torques; zero where something is wrong, and from then on.
+    """Limits the torques. Where something is wrong, and from then on, they brake for a while or are zero.
 
     Args:
         limits: What is allowed.
@@ -126,15 +111,16 @@ def check_torque(
     lost = stale = late = 0
     stopped = watch.stopped
     if health is not HEALTHY:
-        lost, stale, late = (
-            count + 1 if bad else 0
-            for count, bad in zip(watch[2:5], (health.frame_lost, health.stale, health.late), strict=True)
-        )
+        lost = watch.lost + 1 if health.frame_lost else 0
+        stale = watch.stale + 1 if health.stale else 0
+        late = watch.late + health.late if health.late else 0
         stopped |= _unhealthy(limits, health, lost, stale, late)
     if beyond := _out_of_range(limits, motion, torque_1 + torque_2):
         stopped |= beyond
     if stopped:
-        return Checked(0.0, 0.0, stopped, Watch(0.0, 0.0, lost, stale, late, stopped))
+        torque_1, torque_2 = _brake(limits, motion) if _brakes(limits, stopped, watch.braked) else (0.0, 0.0)
+        after = Watch(torque_1, torque_2, lost, stale, late, stopped, watch.braked + 1)
+        return Checked(torque_1, torque_2, stopped, after)
 
     limited = Limited.NOTHING
     if motion.alpha_2 < limits.stretch_angle and torque_1 < torque_2:
@@ -150,6 +136,18 @@ def check_torque(
         torque_2 = min(watch.torque_2 + step, max(watch.torque_2 - step, torque_2))
         limited |= Limited.TORQUE_STEP
     return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late))
+
+
+def _brakes(limits: SafetyLimits, stopped: Limited, braked: int) -> bool:
+    """Whether a stopped robot's motors still brake."""
+    return not stopped & ~BRAKED and braked < limits.brake_ticks
+
+
+def _brake(limits: SafetyLimits, motion: Motion) -> tuple[float, float]:
+    """Torques against the motors' turning, within limits [N·m]."""
+    most, damping = limits.torque, limits.brake_damping
+    speed_1, speed_2 = motion.rate_1 + motion.rate_2, motion.rate_1 - motion.rate_2
+    return min(most, max(-most, -damping * speed_1)), min(most, max(-most, -damping * speed_2))
 
 
 def _out_of_range(limits: SafetyLimits, motion: Motion, torques: float) -> Limited:

@@ -24,7 +24,9 @@ class SafetyLimits:
         highest_hip: Largest height of the hip [m].
         lost_frames: Ticks in a row whose frame may be lost.
         stale_ticks: Ticks in a row whose reading may be that of the tick before.
-        late_ticks: Ticks in a row that may begin past their deadline.
+        late_ticks: Ticks in a row that may be missed.
+        brake_damping: With which the motors brake when the robot leaves its bounds [N·m·s/rad].
+        brake_ticks: How long they brake before torque goes off, in ticks.
     """
 
     torque: float
@@ -40,6 +42,8 @@ class SafetyLimits:
     lost_frames: int = 2
     stale_ticks: int = 2
     late_ticks: int = 2
+    brake_damping: float = 0.8
+    brake_ticks: int = 300
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -58,8 +62,9 @@ class SafetyLimits:
         for low, high in (("shortest_leg", "longest_leg"), ("lowest_hip", "highest_hip")):
             least = getattr(self, low)
             require(least < getattr(self, high), high, getattr(self, high), f"exceed {low} = {least}")
-        for name in ("lost_frames", "stale_ticks", "late_ticks"):
-            require(0 <= getattr(self, name) <= 5, name, getattr(self, name), "lie between 0 and 5")
+        for name, most in (("lost_frames", 5), ("stale_ticks", 5), ("late_ticks", 50), ("brake_ticks", 2000)):
+            require(0 <= getattr(self, name) <= most, name, getattr(self, name), f"lie between 0 and {most}")
+        require(0 <= self.brake_damping < inf, "brake_damping", self.brake_damping, "be finite and not negative")
 
     @classmethod
     def of(cls, robot: RobotParameters) -> Self:

@@ -54,6 +54,28 @@ class Reading(NamedTuple):
     contact_force: float
 
 
+class Health(NamedTuple):
+    """How a tick itself went.
+
+    Attributes:
+        frame_lost: The bus gave no valid frame.
+        stale: The reading is that of the tick before.
+        late: Whole ticks by which this one began past its due time.
+        drives_enabled: Both drives say that they take torques.
+        emergency_stop: Somebody asked for the software stop.
+    """
+
+    frame_lost: bool = False
+    stale: bool = False
+    late: int = 0
+    drives_enabled: bool = True
+    emergency_stop: bool = False
+
+
+HEALTHY = Health()
+"""A tick without complaint."""
+
+
 class RigFault(Exception):
     """The rig stopped: torque is off and stays off."""
 
@@ -80,6 +102,11 @@ class Rig(ABC):
         Raises:
             RigFault: No valid values can be had.
         """
+
+    @property
+    def health(self) -> Health:
+        """How the last `read` went; without complaint for rigs that raise `RigFault` where anything is wrong."""
+        return HEALTHY
 
     @abstractmethod
     def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
