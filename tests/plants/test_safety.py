@@ -62,8 +62,10 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_for_good():
         assert checked.watch[:2] == applied
         if limited.stops:
             turning = (motion[2] + motion[3], motion[2] - motion[3])
-            assert applied == (0.0, 0.0) if limited & ~BRAKED else all(
-                torque * speed <= 0 for torque, speed in zip(applied, turning, strict=True)
+            assert (
+                applied == (0.0, 0.0)
+                if limited & ~BRAKED
+                else all(torque * speed <= 0 for torque, speed in zip(applied, turning, strict=True))
             )
             assert checked.watch.stopped == limited
         else:

@@ -3,7 +3,7 @@
 A tick is `sense`, then one of the torques, then `check`, and after the torques were written `close_tick`.
 """
 
-from math import isnan, sin, tau
+from math import inf, isnan, sin, tau
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from stepgap.hopper.reduced import uprightness
 from stepgap.hybrid.compiled import compiled
 from stepgap.plants.estimator import FlightFit, JointRates
 from stepgap.plants.phases import Phase, next_phase
-from stepgap.plants.safety import Checked, Motion, Watch, check_torque
+from stepgap.plants.safety import Checked, Motion, Watch, brakes, check_torque
 from stepgap.plants.tick import Tick
 from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, RigLayout
@@ -25,8 +25,8 @@ from stepgap.step import Array, Reason
 STEP_TIMEOUT = 4.0
 """Longest time from apex to apex [s]."""
 
-LANDING_DAMPING = 60.0
-"""Damping along the leg with which a robot that is to stop takes its last landing [N·s/m]."""
+LANDING_DAMPING = 0.5
+"""Damping of each motor with which a robot that is to stop lands [N·m·s/rad]: one bounce more, no harder than a hop."""
 
 Torques = tuple[float, float]
 
@@ -113,6 +113,16 @@ class HopControl:
         return self._phase
 
     @property
+    def takes_command(self) -> bool:
+        """Whether this hop's command can still act in full: mid-stance is ahead."""
+        return self._phase in (Phase.FALLING, Phase.LOADING) and not self._left_ground
+
+    @property
+    def brakes(self) -> bool:
+        """Whether the safety function has stopped the robot and its motors brake still."""
+        return brakes(self._limits, self._watch)
+
+    @property
     def reason(self) -> Reason:
         """OK while the robot hops; why not, else."""
         return self._reason
@@ -121,6 +131,7 @@ class HopControl:
         """Begins a first hop: the robot is held in the air, and may be for as long as it takes."""
         self._phase = Phase.FALLING
         self._begin_hop()
+        self._deadline = inf
 
     def sense(self, reading: Reading) -> Motion:
         """Takes the sensor values of this tick and moves on to the next phase where it is due."""
@@ -150,6 +161,21 @@ class HopControl:
         motion = self._motion
         return flight_torque(
             self._law, motion.alpha_1, motion.alpha_2, motion.rate_1, motion.rate_2, self._flight_speed()
+        )
+
+    def landing_torque(self, share: float) -> Torques:
+        """Torques [N·m] that end the hopping: posture in the air; on the ground a damped spring that fades away.
+
+        Args:
+            share: Of the time that landing may take, how much is over; at 1 only damping is left.
+        """
+        if self._phase not in (Phase.LOADING, Phase.PUSHING):
+            return self.posture_torque()
+        motion, spring = self._motion, max(0.0, 1.0 - share)
+        torque_1, torque_2 = _stance_torque(self._law, motion.alpha_1, motion.alpha_2, 0.0, 0.0)
+        return (
+            spring * torque_1 - LANDING_DAMPING * (motion.rate_1 + motion.rate_2),
+            spring * torque_2 - LANDING_DAMPING * (motion.rate_1 - motion.rate_2),
         )
 
     def check(self, asked: Torques, health: Health = HEALTHY) -> Checked:
@@ -214,6 +240,8 @@ class HopControl:
             takeoff_length=layout.takeoff_length,
             hip_rate=leg.hip_rate,
         )
+        if phase == Phase.LOADING != self._phase:
+            self._deadline = min(self._deadline, self._time + STEP_TIMEOUT)
         if phase == Phase.RISING != self._phase:
             self._fit, self._phase_start, self._x_start = FlightFit(), self._time, x
         self._phase = phase

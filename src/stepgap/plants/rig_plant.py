@@ -26,7 +26,7 @@ class RigPlant(Plant):
         gains: Joint controller.
         bounds: Range of the command.
         on_tick: Called with every `Tick`, for logs.
-        limits: What the safety function allows; without, what it allows this robot in simulation.
+        limits: What the safety function allows; without, what the rig says, or what this robot may in simulation.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class RigPlant(Plant):
         limits: SafetyLimits | None = None,
     ):
         self._rig, self._space, self._on_tick = rig, bounds.space(), on_tick
-        self._robot, self._gains, self._limits = robot, gains, limits or SafetyLimits.of(robot)
+        self._robot, self._gains, self._limits = robot, gains, limits or rig.limits or SafetyLimits.of(robot)
         self._control = self._new_control()
         self._state, self._reason, self._fault = np.full(2, np.nan), Reason.OK, ""
 

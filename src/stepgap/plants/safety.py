@@ -40,8 +40,10 @@ KEEPS_ON = Limited.TORQUE | Limited.TORQUE_STEP | Limited.STRETCH
 """What only changes the torques; all else stops."""
 
 BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited.LATE
-"""Stops at which sensors and drives can still be relied on, so that the motors brake before torque goes off. A joint that
-is too fast is not among them: it may be an encoder with the wrong sign, and braking by that would accelerate."""
+"""Stops at which sensors and drives can still be relied on, so that the motors brake before torque goes off.
+
+A joint that is too fast is not among them: it may be an encoder with the wrong sign, and braking by it would accelerate.
+"""
 
 
 class Motion(NamedTuple):
@@ -118,9 +120,9 @@ def check_torque(
     if beyond := _out_of_range(limits, motion, torque_1 + torque_2):
         stopped |= beyond
     if stopped:
-        torque_1, torque_2 = _brake(limits, motion) if _brakes(limits, stopped, watch.braked) else (0.0, 0.0)
-        after = Watch(torque_1, torque_2, lost, stale, late, stopped, watch.braked + 1)
-        return Checked(torque_1, torque_2, stopped, after)
+        after = Watch(0.0, 0.0, lost, stale, late, stopped, watch.braked + 1)
+        torque_1, torque_2 = _brake(limits, motion) if brakes(limits, after) else (0.0, 0.0)
+        return Checked(torque_1, torque_2, stopped, after._replace(torque_1=torque_1, torque_2=torque_2))
 
     limited = Limited.NOTHING
     if motion.alpha_2 < limits.stretch_angle and torque_1 < torque_2:
@@ -138,9 +140,9 @@ def check_torque(
     return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late))
 
 
-def _brakes(limits: SafetyLimits, stopped: Limited, braked: int) -> bool:
+def brakes(limits: SafetyLimits, watch: Watch) -> bool:
     """Whether a stopped robot's motors still brake."""
-    return not stopped & ~BRAKED and braked < limits.brake_ticks
+    return bool(watch.stopped) and not watch.stopped & ~BRAKED and watch.braked <= limits.brake_ticks
 
 
 def _brake(limits: SafetyLimits, motion: Motion) -> tuple[float, float]:

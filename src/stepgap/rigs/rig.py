@@ -4,6 +4,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
+from stepgap.rigs.limits import SafetyLimits
+
 
 @dataclass(frozen=True)
 class RigLayout:
@@ -24,6 +26,7 @@ class RigLayout:
         touchdown_force: Contact force above which the foot is taken to be on the ground [N] (Sec. 3.3).
         takeoff_length: Leg length at which the leg is taken to leave the ground [m] (Sec. 3.4);
             infinite where only the contact force tells.
+        frames_per_tick: Frames of a bus in a tick; those between two ticks repeat the torques.
     """
 
     tick: float
@@ -34,6 +37,7 @@ class RigLayout:
     boom_counts_vertical: float
     touchdown_force: float
     takeoff_length: float
+    frames_per_tick: int = 1
 
 
 class Reading(NamedTuple):
@@ -90,6 +94,11 @@ class Rig(ABC):
     @abstractmethod
     def layout(self) -> RigLayout:
         """How to read the counts."""
+
+    @property
+    def limits(self) -> SafetyLimits | None:
+        """What its motors and joints may do; None where nothing but the robot's torque limit is known."""
+        return None
 
     @abstractmethod
     def connect(self) -> None:

@@ -18,10 +18,13 @@ from stepgap.rigs.ethercat.cia402 import (
 )
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings
-from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, RigLayout
 
 ERROR_CODE, LARGEST_TORQUE, RATED_TORQUE = 0x603F, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
+
+LOST = Health(frame_lost=True, stale=True)
 
 LAST_FRAMES = 3
 """Frames without torque that are sent when all is over, in case one is lost."""
@@ -58,6 +61,7 @@ class EthercatRig(Rig):
             boom_counts_vertical=settings.boom_vertical.counts_per_turn,
             touchdown_force=contact.touchdown_force,
             takeoff_length=contact.takeoff_length,
+            frames_per_tick=settings.frames_per_tick,
         )
         self._motors = (settings.motor_1, settings.motor_2)
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
@@ -79,6 +83,16 @@ class EthercatRig(Rig):
     def layout(self) -> RigLayout:
         """How to read the counts; their zeros and signs are taken care of."""
         return self._layout
+
+    @property
+    def limits(self) -> SafetyLimits:
+        """The settings'."""
+        return self._settings.limits
+
+    @property
+    def health(self) -> Health:
+        """Whether the last frame was lost, so that the reading is an older one."""
+        return LOST if self._lost else HEALTHY
 
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.

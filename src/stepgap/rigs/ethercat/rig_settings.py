@@ -197,7 +197,8 @@ class RigSettings:
         boom_vertical: Pitch of the boom.
         contact: Ground force.
         limits: What the safety function allows.
-        tick: Time between two frames [s].
+        tick: Time between two ticks of control [s].
+        frames_per_tick: Frames in a tick, such as 4 for a bus at 4 kHz; those between ticks repeat the torques.
         reply_timeout: How long a frame is waited for [s]; more than a tick only for a ring in lock-step.
         watchdog: Time without a frame after which drives give no torque [s].
         pdo_sets: Sets of PDOs besides those that ship.
@@ -213,6 +214,7 @@ class RigSettings:
     contact: Contact
     limits: SafetyLimits
     tick: float = 1e-3
+    frames_per_tick: int = 1
     reply_timeout: float = 5e-4
     watchdog: float = 0.05
     pdo_sets: tuple[WrittenPdoSet, ...] = ()
@@ -221,6 +223,7 @@ class RigSettings:
         _require(bool(self.interface.strip()), "interface", self.interface, "name a network interface, such as 'eth0'")
         _require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
         _require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
+        _require(1 <= self.frames_per_tick <= 10, "frames_per_tick", self.frames_per_tick, "lie between 1 and 10")
         _require(
             0 < self.reply_timeout < self.watchdog,
             "reply_timeout",

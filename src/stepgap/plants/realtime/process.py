@@ -1,0 +1,69 @@
+"""The real-time process: it alone speaks to the rig, and it lands the robot when the process that learns is gone."""
+
+import os
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.plants.hop_control import HopControl
+from stepgap.plants.realtime.board import Board
+from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
+from stepgap.plants.realtime.pace import WallClock, ask_for_realtime
+from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick_ring import TickRing
+from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.rig import Reading, Rig, RigFault
+
+
+@dataclass(frozen=True)
+class RealtimeSetup:
+    """What the process is to do; it must be possible to pickle it.
+
+    Attributes:
+        make_rig: Makes the rig, in that process.
+        robot: The robot the rig is taken to be.
+        gains: Joint controller.
+        bounds: Range of the command.
+        loop: Times and budgets.
+    """
+
+    make_rig: Callable[[], Rig]
+    robot: RobotParameters
+    gains: Gains
+    bounds: CommandBounds
+    loop: LoopSettings = LoopSettings()
+
+    def control(self, rig: Rig) -> HopControl:
+        """The joint control of a rig, compiled."""
+        limits = rig.limits or SafetyLimits.of(self.robot)
+        trial = HopControl(rig.layout, self.robot, self.gains, limits)
+        trial.sense(Reading(1, 0, 0, 0, 0.0))
+        for torque in (trial.hop_torque((0.0, 0.0)), trial.landing_torque(0.5)):
+            trial.close_tick(torque, (0.0, 1.0), trial.check(torque))
+        return HopControl(rig.layout, self.robot, self.gains, limits)
+
+
+def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str) -> None:
+    """Connects the rig and ticks by the wall clock until it is off; what it has to say is on the board."""
+    board, ring, parent = Board.attach(board_name), TickRing.attach(ring_name), os.getppid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other one asks for the landing
+    try:
+        board.state = RigState.CONNECT
+        rig = setup.make_rig()
+        control = setup.control(rig)
+        with rig:
+            board.state = RigState.CALIBRATE
+            loop = ControlLoop(
+                rig, control, setup.bounds, board, ring.push, setup.loop, alive=lambda: os.getppid() == parent
+            )
+            signal.signal(signal.SIGTERM, lambda *_: loop.ask_to_stop())
+            board.words = "; ".join(ask_for_realtime())
+            loop.run(WallClock(rig.layout.tick / rig.layout.frames_per_tick))
+    except Exception as error:
+        # whatever it is, the one who waits must learn of it; the rig is off by now
+        board.words = str(error) if isinstance(error, RigFault | ValueError) else f"{type(error).__name__}: {error}"
+        board.state = RigState.FAULT
+    finally:
+        ring.close()
+        board.close()

@@ -1,0 +1,34 @@
+from itertools import product
+
+from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
+
+EVERY = [
+    (state, Signals(*values)) for state in RigState for values in product([False, True], repeat=len(Signals._fields))
+]
+
+
+def test_a_fault_is_reached_from_anywhere_and_left_to_nowhere():
+    for state, signals in EVERY:
+        if state == RigState.FAULT or signals.fault:
+            assert next_state(state, signals) == RigState.FAULT
+        else:
+            assert next_state(state, signals) != RigState.FAULT
+
+
+def test_stages_are_never_left_out():
+    onward = {(state, RigState(state + 1)) for state in RigState if state < RigState.HOP}
+    down = {(state, RigState.STOP) for state in (RigState.STAND, RigState.HOP)} | {(RigState.STOP, RigState.OFF)}
+    down |= {(state, RigState.OFF) for state in (RigState.CONNECT, RigState.CALIBRATE, RigState.READY)}
+    steps = {(state, next_state(state, signals)) for state, signals in EVERY}
+    steps = {(a, b) for a, b in steps if a != b and b != RigState.FAULT}
+    assert steps == onward | down
+
+
+def test_torque_is_given_only_after_somebody_asked_and_only_until_somebody_asks_to_stop():
+    for state, signals in EVERY:
+        after = next_state(state, signals)
+        if after in MOVING and state not in MOVING:
+            assert signals.hop_asked
+            assert not signals.stop_asked
+        if signals.stop_asked:
+            assert after in (RigState.STOP, RigState.OFF, RigState.FAULT)
