@@ -42,9 +42,9 @@ class TickRing:
 
     def __init__(self, memory: SharedMemory, fields: int, rows: int, *, created: bool):
         self.name, self.fields, self.rows, self.lost = memory.name, fields, rows, 0
-        self._memory, self._created = memory, created
-        self._words = memory.buf[:ROWS_START].cast("Q")
-        self._slots = _slots(memory, fields, rows + 1)
+        self._memory, self._created, self._bytes = memory, created, _bytes(memory)
+        self._words = self._bytes[:ROWS_START].cast("Q")
+        self._slots = np.frombuffer(self._bytes, float, (rows + 1) * fields, ROWS_START).reshape(rows + 1, fields)
         self._row = struct.Struct(f"{fields}d")
         self._pushed = self._words[HEAD]
         self._read = 0
@@ -60,7 +60,7 @@ class TickRing:
         if fields < 1 or rows < 1:
             raise ValueError(f"a ring of {rows} rows of {fields} numbers; both must be 1 or more")
         memory = SharedMemory(create=True, size=_size(fields, rows))
-        memory.buf[:24] = struct.pack("3Q", MARK, fields, rows)
+        struct.pack_into("3Q", _bytes(memory), 0, MARK, fields, rows)
         return cls(memory, fields, rows, created=True)
 
     @classmethod
@@ -72,7 +72,7 @@ class TickRing:
             ValueError: It is no ring.
         """
         memory = _untracked(name)
-        mark, fields, rows = struct.unpack_from("3Q", memory.buf) if memory.size >= ROWS_START else (0, 0, 0)
+        mark, fields, rows = struct.unpack_from("3Q", _bytes(memory)) if memory.size >= ROWS_START else (0, 0, 0)
         if mark != MARK or not fields or not rows or _size(fields, rows) > memory.size:
             memory.close()
             raise ValueError(f"shared memory {name!r} is no tick ring; give the `name` of one that was created")
@@ -88,7 +88,7 @@ class TickRing:
             struct.error: It has another length, or something in it is no number; the ring is as before.
         """
         pushed = self._pushed
-        self._row.pack_into(self._memory.buf, ROWS_START + pushed % (self.rows + 1) * self._row.size, *row)
+        self._row.pack_into(self._bytes, ROWS_START + pushed % (self.rows + 1) * self._row.size, *row)
         self._pushed = pushed + 1
         # Not struct's "<Q", which stores byte by byte: this is one store.
         self._words[HEAD] = self._pushed
@@ -128,9 +128,9 @@ def _size(fields: int, rows: int) -> int:
     return ROWS_START + 8 * fields * (rows + 1)
 
 
-def _slots(memory: SharedMemory, fields: int, slots: int) -> Array:
-    """The slots as they lie in memory; shape (slots, fields)."""
-    return np.frombuffer(memory.buf, float, slots * fields, ROWS_START).reshape(slots, fields)
+def _bytes(memory: SharedMemory) -> memoryview:
+    assert memory.buf is not None, "closed"
+    return memory.buf
 
 
 def _untracked(name: str) -> SharedMemory:
