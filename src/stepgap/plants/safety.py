@@ -42,7 +42,7 @@ KEEPS_ON = Limited.TORQUE | Limited.TORQUE_STEP | Limited.STRETCH
 BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited.LATE
 """Stops at which sensors and drives can still be relied on, so that the motors brake before torque goes off.
 
-A joint that is too fast is not among them: it may be an encoder with the wrong sign, and braking by it would accelerate.
+A joint that is too fast is not among them: its encoder may have the wrong sign, and braking by it would accelerate.
 """
 
 

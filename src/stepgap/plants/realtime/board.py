@@ -74,6 +74,7 @@ class Board:
     """
 
     def __init__(self, memory: SharedMemory):
+        assert memory.buf is not None  # until it is closed
         self._memory = memory
         self._words = memory.buf[: 8 * Field.TEXT].cast("q")
         self._numbers = memory.buf[: 8 * Field.TEXT].cast("d")
@@ -150,7 +151,8 @@ class Board:
         words, numbers = self._words, self._numbers
         if words[Field.HOP_NUMBER] != number:
             return None
-        found = Hop(number, *numbers[Field.SPEED : Field.REASON].tolist(), Reason(words[Field.REASON]))
+        speed, height, applied_fx, applied_fy = numbers[Field.SPEED : Field.REASON].tolist()
+        found = Hop(number, speed, height, applied_fx, applied_fy, Reason(words[Field.REASON]))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:

@@ -18,6 +18,9 @@ from stepgap.step import Reason
 LOOP_UNITS = MappingProxyType({**TICK_UNITS, "state": "", "late": "s"})
 """Fields of a row of the tick log, with their units."""
 
+UNKNOWN = (nan,) * (len(TICK_UNITS) - 1)
+"""What is logged of a tick in which the rig failed, between its time and its state."""
+
 ALIVE_EVERY = 64
 """Ticks between two looks whether the process that learns is alive."""
 
@@ -100,6 +103,7 @@ class ControlLoop:
             return self._act(late, missed)
         except RigFault as fault:
             self._fail(str(fault))
+            self._log((self._control.time, *UNKNOWN, self._state, late))
             return False
 
     def _act(self, late: float, missed: int) -> bool:

@@ -4,9 +4,12 @@ import os
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.plants.estimator import FlightFit
 from stepgap.plants.hop_control import HopControl
+from stepgap.plants.phases import Phase
 from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import WallClock, ask_for_realtime
@@ -35,12 +38,20 @@ class RealtimeSetup:
     loop: LoopSettings = LoopSettings()
 
     def control(self, rig: Rig) -> HopControl:
-        """The joint control of a rig, compiled."""
+        """The joint control of a rig, all of it compiled: a first call would take longer than a tick."""
         limits = rig.limits or SafetyLimits.of(self.robot)
         trial = HopControl(rig.layout, self.robot, self.gains, limits)
-        trial.sense(Reading(1, 0, 0, 0, 0.0))
-        for torque in (trial.hop_torque((0.0, 0.0)), trial.landing_torque(0.5)):
-            trial.close_tick(torque, (0.0, 1.0), trial.check(torque))
+        turn = int(rig.layout.motor_counts / 8)
+        for counts in range(turn, turn // 2, -turn // 50):  # a leg that stretches on the ground, through all its laws
+            trial.sense(Reading(counts, -counts, 0, 0, inf))
+            for torque in (trial.posture_torque(), trial.landing_torque(0.5), trial.hop_torque((1.0, 1.0))):
+                checked = trial.check(torque)
+            trial.close_tick(torque, (0.0, 0.0), checked)
+        assert trial.phase in (Phase.PUSHING, Phase.RISING)
+        fit = FlightFit()
+        for time in range(4):
+            fit.add(time, 0.0, -float(time**2))
+        fit.apex_height()
         return HopControl(rig.layout, self.robot, self.gains, limits)
 
 
@@ -52,13 +63,13 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str) -> None:
         board.state = RigState.CONNECT
         rig = setup.make_rig()
         control = setup.control(rig)
+        board.words = "; ".join(ask_for_realtime())  # before the bus is up: its watchdog would not wait for it
         with rig:
             board.state = RigState.CALIBRATE
             loop = ControlLoop(
                 rig, control, setup.bounds, board, ring.push, setup.loop, alive=lambda: os.getppid() == parent
             )
             signal.signal(signal.SIGTERM, lambda *_: loop.ask_to_stop())
-            board.words = "; ".join(ask_for_realtime())
             loop.run(WallClock(rig.layout.tick / rig.layout.frames_per_tick))
     except Exception as error:
         # whatever it is, the one who waits must learn of it; the rig is off by now

@@ -1,35 +1,23 @@
 """Hops a rig in real time: the loop runs in a process of its own, this one gives it a command for every hop."""
 
 from collections.abc import Callable
-from multiprocessing import get_context
-from multiprocessing.process import BaseProcess
 from pathlib import Path
-from threading import Event, Thread
 from time import sleep
 
 import numpy as np
 
 from stepgap.plants.plant import Plant
-from stepgap.plants.realtime.board import Board, Hop, Request
+from stepgap.plants.realtime.board import Hop, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS
-from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
+from stepgap.plants.realtime.process import RealtimeSetup
+from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_log import TickLog, TickLogError, next_path
-from stepgap.plants.tick_ring import TickRing
 from stepgap.rigs.rig import RigFault
 from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
 
-KEPT_ROWS = 20_000
-"""Ticks that the log may be behind without losing one."""
-
-LOG_EVERY = 0.05
-"""Time between two looks for new ticks [s]; a file that a crash cuts off lacks hardly more."""
-
 LOOK_EVERY = 1e-3
 """Time between two looks whether a hop has ended [s]."""
-
-LAST_WORDS = 5.0
-"""Time beyond the longest landing that the real-time process may take to end [s]."""
 
 
 class RealtimePlant(Plant):
@@ -40,11 +28,11 @@ class RealtimePlant(Plant):
 
     Args:
         setup: The rig, and how it is controlled.
-        logs: Folder for the ticks of every deployment, `ticks-*.mcap`; without, there is no such log.
+        logs: Folder for the ticks of every deployment, `ticks-*.mcap`.
         on_ready: Called when the rig is connected and limp, before torque is given for the first time.
     """
 
-    def __init__(self, setup: RealtimeSetup, logs: Path | None = None, on_ready: Callable[[], None] = lambda: None):
+    def __init__(self, setup: RealtimeSetup, logs: Path, on_ready: Callable[[], None] = lambda: None):
         self._setup, self._logs, self._on_ready = setup, logs, on_ready
         self._space, self._session = setup.bounds.space(), None
         self._state, self._hop, self._fault = np.full(2, np.nan), 0, ""
@@ -67,7 +55,11 @@ class RealtimePlant(Plant):
         """
         self.stop()
         self._hop, self._fault = 0, ""
-        self._session = session = Session(self._setup, self._logs)
+        try:
+            log = TickLog(next_path(self._logs), LOOP_UNITS)
+        except TickLogError as error:
+            raise RigFault(str(error)) from None
+        self._session = session = Session(self._setup, log)
         while session.board.state < RigState.READY:
             session.check()
             sleep(LOOK_EVERY)
@@ -103,93 +95,17 @@ class RealtimePlant(Plant):
         if self._session:
             self._session, session = None, self._session
             self._fault = self._fault or session.words()
-            session.close(self._setup.loop.landing_time + LAST_WORDS)
+            session.close()
 
-    def _await_hop(self, session: "Session") -> Hop:
+    def _await_hop(self, session: Session) -> Hop:
         """The present hop, when it has ended."""
         while (hop := session.board.hop(self._hop)) is None:
             if session.over():
                 hop = session.board.hop(self._hop) or Hop(self._hop, np.nan, np.nan, 0.0, 0.0, Reason.STOPPED)
                 break
-            session.check_log()
+            session.check_sink()
             sleep(LOOK_EVERY)
         if hop.reason != Reason.OK:
             self._fault = session.words()
         self._state = np.array([hop.speed, hop.height])
         return hop
-
-
-class Session:
-    """A real-time process, its shared memory and its log, from start to end.
-
-    Args:
-        setup: What the process is to do.
-        logs: Folder for the log of ticks, or None.
-    """
-
-    def __init__(self, setup: RealtimeSetup, logs: Path | None):
-        self.board, self._ring = Board.create(), TickRing.create(len(LOOP_UNITS), KEPT_ROWS)
-        self._over, self._log_error = Event(), ""
-        self._logger = Thread(target=self._keep_log, args=(logs,), daemon=True)
-        arguments = setup, self.board.name, self._ring.name
-        self._process: BaseProcess = get_context("spawn").Process(target=run_realtime, args=arguments, daemon=True)
-        self._process.start()
-        self._logger.start()
-
-    @property
-    def process_id(self) -> int:
-        """Of the real-time process."""
-        return self._process.pid or 0
-
-    def over(self) -> bool:
-        """Whether the process has ended, in whatever way."""
-        return not self._process.is_alive()
-
-    def words(self) -> str:
-        """What there is to say of the end."""
-        if self._log_error:
-            return self._log_error
-        code = self._process.exitcode
-        killed = f"the real-time process was killed by signal {-code}" if code is not None and code < 0 else ""
-        return killed or self.board.words
-
-    def check(self) -> None:
-        """Raises RigFault where the process has failed or ended, or its log cannot be written."""
-        if self.board.state == RigState.FAULT or self.over():
-            raise RigFault(self.words() or "the real-time process ended")
-        self.check_log()
-
-    def check_log(self) -> None:
-        """Raises RigFault where the log cannot be written; the robot has been asked to land then."""
-        if self._log_error:
-            raise RigFault(self._log_error)
-
-    def close(self, patience: float) -> None:
-        """Asks for the landing and waits for the end at most so long [s]; what has not ended then is killed."""
-        self.board.request = Request.STOP
-        self._process.join(patience)
-        if self._process.is_alive():
-            self.board.stop_at_once()
-            self._process.join(1.0)
-            self._process.kill()  # the drives' watchdog takes the torque away
-            self._process.join()
-        self._over.set()
-        self._logger.join()
-        for memory in (self._ring, self.board):
-            memory.close()
-            memory.unlink()
-
-    def _keep_log(self, folder: Path | None) -> None:
-        """Moves ticks to disk until all is over; a disk that is full lands the robot."""
-        if folder is None:
-            return
-        try:
-            with TickLog(next_path(folder), LOOP_UNITS) as log:
-                over = False
-                while not over:
-                    over = self._over.wait(LOG_EVERY)
-                    log.append(self._ring.drain())
-                    log.flush()
-        except TickLogError as error:
-            self._log_error = str(error)
-            self.board.request = Request.STOP

@@ -1,5 +1,7 @@
 """The ring on a network interface: frames come, answers go, until it is told to stop."""
 
+import gc
+import os
 import select
 import signal
 import socket
@@ -17,6 +19,9 @@ from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
 
 LARGEST_LAG = 100
 """Ticks that a ring on the wall clock makes up for; where it falls further behind, its time stands still meanwhile."""
+
+PRIORITY = 50
+"""Of SCHED_FIFO on the wall clock; less than a master's."""
 
 READY = ""
 """What the ring's process says when it can be used; anything else is why it cannot."""
@@ -43,6 +48,8 @@ def run_emulator(
         ValueError: The settings do not fit.
     """
     ring = Ring(machine, settings)
+    if not settings.lock_step:
+        _ask_for_realtime()
     names = ", ".join(slave.device.name for slave in ring.slaves)
     with _terminated_as_interrupted(), suppress(KeyboardInterrupt), veth_pair(interface) as end, raw_socket(end) as raw:
         say(f"EtherCAT ring on {interface}: {names}")
@@ -80,6 +87,13 @@ def emulated(interface: str, make_machine: Callable[[], Machine], settings: Ring
         finally:
             here.close()
             process.join()
+
+
+def _ask_for_realtime() -> None:
+    """Asks for SCHED_FIFO where a master on the wall clock waits for answers no longer than half a tick."""
+    gc.freeze()
+    with suppress(AttributeError, PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
 def _run_apart(interface: str, make_machine: Callable[[], Machine], settings: RingSettings, parent: Connection) -> None:

@@ -69,7 +69,7 @@ def emulated_settings(
             touchdown_force=layout.touchdown_force,
             takeoff_length=layout.takeoff_length,
         ),
-        limits=SafetyLimits(torque=most),
+        limits=SafetyLimits(torque=most, lost_frames=5, stale_ticks=5, late_ticks=40),  # nothing here can break
         tick=layout.tick,
         reply_timeout=PATIENT_REPLY if ring.lock_step else layout.tick / 2,
         watchdog=PATIENT_WATCHDOG if ring.lock_step else 0.05,
