@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import wraps
-from math import isfinite, tau
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -136,6 +136,9 @@ def run(
     *,
     out: Path | None = None,
     reference: str | None = None,
+    plant: str | None = None,
+    rig: str | None = None,
+    arm: bool = False,
     seed: str | None = None,
     iterations: str | None = None,
     calibrate: str | None = None,
@@ -144,12 +147,15 @@ def run(
     quiet: bool = False,
     overrides: Overrides = None,
 ) -> None:
-    """Run the whole sim-to-real experiment on the twin: deploy, learn, redeploy, report.
+    """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. Without more, on the twin.
 
     Args:
         experiment: TOML file of settings; without one, the paper's experiment.
         out: Folder for the results; without it a new one under runs/.
         reference: CSV file of targets, one row per step; without it, the paper's.
+        plant: What hops: twin, emulated-ring (the twin on an EtherCAT bus in software), or a rig such as ethercat.
+        rig: File that describes the rig, such as rig.toml.
+        arm: Give the rig torque; `stepgap rig check` must have passed.
         seed: Of all randomness, a whole number.
         iterations: Redeployments at most.
         calibrate: Hops before the first deployment whose commands are chosen for what they teach.
@@ -157,22 +163,19 @@ def run(
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
     """
-    import numpy as np
-
     from stepgap.experiment import load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
-    from stepgap.plants.rig_plant import RigPlant
+    from stepgap.interrupt import terminated_as_interrupted
     from stepgap.progress import Progress
-    from stepgap.repeatability import measure_repeatability
     from stepgap.report import write_report
-    from stepgap.rigs.twin.model import GroundProfile
-    from stepgap.rigs.twin.twin import Twin
-    from stepgap.run_verb import check_reach, check_twin, dated_folder, folder_to_resume, start_folder
+    from stepgap.run_plants import choose_plants
+    from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
 
-    quoted = None if reference is None else json.dumps(reference, ensure_ascii=False)
     shorthand = [
-        ("reference", quoted),
+        ("reference", _quoted(reference)),
+        ("plant", _quoted(plant)),
+        ("rig", _quoted(rig)),
         ("seed", seed),
         ("learning.iterations", iterations),
         ("learning.calibration", calibrate),
@@ -183,39 +186,35 @@ def run(
     settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     targets = load_reference(settings, nominal.space)
-
-    ground = GroundProfile(settings.gap, settings.robot.boom_length, np.random.default_rng(settings.seed))
-
-    def make_twin(rng: np.random.Generator) -> tuple[RigPlant, Twin]:
-        turn = rng.uniform(0, tau)  # or every deployment would meet every target at the same place, and learn that
-        twin = Twin(settings.robot, settings.gap, rng, ground=ground, turn=turn)
-        return RigPlant(twin, settings.robot, settings.gains, settings.command), twin
-
-    def make_plant(rng: np.random.Generator) -> "Plant":
-        return make_twin(rng)[0]
-
-    def measure_spread(step_map: "StepMap", rng: np.random.Generator) -> "Array":
-        return measure_repeatability(*make_twin(rng), step_map, targets, rng)
-
     check_reach(nominal, targets, settings.reference)
-    check_twin(make_plant)
+    plants = choose_plants(settings, targets, arm, folder)
     if not resume:
         start_folder(folder, settings, targets)
     try:
-        with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
+        with (
+            terminated_as_interrupted(),
+            Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress,
+        ):
             run_experiment(
                 nominal,
-                make_plant,
+                plants.make,
                 targets,
                 settings.learning,
                 folder,
                 settings.seed,
                 progress.observer,
-                measure_spread,
+                plants.measure_spread,
+                plants.replays,
             )
         print(write_report(folder))
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"; go on with: stepgap run --out {shlex.quote(str(folder))} --resume") from None
+        again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
+        raise KeyboardInterrupt(f"; go on with: {again}") from None
+
+
+def _quoted(text: str | None) -> str | None:
+    """The TOML of a text."""
+    return None if text is None else json.dumps(text, ensure_ascii=False)
 
 
 @app.command

@@ -21,6 +21,9 @@ from stepgap.strict_toml import LARGEST_FILE, InputError, Place, located, merge,
 PAPER = "paper"
 """Name of the built-in reference."""
 
+TWIN, EMULATED_RING = "twin", "emulated-ring"
+"""Plants that are simulated; all others are rigs by their name."""
+
 PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": RealityGap.none}
 """What `[gap] preset` may name; a preset sets every difference before single keys change some."""
 
@@ -35,6 +38,8 @@ class Experiment:
     Attributes:
         seed: Of all randomness.
         reference: `paper`, or a CSV file of targets, relative to the experiment's file.
+        plant: `twin`, `emulated-ring` (the twin on an EtherCAT bus in software), or the name of a rig.
+        rig: File that describes that rig, relative to the experiment's file.
         robot: The robot as the physics model takes it.
         gains: Joint controller.
         command: Bounds of the step command.
@@ -44,6 +49,8 @@ class Experiment:
 
     seed: int = 0
     reference: str = PAPER
+    plant: str = TWIN
+    rig: str = ""
     robot: RobotParameters = field(default_factory=RobotParameters)
     gains: Gains = field(default_factory=Gains)
     command: CommandBounds = field(default_factory=CommandBounds)
@@ -70,6 +77,8 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
         experiment = _changed(experiment, read_toml(path, "an experiment"), lambda name: f"{path}: {with_table(name)}")
         if experiment.reference != PAPER:
             experiment = replace(experiment, reference=str(path.parent / experiment.reference))
+        if experiment.rig:
+            experiment = replace(experiment, rig=str(path.parent / experiment.rig))
     table: dict[str, Any] = {}
     for name, value in overrides:
         _set(table, name.replace("-", "_").split("."), _parse_value(value))
@@ -100,8 +109,11 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
 def write_experiment(folder: Path, experiment: Experiment, reference: Reference) -> None:
     """Writes every setting to `experiment.toml`, so that the file reruns the experiment.
 
-    A reference from a file is copied into the folder, so that the folder is complete.
+    A reference from a file is copied into the folder, so that the folder is complete. A rig's file is not: it belongs
+    to the machine on which it was checked.
     """
+    if experiment.rig:
+        experiment = replace(experiment, rig=str(Path(experiment.rig).resolve()))
     if experiment.reference != PAPER:
         rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
         write_whole(folder / "reference.csv", "\n".join(rows) + "\n")

@@ -54,7 +54,7 @@ class Progress:
     @property
     def observer(self) -> Observer:
         """To be told of steps and deployments."""
-        return Observer(self._on_step, self._on_deployment)
+        return Observer(self._on_step, self._on_deployment, self._on_fault)
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -88,6 +88,10 @@ class Progress:
                 f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{fall}{error}",
                 soft_wrap=True,  # where it is no terminal, a line stays a line
             )
+
+    def _on_fault(self, words: str) -> None:
+        if not self._quiet:
+            self._console.print(f"it ended before its time: {words}", soft_wrap=True, style="bold")
 
     def _describe(self, rmse: np.ndarray) -> str:
         return ", ".join(

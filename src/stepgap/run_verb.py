@@ -2,17 +2,14 @@
 
 import fcntl
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.experiment import Experiment, InputError, write_experiment
-from stepgap.plants.plant import Plant
 from stepgap.step import StepFailed, StepMap
 
 
@@ -76,11 +73,3 @@ def check_reach(nominal: StepMap, reference: Reference, name: str) -> None:
                 f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
                 f"command bounds; `stepgap gait` shows what it can"
             )
-
-
-def check_twin(make_plant: Callable[[np.random.Generator], Plant]) -> None:
-    """Raises InputError where settings that are right one by one make no twin."""
-    try:
-        make_plant(np.random.default_rng(0))
-    except ValueError as error:
-        raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None

@@ -64,10 +64,12 @@ class Observer:
     Attributes:
         on_step: Told of every executed step, after it is on disk.
         on_deployment: Told of every finished deployment.
+        on_fault: Told what the plant had to say of a deployment that ended before its time.
     """
 
     on_step: Callable[[LoggedStep], None] = lambda logged: None
     on_deployment: Callable[[Deployment], None] = lambda deployment: None
+    on_fault: Callable[[str], None] = lambda words: None
 
 
 def run(
@@ -79,6 +81,7 @@ def run(
     seed: int,
     observer: Observer = Observer(),
     measure_spread: MeasureSpread | None = None,
+    replays: bool = True,
 ) -> list[Deployment]:
     """Runs the experiment, or goes on with one that was broken off, and keeps its record in `folder`.
 
@@ -97,6 +100,8 @@ def run(
         observer: Whom to tell.
         measure_spread: Measures the repeatability under the last controller; drawing from `default_rng([seed, K, 1])`
             after deployment K. Without it, it is estimated from the steady steps.
+        replays: Plants made from the same generator take the same steps again. Where they do not, as on hardware, the
+            steps of a deployment that was broken off stay as they are, and the next deployment starts.
 
     Raises:
         ValueError: The reference is not one for this map.
@@ -112,7 +117,8 @@ def run(
             learner = Learner(nominal, log, learning, iteration)
             if iteration > 0:
                 write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(learner.residual.to_dict()))
-            if iteration < vouched:
+            kept, plant = not replays and bool(recorded) and recorded[0].iteration == iteration, None
+            if iteration < vouched or kept:
                 steps = _taken_as_recorded(recorded, iteration)
             else:
                 plant = make_plant(np.random.default_rng([seed, iteration]))
@@ -122,6 +128,8 @@ def run(
                 for logged in steps:
                     log.append(logged)
                     observer.on_step(logged)
+            if plant and plant.fault:
+                observer.on_fault(plant.fault)
             kind = learning.residual if learning.lessons(iteration) else learner.residual.name
             deployments.append(summarise(log.of_iteration(iteration), reference, kind))
             if not recorded:

@@ -18,6 +18,11 @@ class Plant(ABC):
     def space(self) -> StepSpace:
         """Names, units and ranges of what it takes and gives."""
 
+    @property
+    def fault(self) -> str:
+        """Why the last deployment ended before its time, where the plant can say more than the reason of the step."""
+        return ""
+
     @abstractmethod
     def start(self) -> Array:
         """Releases the robot and returns the state at its first apex; shape (n,)."""

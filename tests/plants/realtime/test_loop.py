@@ -52,7 +52,13 @@ class Deployment:
         if number:
             self.board.post_command(number, *COMMAND)
         self.run(lambda: self.board.hop(number) is not None)
-        return self.board.hop(number)
+        return self.ended(number)
+
+    def ended(self, number):
+        """How a hop ended."""
+        hop = self.board.hop(number)
+        assert hop is not None
+        return hop
 
     def hopping(self):
         """The first hop is over."""
@@ -105,8 +111,7 @@ def test_a_hop_without_a_command_has_none_and_two_in_a_row_land_the_robot():
         deployment.hopping()
         assert deployment.hop(1).reason == Reason.OK
         deployment.run(lambda: deployment.board.hop(2) is not None)
-        missed = deployment.board.hop(2)
-        assert missed is not None
+        missed = deployment.ended(2)
         assert missed.reason == Reason.OK
         np.testing.assert_allclose((missed.applied_fx, missed.applied_fy), 0, atol=0.5)
         assert not deployment.run(lambda: False)
@@ -121,8 +126,7 @@ def test_a_command_that_comes_after_mid_stance_is_not_taken_for_one_that_acted()
         deployment.run(lambda: deployment.rows[-1][COLUMN["phase"]] == pushing)
         deployment.board.post_command(1, *COMMAND)
         deployment.run(lambda: deployment.board.hop(1) is not None)
-        hop = deployment.board.hop(1)
-        assert hop is not None
+        hop = deployment.ended(1)
         np.testing.assert_allclose((hop.applied_fx, hop.applied_fy), 0, atol=0.5)
 
 
@@ -144,8 +148,7 @@ def test_a_command_that_is_no_number_is_a_fault_without_torque(command):
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.FAULT
         assert "must be finite" in deployment.board.words
-        hop = deployment.board.hop(1)
-        assert hop is not None
+        hop = deployment.ended(1)
         assert hop.reason == Reason.STOPPED
 
 
@@ -154,8 +157,7 @@ def test_a_command_beyond_its_bounds_acts_at_the_bound():
         deployment.hopping()
         deployment.board.post_command(1, 1e9, -1e9)
         deployment.run(lambda: deployment.board.hop(1) is not None)
-        hop = deployment.board.hop(1)
-        assert hop is not None
+        hop = deployment.ended(1)
         assert hop.applied_fx <= BOUNDS.fx_upper + 1
         assert hop.applied_fy >= BOUNDS.fy_lower - 1
 
@@ -168,8 +170,7 @@ def test_the_software_stop_takes_torque_off_at_the_next_tick_for_good():
         assert deployment.loop.state == RigState.FAULT
         assert not deployment.torques[-1].any()
         assert "emergency stop" in deployment.board.words
-        hop = deployment.board.hop(1)
-        assert hop is not None
+        hop = deployment.ended(1)
         assert hop.reason == Reason.STOPPED
 
 

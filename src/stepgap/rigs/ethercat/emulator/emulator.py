@@ -3,15 +3,14 @@
 import gc
 import os
 import select
-import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from threading import current_thread, main_thread
 from time import monotonic_ns
 
+from stepgap.interrupt import terminated_as_interrupted
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, veth_pair
@@ -51,7 +50,7 @@ def run_emulator(
     if not settings.lock_step:
         _ask_for_realtime()
     names = ", ".join(slave.device.name for slave in ring.slaves)
-    with _terminated_as_interrupted(), suppress(KeyboardInterrupt), veth_pair(interface) as end, raw_socket(end) as raw:
+    with terminated_as_interrupted(), suppress(KeyboardInterrupt), veth_pair(interface) as end, raw_socket(end) as raw:
         say(f"EtherCAT ring on {interface}: {names}")
         period = None if settings.lock_step else round(machine.period * 1e9)
         _serve(ring, raw, stop, period)
@@ -101,19 +100,6 @@ def _run_apart(interface: str, make_machine: Callable[[], Machine], settings: Ri
         run_emulator(interface, make_machine(), settings, lambda _: parent.send(READY), parent)
     except (NoNetwork, ValueError) as reason:
         parent.send(str(reason))
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM ends the block as Ctrl-C does, so that the interface is taken away."""
-    if current_thread() is not main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _serve(ring: Ring, raw: socket.socket, stop: Connection | None, period: int | None) -> None:

@@ -1,0 +1,129 @@
+"""What `stepgap run` hops: the twin, the twin behind an emulated EtherCAT ring, or a rig by name."""
+
+import sys
+from collections.abc import Callable
+from functools import partial
+from math import tau
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from stepgap.control.reference import Reference
+from stepgap.experiment import EMULATED_RING, TWIN, Experiment, InputError
+from stepgap.plants.plant import Plant
+from stepgap.plants.realtime.process import RealtimeSetup
+from stepgap.plants.realtime.realtime_plant import RealtimePlant
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.repeatability import measure_repeatability
+from stepgap.rigs.entry_points import load_rig
+from stepgap.rigs.ethercat.emulator.machine import TwinMachine
+from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.ethercat.emulator.ring_rig import RingRig, emulated_settings
+from stepgap.rigs.rig import RigFault
+from stepgap.rigs.twin.model import GroundProfile
+from stepgap.rigs.twin.twin import Twin
+from stepgap.sim_to_real import MeasureSpread
+from stepgap.step import Array, StepMap
+
+
+class Plants(NamedTuple):
+    """How a run gets its plants.
+
+    Attributes:
+        make: Makes the plant of one deployment from its random generator.
+        replays: The same generator gives the same steps again.
+        measure_spread: Measures the repeatability, where that can be done.
+    """
+
+    make: Callable[[np.random.Generator], Plant]
+    replays: bool
+    measure_spread: MeasureSpread | None = None
+
+
+def choose_plants(settings: Experiment, reference: Reference, arm: bool, folder: Path) -> Plants:
+    """The plants of an experiment.
+
+    Args:
+        settings: Which plant, and all that describes it.
+        reference: What will be tracked.
+        arm: A person wants a rig to have torque.
+        folder: Of the run; a rig's ticks go there.
+
+    Raises:
+        InputError: They cannot be had with these settings.
+    """
+    simulated = settings.plant in (TWIN, EMULATED_RING)
+    if simulated and (arm or settings.rig):
+        raise InputError(f"--arm, --rig: for rigs that can break things; plant '{settings.plant}' takes neither")
+    if not simulated:
+        return _of_rig(settings, arm, folder / "ticks")
+    try:
+        make_twin = partial(_twin, settings, _ground(settings))
+        twin = make_twin(np.random.default_rng(0))
+    except ValueError as error:
+        raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None
+
+    def measure_spread(step_map: StepMap, rng: np.random.Generator) -> Array:
+        twin = make_twin(rng)
+        return measure_repeatability(_on(settings, twin), twin, step_map, reference, rng)
+
+    if settings.plant == TWIN:
+        return Plants(lambda rng: _on(settings, make_twin(rng)), True, measure_spread)
+    return Plants(_ring_maker(settings, twin), True, measure_spread)
+
+
+def _ground(settings: Experiment) -> GroundProfile:
+    return GroundProfile(settings.gap, settings.robot.boom_length, np.random.default_rng(settings.seed))
+
+
+def _twin(settings: Experiment, ground: GroundProfile, rng: np.random.Generator) -> Twin:
+    turn = rng.uniform(0, tau)  # or every deployment would meet every target at the same place, and learn that
+    return Twin(settings.robot, settings.gap, rng, ground=ground, turn=turn)
+
+
+def _on(settings: Experiment, rig: Twin | RingRig) -> RigPlant:
+    return RigPlant(rig, settings.robot, settings.gains, settings.command)
+
+
+def _machine(settings: Experiment, rng: np.random.Generator) -> TwinMachine:
+    """What an emulated ring's drives move; called in the ring's process."""
+    return TwinMachine(_twin(settings, _ground(settings), rng))
+
+
+def _ring_maker(settings: Experiment, twin: Twin) -> Callable[[np.random.Generator], Plant]:
+    gap = settings.gap
+    for name in ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical"):
+        if not np.isfinite(getattr(gap, name)):
+            raise InputError(f"gap.{name} must be finite: a ring carries whole counts, such as {name} = 16384")
+    ring = RingSettings(inputs_after_tick=True)
+    bus = emulated_settings(twin.layout, settings.robot, ring)
+    return lambda rng: _on(settings, RingRig(partial(_machine, settings, rng), ring, bus, settings.robot))
+
+
+def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
+    if not settings.rig:
+        raise InputError(f"--plant {settings.plant}: say which robot by --rig RIG.toml")
+    make_rig = partial(load_rig, settings.plant, Path(settings.rig), settings.robot)
+    make_rig()  # whatever is wrong with it is said before the first deployment
+    if not arm:
+        raise InputError(
+            f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` does everything but torque"
+        )
+    setup = RealtimeSetup(make_rig, settings.robot, settings.gains, settings.command)
+    return Plants(lambda rng: RealtimePlant(setup, logs, ask_to_hold), replays=False)
+
+
+def ask_to_hold() -> None:
+    """Waits until a person holds the robot.
+
+    Raises:
+        RigFault: Nobody answers.
+    """
+    print(
+        "Hold the robot up, its foot clear of the ground, and press Enter: it takes its landing posture within half a "
+        "second. Then let it go. Ctrl-C lands it.",
+        file=sys.stderr,
+    )
+    if not sys.stdin.readline():
+        raise RigFault("nobody pressed Enter, so there was no torque")
