@@ -42,7 +42,9 @@ def _maker(name: str) -> Any:
     if not found:
         raise InputError(f"rig '{name}': unknown; {_hint(name)}")
     if len({entry.value for entry in found}) > 1:
-        raise InputError(f"rig '{name}': offered by {' and by '.join(sorted(map(_owner, found)))}; uninstall one of them")
+        raise InputError(
+            f"rig '{name}': offered by {' and by '.join(sorted(map(_owner, found)))}; uninstall one of them"
+        )
     entry = next(iter(found))
     try:
         make = entry.load()
