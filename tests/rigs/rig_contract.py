@@ -22,6 +22,13 @@ def moved(rig: Rig, ticks: int, torque_1: float = 0.0, torque_2: float = 0.0) ->
     return rig.read()
 
 
+def break_off(rig: Rig) -> None:
+    """Uses the rig and runs into an error."""
+    with rig:
+        moved(rig, 1)
+        raise ZeroDivisionError
+
+
 class RigContract:
     """Tests of a rig that `make_rig` makes.
 
@@ -110,8 +117,7 @@ class RigContract:
 
     def test_it_is_closed_when_the_block_ends_in_an_error(self, make_rig: MakeRig) -> None:
         with make_rig() as rig:
-            with pytest.raises(ZeroDivisionError), rig:
-                moved(rig, 1)
-                raise ZeroDivisionError
+            with pytest.raises(ZeroDivisionError):
+                break_off(rig)
             with pytest.raises(RigFault):
                 rig.write(0.0, 0.0)

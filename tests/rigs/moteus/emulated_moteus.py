@@ -210,7 +210,7 @@ class Controllers(Thread):
             register = {1: ENCODER_1, 2: ENCODER_2}[boom.source]
             self.controllers[boom.id].registers[register] = share
         contact = settings.contact
-        share = contact.zero + reading.contact_force / contact.newton_full_scale
+        share = (contact.zero + reading.contact_force / contact.newton_per_count) / 4096
         self.controllers[contact.id].registers[ANALOG[contact.port] + contact.pin - 1] = share
 
 

@@ -47,9 +47,10 @@ SETTINGS = MoteusSettings(
     motor_2=Motor(id=2, torque_limit=20, gear=2.0, sign=-1),
     boom_horizontal=BoomEncoder(id=1, source=1, counts_per_turn=5000, zero=100),
     boom_vertical=BoomEncoder(id=2, source=2, counts_per_turn=16384, sign=-1),
-    contact=Contact(id=2, port=1, pin=3, newton_full_scale=500, zero=0.1, touchdown_force=5, takeoff_length=0.273),
+    contact=Contact(id=2, port=1, pin=3, newton_per_count=0.125, zero=409, touchdown_force=5, takeoff_length=0.273),
     limits=SafetyLimits(torque=20.0),
-    reply_timeout=0.04,  # a busy machine may keep the controllers waiting
+    reply_timeout=0.4,  # a busy machine may keep the controllers waiting
+    watchdog=0.5,
 )
 CHANNELS = count()
 
@@ -115,7 +116,7 @@ def test_it_can_be_connected_again(bench: tuple[Controllers, MoteusRig]) -> None
     ids=["one", "two", "three"],
 )
 def test_missing_answers_pass_within_the_budget(mute: dict[int, set[int]], survives: bool) -> None:
-    settings = fresh()
+    settings = fresh(replace(SETTINGS, reply_timeout=0.04))
     with emulated(settings, Recorder()) as controllers, MoteusRig(settings, ROBOT) as rig:
         controllers.mute = mute
         ticks, message = ticks_until_fault(rig, 15)
@@ -304,7 +305,7 @@ HOPPER = replace(
 
 
 class Late(Rig):
-    """The twin as the controllers show it: readings of a tick before, torques in single precision."""
+    """The twin as the controllers show it: readings of a tick before, forces in counts, torques in single precision."""
 
     def __init__(self, twin: Twin, idle: int):
         self._twin, self._idle = twin, idle
@@ -324,7 +325,8 @@ class Late(Rig):
     def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
         limit, single = HOPPER.motor_1.torque_limit, Struct("<f")
         applied = [min(max(torque, -limit), limit) for torque in (torque_1, torque_2)]
-        self._told = self._twin.read()
+        reading, newton = self._twin.read(), HOPPER.contact.newton_per_count
+        self._told = reading._replace(contact_force=newton * round(reading.contact_force / newton))
         self._twin.write(*(single.unpack(single.pack(torque))[0] for torque in applied))
         return applied[0], applied[1]
 

@@ -23,17 +23,17 @@ def test_the_example_is_a_rig() -> None:
     assert settings.motor_2.servo_kp == 4.0
     assert settings.boom_vertical.id == 2
     assert settings.limits.torque_step == 20
-    assert settings.tick == 0.002
+    assert settings.contact.zero == 400
 
 
 WRONG = [
     ('channel = "can0"', "", "channel: missing; it must be given"),
     ('channel = "can0"', 'chanel = "can0"', "chanel: unknown key; did you mean channel?"),
     ('channel = "can0"', 'channel = ""', "channel = '', but it must be a name, such as 'can0'"),
-    ("tick = 0.002", "tick = nan", "tick = nan, but it must lie between 0.0001 and 0.01"),
+    ("tick = 0.001 ", "tick = nan ", "tick = nan, but it must lie between 0.0001 and 0.01"),
     ("watchdog = 0.05 ", "watchdog = nan ", "watchdog = nan, but it must be at least two ticks, at most 0.5"),
     ("watchdog = 0.05 ", "watchdog = 0.0 ", "watchdog = 0.0, but it must be at least two ticks, at most 0.5"),
-    ("reply_timeout = 0.001", "reply_timeout = 0.06", "reply_timeout = 0.06, but it must be positive and less than"),
+    ("reply_timeout = 0.0005", "reply_timeout = 0.06", "reply_timeout = 0.06, but it must be positive and less than"),
     ("id = 2\ntorque", "id = 1\ntorque", "[motor_2] id = 1, but it must differ from motor 1's"),
     ("id = 2\ntorque", "id = 127\ntorque", "[motor_2] id = 127, but it must lie between 1 and 126"),
     ("sign = -1", "sign = 2", "[motor_2] sign = 2, but it must be 1 or -1"),
@@ -47,8 +47,8 @@ WRONG = [
     ("id = 2\nsource = 1", "id = 1\nsource = 1", "[boom_vertical] source = 1, but it must differ from the horizontal"),
     ("pin = 1", "pin = 6", "[contact] pin = 6, but it must lie between 1 and 5"),
     ("port = 2", "port = 3", "[contact] port = 3, but it must be 1 or 2"),
-    ("zero = 0.1", "zero = 1.1", "[contact] zero = 1.1, but it must lie between 0 and 1"),
-    ("newton_full_scale = 500.0", "newton_full_scale = 0", "[contact] newton_full_scale = 0.0, but it must be finite"),
+    ("zero = 400", "zero = -1", "[contact] zero = -1, but it must lie between 0 and 4096"),
+    ("newton_per_count = 0.1", "newton_per_count = 0", "[contact] newton_per_count = 0.0, but it must be finite"),
     ("torque = 38.0 ", "torqe = 38.0 ", "[limits] torqe: unknown key; did you mean torque?"),
 ]
 

@@ -13,11 +13,14 @@ from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.moteus.can_bus import CanBus, Registers
 from stepgap.rigs.moteus.joint import JointCommand, JointState
-from stepgap.rigs.moteus.moteus_settings import BoomEncoder, MoteusSettings, Motor, read_moteus_settings
+from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor, read_moteus_settings
 from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
 
 POSITION_COUNTS = 2**16
 """Counts a turn in which moteus keeps the position of its output."""
+
+ANALOG_COUNTS = 4096
+"""Counts of a controller's converter; what is finer is noise."""
 
 REGISTER_MAP = 5
 """Version of the registers' meaning that this rig knows."""
@@ -243,13 +246,11 @@ class MoteusRig(Rig):
             motor_1, motor_2 = (_counts(replies[motor.id][Register.POSITION], motor) for motor in self._motors)
             yaw, pitch = (turns.counts(replies[turns.encoder.id]) for turns in self._boom)
             contact = self._settings.contact
-            force = contact.newton_full_scale * (replies[contact.id][self._analog] - contact.zero)
+            force = _force(replies[contact.id][self._analog], contact)
         except KeyError as missing:
             raise self._trip(f"a controller does not tell register 0x{missing.args[0]:03X}") from None
         except ValueError as error:
             raise self._trip(str(error)) from None
-        if not isfinite(force):
-            raise self._trip("the contact force is no number")
         self._reading = Reading(motor_1, motor_2, yaw, pitch, force)
 
     @staticmethod
@@ -316,6 +317,12 @@ def _counts(position: float, motor: Motor) -> int:
     if not isfinite(position):
         raise ValueError(f"the position of controller {motor.id} is no number")
     return motor.sign * round((position - motor.zero) * POSITION_COUNTS)
+
+
+def _force(share: float, contact: Contact) -> float:
+    if not isfinite(share):
+        raise ValueError("the contact force is no number")
+    return contact.newton_per_count * (round(ANALOG_COUNTS * share) - contact.zero)
 
 
 def _state(number: int, registers: Registers) -> str:

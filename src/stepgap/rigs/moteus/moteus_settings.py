@@ -84,33 +84,33 @@ class BoomEncoder:
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """A voltage at an auxiliary port of a controller tells the ground force, newton_full_scale · (share − zero).
+    """A voltage at an auxiliary port of a controller tells the ground force, newton_per_count · (counts − zero).
 
     Attributes:
         id: Of the controller, one of the motors'.
         port: Auxiliary port, 1 or 2.
         pin: Its pin, counted from 1, in analog mode.
-        newton_full_scale: Force for the whole range of the converter [N]; negative where pressing lowers the voltage.
+        newton_per_count: Its scale [N], 4096 counts being the whole range; negative where pressing lowers the voltage.
         touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
-        zero: Share of the range without force.
+        zero: Counts without force.
         takeoff_length: Leg length at which the leg leaves the ground [m] (Sec. 3.4).
     """
 
     id: int
     port: int
     pin: int
-    newton_full_scale: float
+    newton_per_count: float
     touchdown_force: float
-    zero: float = 0.0
+    zero: int = 0
     takeoff_length: float = inf
 
     def __post_init__(self) -> None:
-        scale, force = self.newton_full_scale, self.touchdown_force
+        scale, force = self.newton_per_count, self.touchdown_force
         _require(self.port in (1, 2), "port", self.port, "be 1 or 2")
         _require(1 <= self.pin <= 5, "pin", self.pin, "lie between 1 and 5")
-        _require(isfinite(scale) and scale != 0, "newton_full_scale", scale, "be finite and not zero")
+        _require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
         _require(isfinite(force) and force >= 0, "touchdown_force", force, "be finite and not negative")
-        _require(0 <= self.zero <= 1, "zero", self.zero, "lie between 0 and 1")
+        _require(0 <= self.zero <= 4096, "zero", self.zero, "lie between 0 and 4096")
         _require(self.takeoff_length > 0, "takeoff_length", self.takeoff_length, "be positive")
 
 
