@@ -19,8 +19,7 @@ import cyclopts
 from cyclopts import App, Parameter, validators
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
-    from stepgap.plants.plant import Plant
-    from stepgap.step import Array, StepMap
+    from stepgap.step import StepMap
 
 Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
 """Settings given as `--table.key value`."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from math import isfinite
+from pathlib import Path
 from struct import Struct
 from time import monotonic, sleep
 
@@ -17,7 +18,7 @@ from stepgap.rigs.ethercat.cia402 import (
     state_of,
 )
 from stepgap.rigs.ethercat.pdo import Packing
-from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings
+from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings, read_rig_settings
 from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, RigLayout
 
@@ -246,3 +247,12 @@ class _Angle:
     def counts(self, bus: Bus) -> int:
         self._count = unwrapped(bus.inputs(self._slave)[self._name], self._count, self._bits)
         return self._encoder.sign * (self._count - self._encoder.zero)
+
+
+def rig_from_file(settings: Path, robot: RobotParameters) -> EthercatRig:
+    """The rig that a `rig.toml` describes; entry point of `stepgap.rigs`.
+
+    Raises:
+        InputError: Naming file, key and what would be right.
+    """
+    return EthercatRig(read_rig_settings(settings), robot)

@@ -1,0 +1,342 @@
+"""A robot on two moteus controllers as a `Rig`: joint commands out, positions, boom encoders and a contact force in."""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from math import isfinite
+from pathlib import Path
+from time import monotonic, sleep
+
+import moteus
+from moteus import Mode, Register
+
+from stepgap.hopper.parameters import RobotParameters
+from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.moteus.can_bus import CanBus, Registers
+from stepgap.rigs.moteus.joint import JointCommand, JointState
+from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor, read_moteus_settings
+from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+
+POSITION_COUNTS = 2**16
+"""Counts a turn in which moteus keeps the position of its output."""
+
+ANALOG_COUNTS = 4096
+"""Counts of a controller's converter; what is finer is noise."""
+
+REGISTER_MAP = 5
+"""Version of the registers' meaning that this rig knows."""
+
+LIMITING = range(96, 104)
+"""Fault codes of a controller that works, but at a limit."""
+
+PATIENCE = 1.0
+"""How long controllers may take to answer first and to get ready [s]."""
+
+LAST_FRAMES = 3
+"""Stop commands that are sent when all is over, in case one is lost."""
+
+FAULTS = {
+    32: "calibration",
+    33: "motor driver",
+    34: "over voltage",
+    35: "encoder",
+    36: "motor not configured",
+    37: "PWM cycle overrun",
+    38: "over temperature",
+    39: "outside limit",
+    40: "under voltage",
+    41: "configuration changed",
+    42: "theta invalid",
+    43: "position invalid",
+    44: "driver enable",
+    45: "stop position",
+    46: "timing violation",
+    47: "feedforward without acceleration limit",
+    48: "invalid limits",
+}
+
+ENCODER_POSITION = {1: Register.ENCODER_1_POSITION, 2: Register.ENCODER_2_POSITION}
+ENCODER_VALID = {1: 0x04, 2: 0x10}
+"""Bits of the validity register by encoder source."""
+
+ANALOG_INPUTS = {1: Register.AUX1_ANALOG_IN1, 2: Register.AUX2_ANALOG_IN1}
+"""Register of the first pin by auxiliary port."""
+
+LIMP = JointCommand(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class MoteusRig(Rig):
+    """Two controllers as `moteus.toml` describes them, in position mode with no gains of their own.
+
+    A command leaves for each controller with every `write`, with the watchdog and the largest torque in it; the next
+    `read` takes the answers in, which tell how things stood when the command arrived. A tick whose answers do not all
+    come in time repeats the reading before; too many in a row are a fault. Whatever is wrong stops both controllers,
+    and the fault stays for the life of the object. A controller found in fault at connect is reset once.
+
+    Args:
+        settings: The robot's bus; `limits.lost_frames` is the budget.
+        robot: Its boom gives the layout.
+    """
+
+    def __init__(self, settings: MoteusSettings, robot: RobotParameters):
+        contact = settings.contact
+        self._settings = settings
+        self._layout = RigLayout(
+            tick=settings.tick,
+            boom_length=robot.boom_length,
+            pivot_height=settings.pivot_height,
+            motor_counts=POSITION_COUNTS * settings.motor_1.gear,
+            boom_counts_horizontal=settings.boom_horizontal.counts_per_turn,
+            boom_counts_vertical=settings.boom_vertical.counts_per_turn,
+            touchdown_force=contact.touchdown_force,
+            takeoff_length=contact.takeoff_length,
+        )
+        self._motors = (settings.motor_1, settings.motor_2)
+        self._analog = ANALOG_INPUTS[contact.port] + contact.pin - 1
+        self._controllers = {motor.id: self._controller(motor.id) for motor in self._motors}
+        self._boom = (_Turns(settings.boom_horizontal), _Turns(settings.boom_vertical))
+        self._bus: CanBus | None = None
+        self._fault, self._lost, self._under_way = "", 0, False
+        self._reading, self._joints = Reading(0, 0, 0, 0, 0.0), (JointState(0, 0, 0), JointState(0, 0, 0))
+
+    @property
+    def layout(self) -> RigLayout:
+        """How to read the counts; their zeros and signs are taken care of."""
+        return self._layout
+
+    @property
+    def limits(self) -> SafetyLimits:
+        """What the safety function allows this robot."""
+        return self._settings.limits
+
+    @property
+    def joints(self) -> tuple[JointState, JointState]:
+        """What the controllers said of the top links with the last good reading; for logs."""
+        return self._joints
+
+    def connect(self) -> None:
+        """Opens the bus, checks the controllers, and readies them without torque.
+
+        The first `write` must follow within the watchdog's time.
+
+        Raises:
+            RigFault: There is no such bus, a controller does not answer, is of another firmware or does not get
+                ready, an encoder does not work, or the rig had a fault before.
+        """
+        if self._fault:
+            raise RigFault(f"the rig had a fault: {self._fault}; see to it, then start anew")
+        self.close()
+        self._bus = CanBus(self._settings.interface, self._settings.channel)
+        try:
+            self._check_controllers(self._bus)
+            self._get_ready(self._bus)
+        except RigFault:
+            self.close()
+            raise
+        self._lost, self._under_way = 0, False
+
+    def read(self) -> Reading:
+        """Counts and force of the last answers, or of earlier ones while no more than the budget are lost.
+
+        Raises:
+            RigFault: Not connected, too many answers lost, or a controller does not take torques any more.
+        """
+        bus = self._up()
+        if not self._under_way:
+            return self._reading
+        self._under_way = False
+        replies = bus.receive(self._controllers, self._settings.reply_timeout)
+        if len(replies) == len(self._controllers):
+            self._lost = 0
+            self._take(replies)
+        else:
+            self._lost += 1
+            if self._lost > self._settings.limits.lost_frames:
+                raise self._trip(f"{self._absent(replies)} did not answer in time for {self._lost} ticks in a row")
+        return self._reading
+
+    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+        """Sends the motor torques [N·m] and returns those sent, within limits.
+
+        Raises:
+            RigFault: A torque is not finite, or the rig is stopped.
+        """
+        self._up()
+        if self._under_way:
+            self.read()
+        if not (isfinite(torque_1) and isfinite(torque_2)):
+            raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
+        limits = [motor.torque_limit for motor in self._motors]
+        first, second = (
+            min(max(torque, -most), most) for torque, most in zip((torque_1, torque_2), limits, strict=True)
+        )
+        self._send(LIMP._replace(tau=first), LIMP._replace(tau=second))
+        self._under_way = True
+        return first, second
+
+    def close(self) -> None:
+        """Controllers stopped, the bus released; may be called twice."""
+        bus, self._bus = self._bus, None
+        if bus:
+            self._stop(bus)
+            bus.close()
+
+    def _controller(self, number: int) -> moteus.Controller:
+        """Makes the frames for one controller; its answers tell what the reading needs of it."""
+        settings, more = self._settings, {int(Register.ENCODER_VALIDITY): moteus.INT8}
+        for encoder in (settings.boom_horizontal, settings.boom_vertical):
+            if encoder.id == number:
+                more[ENCODER_POSITION[encoder.source]] = moteus.F32
+        if settings.contact.id == number:
+            more[self._analog] = moteus.F32
+        return moteus.Controller(id=number, query_resolution=_query(more))
+
+    def _check_controllers(self, bus: CanBus) -> None:
+        """Stops both, which ends their faults, and asks for the version of their registers."""
+        version = _query({Register.REGISTER_MAP_VERSION: moteus.INT32})
+        until, replies = monotonic() + PATIENCE, {}
+        while len(replies) < len(self._controllers):
+            bus.send({number: each.make_stop(query_override=version) for number, each in self._controllers.items()})
+            replies = bus.receive(self._controllers, self._settings.reply_timeout)
+            if monotonic() > until:
+                raise RigFault(f"{self._absent(replies)} on {bus.name} did not answer")
+        for number, registers in replies.items():
+            if registers.get(Register.REGISTER_MAP_VERSION) != REGISTER_MAP:
+                raise RigFault(
+                    f"controller {number} has registers of version {registers.get(Register.REGISTER_MAP_VERSION)}, "
+                    f"but {REGISTER_MAP} is needed: flash another firmware with moteus_tool"
+                )
+
+    def _get_ready(self, bus: CanBus) -> None:
+        """Commands no torque until both controllers take commands."""
+        until = monotonic() + PATIENCE
+        while True:
+            self._send(LIMP, LIMP)
+            replies = bus.receive(self._controllers, self._settings.reply_timeout)
+            ready = [registers.get(Register.MODE) == Mode.POSITION for registers in replies.values()]
+            if len(ready) == len(self._controllers) and all(ready):
+                return self._take(replies)
+            if monotonic() > until:
+                states = [_state(number, registers) for number, registers in replies.items()]
+                raise RigFault(f"the controllers do not get ready: {'; '.join(states) or 'no answers'}")
+            sleep(self._settings.tick)
+
+    def _send(self, *commands: JointCommand) -> None:
+        """A command to each controller, to be answered."""
+        frames = {
+            motor.id: self._controllers[motor.id].make_position(
+                **motor.scale.position_command(command),
+                maximum_torque=motor.torque_limit / motor.gear,
+                watchdog_timeout=self._settings.watchdog,
+                query=True,
+            )
+            for motor, command in zip(self._motors, commands, strict=True)
+        }
+        try:
+            self._up().send(frames)
+        except RigFault as fault:
+            raise self._trip(str(fault)) from None
+
+    def _take(self, replies: Mapping[int, Registers]) -> None:
+        """The reading of full answers, if both controllers take torques and all encoders work."""
+        try:
+            for number, registers in replies.items():
+                if registers[Register.MODE] != Mode.POSITION or registers[Register.FAULT] not in (0, *LIMITING):
+                    raise self._trip(f"{_state(number, registers)}: it takes no torque any more")
+            self._joints = self._joint(replies, self._motors[0]), self._joint(replies, self._motors[1])
+            motor_1, motor_2 = (_counts(replies[motor.id][Register.POSITION], motor) for motor in self._motors)
+            yaw, pitch = (turns.counts(replies[turns.encoder.id]) for turns in self._boom)
+            contact = self._settings.contact
+            force = _force(replies[contact.id][self._analog], contact)
+        except KeyError as missing:
+            raise self._trip(f"a controller does not tell register 0x{missing.args[0]:03X}") from None
+        except ValueError as error:
+            raise self._trip(str(error)) from None
+        self._reading = Reading(motor_1, motor_2, yaw, pitch, force)
+
+    @staticmethod
+    def _joint(replies: Mapping[int, Registers], motor: Motor) -> JointState:
+        registers = replies[motor.id]
+        return motor.scale.joint_state(
+            registers[Register.POSITION], registers[Register.VELOCITY], registers[Register.TORQUE]
+        )
+
+    def _up(self) -> CanBus:
+        if self._fault or not self._bus:
+            raise RigFault(self._fault or "the rig is not connected")
+        return self._bus
+
+    def _trip(self, message: str) -> RigFault:
+        """Stops both controllers at once and for good; returns the fault to raise."""
+        self._fault = message
+        if self._bus:
+            self._stop(self._bus)
+        return RigFault(message)
+
+    def _stop(self, bus: CanBus) -> None:
+        for _ in range(LAST_FRAMES):
+            with suppress(RigFault):  # then their watchdogs must do it
+                bus.send({number: each.make_stop() for number, each in self._controllers.items()})
+
+    def _absent(self, replies: Mapping[int, Registers]) -> str:
+        return " and ".join(f"controller {number}" for number in self._controllers if number not in replies)
+
+
+class _Turns:
+    """Counts of a boom encoder, from its zero, forward positive; its register tells the share of a turn."""
+
+    def __init__(self, encoder: BoomEncoder):
+        self.encoder = encoder
+        self._turns = encoder.zero / encoder.counts_per_turn
+
+    def counts(self, registers: Registers) -> int:
+        """Whole counts, nearest to those before.
+
+        Raises:
+            ValueError: The encoder does not work, or tells no share of a turn.
+        """
+        encoder = self.encoder
+        name = f"encoder {encoder.source} of controller {encoder.id}"
+        share = registers[ENCODER_POSITION[encoder.source]]
+        if not int(registers[Register.ENCODER_VALIDITY]) & ENCODER_VALID[encoder.source]:
+            raise ValueError(f"{name} does not work: see aux and motor_position in tview")
+        if not 0 <= share <= 1:
+            raise ValueError(f"{name} tells {share:g}, but it must be a share of a turn: is the firmware old?")
+        self._turns = share + round(self._turns - share)
+        return encoder.sign * (round(self._turns * encoder.counts_per_turn) - encoder.zero)
+
+
+def _query(more: dict[int, int]) -> moteus.QueryResolution:
+    """Asks for mode, position, velocity, torque, fault, and more registers at the given resolutions."""
+    query = moteus.QueryResolution()
+    query.voltage = query.temperature = moteus.IGNORE
+    query._extra = more
+    return query
+
+
+def _counts(position: float, motor: Motor) -> int:
+    if not isfinite(position):
+        raise ValueError(f"the position of controller {motor.id} is no number")
+    return motor.sign * round((position - motor.zero) * POSITION_COUNTS)
+
+
+def _force(share: float, contact: Contact) -> float:
+    if not isfinite(share):
+        raise ValueError("the contact force is no number")
+    return contact.newton_per_count * (round(ANALOG_COUNTS * share) - contact.zero)
+
+
+def _state(number: int, registers: Registers) -> str:
+    """What a controller says of itself."""
+    mode, fault = int(registers.get(Register.MODE, -1)), int(registers.get(Register.FAULT, 0))
+    name = Mode(mode).name.lower() if mode in set(Mode) else "getting ready" if 2 <= mode <= 4 else str(mode)
+    cause = f", fault {fault}: {FAULTS.get(fault, 'see the manual')}" if fault else ""
+    return f"controller {number} is in mode {name}{cause}"
+
+
+def rig_from_file(settings: Path, robot: RobotParameters) -> MoteusRig:
+    """The rig that a `moteus.toml` describes; entry point of `stepgap.rigs`.
+
+    Raises:
+        InputError: Naming file, key and what would be right.
+    """
+    return MoteusRig(read_moteus_settings(settings), robot)

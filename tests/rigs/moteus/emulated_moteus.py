@@ -1,0 +1,230 @@
+"""Two moteus controllers on python-can's virtual bus, in lock-step with a machine behind them.
+
+Frames are taken apart and made here by the published format of the protocol, not by the library that the rig uses.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from math import isfinite
+from struct import Struct
+from threading import Event, Thread
+
+import can
+
+from stepgap.rigs.ethercat.emulator.machine import Machine
+from stepgap.rigs.moteus.moteus_settings import MoteusSettings
+
+MODE, POSITION, VELOCITY, TORQUE, FAULT = 0x00, 0x01, 0x02, 0x03, 0x0F
+FEEDFORWARD, KP_SCALE, KD_SCALE, MAX_TORQUE, TIMEOUT = 0x22, 0x23, 0x24, 0x25, 0x27
+ENCODER_1, ENCODER_2, VALIDITY = 0x52, 0x54, 0x58
+ANALOG = {1: 0x60, 2: 0x68}
+REGISTER_MAP = 0x102
+STOPPED, FAULTED, PREPARING, POSITION_MODE, TIMED_OUT = 0, 1, 2, 10, 11
+VALUES = (Struct("<b"), Struct("<h"), Struct("<i"), Struct("<f"))
+MOTOR_COUNTS = 16384  # of the machine
+PING = 0x7FE
+FRAME_SIZES = {*range(9), 12, 16, 20, 24, 32, 48, 64}
+
+
+def varuint(data: bytes, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        value |= (data[at] & 0x7F) << shift
+        if data[at] < 0x80:
+            return value, at + 1
+        at, shift = at + 1, shift + 7
+
+
+def as_varuint(value: int) -> bytes:
+    return bytes([value]) if value < 0x80 else bytes([value & 0x7F | 0x80]) + as_varuint(value >> 7)
+
+
+def subframes(data: bytes) -> Iterator[tuple[int, int, int, list[float]]]:
+    """What is in a frame: base (0x00 write, 0x10 read), type, first register, values or as many zeros."""
+    at = 0
+    while at < len(data):
+        head, at = data[at], at + 1
+        if head == 0x50:
+            continue
+        base, kind, count = head & 0xF0, head >> 2 & 3, head & 3
+        if not count:
+            count, at = varuint(data, at)
+        first, at = varuint(data, at)
+        values = [0.0] * count
+        if base == 0x00:
+            size = VALUES[kind].size
+            values = [VALUES[kind].unpack_from(data, at + size * place)[0] for place in range(count)]
+            at += size * count
+        yield base, kind, first, values
+
+
+def reply(kind: int, first: int, values: list[float]) -> bytes:
+    cast = float if kind == 3 else int
+    packed = b"".join(VALUES[kind].pack(cast(value)) for value in values)
+    head = 0x20 | kind << 2
+    start = bytes([head | len(values)]) if len(values) <= 3 else bytes([head]) + as_varuint(len(values))
+    return start + as_varuint(first) + packed
+
+
+@dataclass
+class Controller:
+    """One of the two; `registers` are those to be told at the next query."""
+
+    registers: dict[int, float]
+    prepares: int = 2
+    mode: int = STOPPED
+    fault: int = 0
+    preparing: int = 0
+    torque: float = 0.0
+    commands: list[dict[int, float]] = field(default_factory=list)
+
+    def command(self, written: dict[int, float]) -> None:
+        """Mode first, as the firmware wants it; a fault or a timeout is left by a stop only."""
+        if written[MODE] == STOPPED:
+            self.break_down(STOPPED)
+            return
+        assert written[MODE] == POSITION_MODE
+        self.commands.append(written)
+        if self.mode in (STOPPED, PREPARING):
+            self.mode = POSITION_MODE if self.preparing >= self.prepares else PREPARING
+            self.preparing += 1
+        most = written[MAX_TORQUE]
+        assert written[KP_SCALE] == written[KD_SCALE] == 0
+        self.torque = min(max(written[FEEDFORWARD], -most), most) if self.mode == POSITION_MODE else 0.0
+
+    def break_down(self, mode: int, fault: int = 0) -> None:
+        self.mode, self.fault, self.torque, self.preparing = mode, fault, 0.0, 0
+
+
+class Controllers(Thread):
+    """Both, and what they move; a tick passes when each has got a command in position mode.
+
+    `mute[n]` are the numbers that do not answer in tick n, `breaks[n]` what then happens.
+    """
+
+    def __init__(self, settings: MoteusSettings, machine: Machine):
+        super().__init__(daemon=True)
+        self._settings, self._machine = settings, machine
+        self._bus, self._test = (can.Bus(interface="virtual", channel=settings.channel, fd=True) for _ in range(2))
+        self._over, self._settled, self._due = Event(), Event(), set[int]()
+        self.controllers = {motor.id: Controller({REGISTER_MAP: 5}) for motor in (settings.motor_1, settings.motor_2)}
+        self.torques: list[tuple[float, float]] = []
+        self.mute: dict[int, set[int]] = {}
+        self.breaks: dict[int, tuple[int, int, int]] = {}
+        self.overrides: dict[int, float] = {}
+        self.failure: BaseException | None = None
+        self._reading = machine.start()
+        self._tell()
+
+    def run(self) -> None:
+        try:
+            while not self._over.is_set():
+                message = self._bus.recv(0.05)
+                if message and message.arbitration_id == PING:
+                    self._settled.set()
+                elif message and (message.arbitration_id & 0x7F) in self.controllers:
+                    self._answer(message)
+        except BaseException as failure:
+            self.failure = failure
+            self._settled.set()
+
+    def settle(self) -> "Controllers":
+        """Waits until all frames sent so far have been seen."""
+        if not self.failure:
+            self._settled.clear()
+            self._test.send(can.Message(arbitration_id=PING))
+            assert self._settled.wait(20), "the controllers hang"
+        if self.failure:
+            raise self.failure
+        return self
+
+    def modes(self) -> list[int]:
+        return [each.mode for each in self.settle().controllers.values()]
+
+    def send_as(self, number: int, data: bytes) -> None:
+        """A frame as if from a controller."""
+        self._test.send(can.Message(arbitration_id=number << 8, data=data, is_fd=True, is_extended_id=True))
+
+    def stop(self) -> None:
+        try:
+            self.settle()
+        finally:
+            self._over.set()
+            self.join()
+            self._bus.shutdown()
+            self._test.shutdown()
+
+    def _answer(self, message: can.Message) -> None:
+        assert message.is_fd
+        assert len(message.data) in FRAME_SIZES
+        number = message.arbitration_id & 0x7F
+        controller = self.controllers[number]
+        asked, written = [], {}
+        for base, kind, first, values in subframes(bytes(message.data)):
+            if base == 0x10:
+                asked.append((kind, first, len(values)))
+            else:
+                written |= {first + place: value for place, value in enumerate(values)}
+        tick, sensed = len(self.torques), dict(controller.registers)
+        controller.command(written)
+        told = sensed | {MODE: controller.mode, FAULT: controller.fault} | self.overrides
+        if controller.mode == STOPPED:
+            self._due.clear()
+        else:
+            self._tick(number)
+        if message.arbitration_id & 0x8000 and number not in self.mute.get(tick, ()):
+            source = message.arbitration_id >> 8 & 0x7F
+            parts = [reply(kind, first, [told[first + n] for n in range(count)]) for kind, first, count in asked]
+            data = b"".join(parts)
+            size = min(size for size in FRAME_SIZES if size >= len(data))
+            data = data.ljust(size, b"\x50")
+            self._bus.send(can.Message(arbitration_id=number << 8 | source, data=data, is_fd=True, is_extended_id=True))
+
+    def _tick(self, number: int) -> None:
+        """The machine moves on when both have a command; answers tell what was before."""
+        self._due.add(number)
+        pair = list(self.controllers.values())
+        if len(self._due) == 2 and all(each.mode in (POSITION_MODE, FAULTED, TIMED_OUT) for each in pair):
+            self._due.clear()
+            motors = (self._settings.motor_1, self._settings.motor_2)
+            torques = [motor.sign * motor.gear * each.torque for motor, each in zip(motors, pair, strict=True)]
+            self._reading = self._machine.tick(torques[0], torques[1])
+            self.torques.append((torques[0], torques[1]))
+            self._tell()
+            if happens := self.breaks.get(len(self.torques)):
+                which, mode, fault = happens
+                self.controllers[which].break_down(mode, fault)
+
+    def _tell(self) -> None:
+        """Registers by the present reading."""
+        settings, reading = self._settings, self._reading
+        for motor, counts in ((settings.motor_1, reading.motor_1), (settings.motor_2, reading.motor_2)):
+            turns = motor.zero + motor.sign * motor.gear * counts / MOTOR_COUNTS
+            self.controllers[motor.id].registers |= {POSITION: turns, VELOCITY: 0.0, TORQUE: 0.0, VALIDITY: 0x3F}
+        for boom, counts in (
+            (settings.boom_horizontal, reading.boom_horizontal),
+            (settings.boom_vertical, reading.boom_vertical),
+        ):
+            share = (boom.zero + boom.sign * counts) / boom.counts_per_turn % 1
+            register = {1: ENCODER_1, 2: ENCODER_2}[boom.source]
+            self.controllers[boom.id].registers[register] = share
+        contact = settings.contact
+        share = (contact.zero + reading.contact_force / contact.newton_per_count) / 4096
+        self.controllers[contact.id].registers[ANALOG[contact.port] + contact.pin - 1] = share
+
+
+@contextmanager
+def emulated(settings: MoteusSettings, machine: Machine) -> Iterator[Controllers]:
+    """Controllers at work; afterwards every command they got is held against the rules."""
+    controllers = Controllers(settings, machine)
+    controllers.start()
+    try:
+        yield controllers
+    finally:
+        controllers.stop()
+    for motor in (settings.motor_1, settings.motor_2):
+        for command in controllers.controllers[motor.id].commands:
+            assert all(isfinite(value) for register, value in command.items() if register != 0x20)
+            assert abs(command[TIMEOUT] - settings.watchdog) < 1e-6
+            assert abs(command[MAX_TORQUE] * motor.gear - motor.torque_limit) < 1e-5

@@ -1,0 +1,354 @@
+"""The rig on emulated controllers: what is sent and read, what is refused, what happens when something breaks."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import count
+from math import inf, nan, tau
+from struct import Struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.plants.rig_plant import RigPlant, Tick
+from stepgap.rigs.ethercat.emulator.machine import TwinMachine
+from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.moteus.joint import JointCommand, Scale
+from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
+from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor
+from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
+from tests.rigs.ethercat.ring_process import Recorder
+from tests.rigs.moteus.emulated_moteus import (
+    ANALOG,
+    ENCODER_1,
+    FAULT,
+    FAULTED,
+    MODE,
+    POSITION,
+    REGISTER_MAP,
+    STOPPED,
+    TIMED_OUT,
+    VALIDITY,
+    Controllers,
+    emulated,
+    reply,
+)
+
+ROBOT, GAP = RobotParameters(), RealityGap()
+SETTINGS = MoteusSettings(
+    interface="virtual",
+    channel="never opened",
+    pivot_height=GAP.boom_pivot_height,
+    motor_1=Motor(id=1, torque_limit=20, gear=2.0, zero=0.25),
+    motor_2=Motor(id=2, torque_limit=20, gear=2.0, sign=-1),
+    boom_horizontal=BoomEncoder(id=1, source=1, counts_per_turn=5000, zero=100),
+    boom_vertical=BoomEncoder(id=2, source=2, counts_per_turn=16384, sign=-1),
+    contact=Contact(id=2, port=1, pin=3, newton_per_count=0.125, zero=409, touchdown_force=5, takeoff_length=0.273),
+    limits=SafetyLimits(torque=20.0),
+    reply_timeout=0.4,  # a busy machine may keep the controllers waiting
+    watchdog=0.5,
+)
+CHANNELS = count()
+
+
+def fresh(settings: MoteusSettings = SETTINGS) -> MoteusSettings:
+    """The settings on a bus of their own."""
+    return replace(settings, channel=f"moteus {next(CHANNELS)}")
+
+
+@pytest.fixture
+def bench() -> Iterator[tuple[Controllers, MoteusRig]]:
+    settings = fresh()
+    with emulated(settings, Recorder()) as controllers:
+        rig = MoteusRig(settings, ROBOT)
+        yield controllers, rig
+        rig.close()
+
+
+def ticks_until_fault(rig: Rig, ticks: int) -> tuple[int, str]:
+    for tick in range(ticks):
+        try:
+            rig.read()
+            rig.write(8.0, -8.0)
+        except RigFault as fault:
+            return tick, str(fault)
+    return ticks, ""
+
+
+def test_torque_and_counts_go_through(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    rig.connect()
+    turn = POSITION_COUNTS * 2 / 16384
+    already = len(controllers.settle().torques)
+    told = already - 1  # answers tell what was before
+    expected = (told * turn, 10 * told * turn, -told, 2 * told, 0.5 * told)
+    assert rig.read() == pytest.approx(expected, rel=1e-6, abs=1e-4)
+    assert rig.read() == rig.read(), "no frame, no news"
+    sent = [rig.write(torque, 0.5) for torque in (0.0, 1.2345, -3.0, 50.0) if rig.read()]
+    assert sent == [(0.0, 0.5), (1.2345, 0.5), (-3.0, 0.5), (20.0, 0.5)]
+    assert rig.read().motor_1 == (already + 3) * turn
+    np.testing.assert_allclose(controllers.settle().torques[already:], sent, rtol=1e-6)
+    assert set(controllers.torques[:already]) == {(0.0, 0.0)}
+    rig.close()
+    assert controllers.modes() == [STOPPED, STOPPED]
+
+
+def test_it_can_be_connected_again(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    for _ in range(2):
+        rig.connect()
+        rig.read()
+        rig.write(1.0, 1.0)
+        rig.close()
+        rig.close()
+        assert controllers.modes() == [STOPPED, STOPPED]
+    with pytest.raises(RigFault, match="not connected"):
+        rig.read()
+
+
+@pytest.mark.parametrize(
+    ("mute", "survives"),
+    [({5: {1}}, True), ({5: {1, 2}, 6: {2}}, True), ({5: {2}, 6: {1}, 7: {2}}, False)],
+    ids=["one", "two", "three"],
+)
+def test_missing_answers_pass_within_the_budget(mute: dict[int, set[int]], survives: bool) -> None:
+    settings = fresh(replace(SETTINGS, reply_timeout=0.04))
+    with emulated(settings, Recorder()) as controllers, MoteusRig(settings, ROBOT) as rig:
+        controllers.mute = mute
+        ticks, message = ticks_until_fault(rig, 15)
+        if survives:
+            assert (ticks, message) == (15, "")
+        else:
+            assert message == "controller 2 did not answer in time for 3 ticks in a row"
+            assert controllers.modes() == [STOPPED, STOPPED]
+            for act in (rig.read, lambda: rig.write(0, 0), rig.connect):
+                with pytest.raises(RigFault, match="did not answer"):
+                    act()
+
+
+def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    rig.connect()
+    rig.write(0.0, 0.0)
+    before = rig.read()
+    controllers.send_as(1, reply(3, POSITION, [99.0]))
+    rig.write(0.0, 0.0)
+    assert rig.read().motor_1 == before.motor_1 + 8
+
+
+def test_frames_of_others_and_broken_ones_are_no_answers(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    rig.connect()
+    for tick in range(3):
+        rig.write(0.0, 0.0)
+        controllers.send_as(5, reply(3, POSITION, [99.0]))
+        controllers.send_as(1, bytes([0x2F, 0x01, 0x00]))
+        assert rig.read().boom_vertical == pytest.approx(2 * (len(controllers.settle().torques) - 1)), tick
+
+
+@pytest.mark.parametrize(
+    ("breaks", "says"),
+    [
+        ((2, FAULTED, 34), "controller 2 is in mode fault, fault 34: over voltage"),
+        ((1, TIMED_OUT, 0), "controller 1 is in mode timeout"),
+        ((1, STOPPED, 0), "controller 1 is in mode"),
+    ],
+)
+def test_a_controller_that_stops_stops_both_for_good(
+    bench: tuple[Controllers, MoteusRig], breaks: tuple[int, int, int], says: str
+) -> None:
+    controllers, rig = bench
+    controllers.breaks = {6: breaks}
+    rig.connect()
+    ticks, message = ticks_until_fault(rig, 15)
+    assert ticks < 9
+    assert message.startswith(says)
+    assert "\n" not in message
+    assert controllers.modes() == [STOPPED, STOPPED]
+    with pytest.raises(RigFault, match="had a fault"):
+        rig.connect()
+
+
+def test_a_controller_at_its_limit_goes_on(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    rig.connect()
+    controllers.overrides = {FAULT: 102}
+    assert ticks_until_fault(rig, 5) == (5, "")
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ({VALIDITY: 0x03}, "encoder 1 of controller 1 does not work"),
+        ({ENCODER_1: 4711.0}, "encoder 1 of controller 1 tells 4711"),
+        ({ENCODER_1: nan}, "encoder 1 of controller 1 tells nan"),
+        ({POSITION: nan}, "the position of controller 1 is no number"),
+        ({ANALOG[1] + 2: nan}, "the contact force is no number"),
+    ],
+    ids=["invalid", "counts", "no share", "no position", "no force"],
+)
+def test_sensors_that_fail_stop_the_rig(
+    bench: tuple[Controllers, MoteusRig], override: dict[int, float], says: str
+) -> None:
+    controllers, rig = bench
+    rig.connect()
+    controllers.overrides = override
+    _, message = ticks_until_fault(rig, 3)
+    assert message.startswith(says)
+    assert controllers.modes() == [STOPPED, STOPPED]
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ({REGISTER_MAP: 4}, "controller 1 has registers of version 4, but 5 is needed"),
+        ({MODE: FAULTED, FAULT: 33}, "controller 1 is in mode fault, fault 33: motor driver"),
+    ],
+    ids=["firmware", "fault"],
+)
+def test_controllers_that_do_not_fit_are_refused(
+    bench: tuple[Controllers, MoteusRig], monkeypatch: pytest.MonkeyPatch, override: dict[int, float], says: str
+) -> None:
+    controllers, rig = bench
+    monkeypatch.setattr("stepgap.rigs.moteus.moteus_rig.PATIENCE", 0.01)
+    for controller in controllers.controllers.values():
+        controller.prepares = 10**9
+    controllers.overrides = override
+    with pytest.raises(RigFault, match=says):
+        rig.connect()
+    assert controllers.modes() == [STOPPED, STOPPED]
+
+
+def test_a_fault_from_before_is_reset_by_connecting(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    controllers.controllers[2].break_down(FAULTED, 33)
+    rig.connect()
+    assert ticks_until_fault(rig, 3) == (3, "")
+
+
+def test_a_bus_without_controllers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stepgap.rigs.moteus.moteus_rig.PATIENCE", 0.0)
+    rig = MoteusRig(fresh(replace(SETTINGS, reply_timeout=1e-3)), ROBOT)
+    with pytest.raises(RigFault, match=r"controller 1 and controller 2 on virtual moteus \d+ did not answer"):
+        rig.connect()
+
+
+def test_a_bus_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(RigFault, match="the CAN bus carrier pigeon coop cannot be opened: Unknown interface"):
+        MoteusRig(replace(SETTINGS, interface="carrier pigeon", channel="coop"), ROBOT).connect()
+
+
+@pytest.mark.parametrize("bad", [nan, inf, -inf])
+def test_a_number_that_is_none_never_reaches_a_motor(bench: tuple[Controllers, MoteusRig], bad: float) -> None:
+    controllers, rig = bench
+    rig.connect()
+    rig.read()
+    with pytest.raises(RigFault, match="torques must be finite"):
+        rig.write(1.0, bad)
+    assert controllers.modes() == [STOPPED, STOPPED]
+    assert set(controllers.torques) == {(0.0, 0.0)}
+
+
+# Joints
+
+SCALES = st.builds(
+    Scale, st.floats(0.1, 20), st.sampled_from([1, -1]), st.floats(-5, 5), st.floats(0.1, 100), st.floats(0.01, 10)
+)
+NUMBERS = st.floats(-10, 10)
+
+
+@given(SCALES, st.builds(JointCommand, NUMBERS, NUMBERS, st.floats(1e-3, 100), st.just(0.0), NUMBERS), NUMBERS, NUMBERS)
+def test_the_controllers_law_is_the_joints(scale: Scale, command: JointCommand, q: float, dq: float) -> None:
+    """Moteus: kp · kp_scale · (position − p) + kd · kd_scale · (velocity − v) + feedforward, at its output."""
+    command = command._replace(kd=0.9 * command.kp * scale.servo_kd / scale.servo_kp)
+    sent = scale.position_command(command)
+    position, velocity = scale.zero + scale.sign * scale.gear * q / tau, scale.sign * scale.gear * dq / tau
+    terms = (
+        scale.servo_kp * sent["kp_scale"] * (sent["position"] - position),
+        scale.servo_kd * sent["kd_scale"] * (sent["velocity"] - velocity),
+        sent["feedforward_torque"],
+    )
+    told = scale.joint_state(position, velocity, sum(terms))
+    torque = command.kp * (command.q - q) + command.kd * (command.dq - dq) + command.tau
+    np.testing.assert_allclose(told, (q, dq, torque), rtol=1e-9, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        (JointCommand(nan, 0, 0, 0, 0), "finite"),
+        (JointCommand(0, 0, 0, 0, inf), "finite"),
+        (JointCommand(0, 0, -1, 0, 0), "negative"),
+        (JointCommand(0, 0, 1, 1, 0), "kd = 1 must be at most 0.0125"),
+    ],
+)
+def test_a_joint_command_that_moteus_would_not_follow_is_refused(command: JointCommand, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        Scale(1.0, 1, 0.0, 4.0, 0.05).position_command(command)
+
+
+# Hops
+
+HOPPER = replace(
+    SETTINGS,
+    motor_1=Motor(id=7, torque_limit=38.0),
+    motor_2=Motor(id=9, torque_limit=38.0, sign=-1, zero=-0.5),
+    boom_horizontal=replace(SETTINGS.boom_horizontal, id=7),
+    boom_vertical=replace(SETTINGS.boom_vertical, id=9),
+    contact=replace(SETTINGS.contact, id=7, touchdown_force=GAP.touchdown_force, takeoff_length=GAP.takeoff_length),
+    limits=SafetyLimits.of(ROBOT),
+)
+
+
+class Late(Rig):
+    """The twin as the controllers show it: readings of a tick before, forces in counts, torques in single precision."""
+
+    def __init__(self, twin: Twin, idle: int):
+        self._twin, self._idle = twin, idle
+
+    @property
+    def layout(self) -> RigLayout:
+        return self._twin.layout
+
+    def connect(self) -> None:
+        self._twin.connect()
+        for _ in range(self._idle):
+            self.write(0.0, 0.0)
+
+    def read(self) -> Reading:
+        return self._told
+
+    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+        limit, single = HOPPER.motor_1.torque_limit, Struct("<f")
+        applied = [min(max(torque, -limit), limit) for torque in (torque_1, torque_2)]
+        reading, newton = self._twin.read(), HOPPER.contact.newton_per_count
+        self._told = reading._replace(contact_force=newton * round(reading.contact_force / newton))
+        self._twin.write(*(single.unpack(single.pack(torque))[0] for torque in applied))
+        return applied[0], applied[1]
+
+    def close(self) -> None:
+        self._twin.close()
+
+
+def hops(rig: Rig) -> tuple[list[np.ndarray], list[Tick]]:
+    ticks: list[Tick] = []
+    with RigPlant(rig, ROBOT, Gains(), CommandBounds(), on_tick=ticks.append, limits=HOPPER.limits) as plant:
+        states = [plant.start()]
+        states += [plant.take_step(np.array([-5.0, -5.0])).next_state for _ in range(1)]
+    return states, ticks
+
+
+def test_the_twin_hops_behind_the_controllers_as_without_them() -> None:
+    settings = fresh(HOPPER)
+    with emulated(settings, TwinMachine(Twin(ROBOT, GAP, np.random.default_rng(0)))) as controllers:
+        through, ticks = hops(MoteusRig(settings, ROBOT))
+    assert np.isfinite(through).all()
+    idle = len(controllers.torques) - len(ticks)
+    direct, direct_ticks = hops(Late(Twin(ROBOT, GAP, np.random.default_rng(0)), idle))
+    np.testing.assert_allclose(through, direct, rtol=1e-12)
+    assert len(ticks) == len(direct_ticks)
+    np.testing.assert_allclose([tick.applied for tick in ticks], [tick.applied for tick in direct_ticks], atol=1e-9)
