@@ -1,5 +1,6 @@
 """What `stepgap run` hops: the twin, the twin behind an emulated EtherCAT ring, or a rig by name."""
 
+import os
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -97,7 +98,7 @@ def _ring_maker(settings: Experiment, twin: Twin) -> Callable[[np.random.Generat
         if not np.isfinite(getattr(gap, name)):
             raise InputError(f"gap.{name} must be finite: a ring carries whole counts, such as {name} = 16384")
     ring = RingSettings(inputs_after_tick=True)
-    bus = emulated_settings(twin.layout, settings.robot, ring)
+    bus = emulated_settings(twin.layout, settings.robot, ring, f"sg{os.getpid()}")  # runs may go on side by side
     return lambda rng: _on(settings, RingRig(partial(_machine, settings, rng), ring, bus, settings.robot))
 
 

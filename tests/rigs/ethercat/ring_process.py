@@ -1,23 +1,27 @@
 """An emulated ring in a process of its own that says what happens behind its drives."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from select import select
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
+from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
-from stepgap.rigs.ethercat.emulator.machine import Machine
+from stepgap.rigs.ethercat.emulator.machine import Machine, TwinMachine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, veth_pair
 from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
 from stepgap.rigs.rig import Reading
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
 
-INTERFACE = "stepgap0"
+INTERFACE = f"sg{os.getpid()}"  # tests may run side by side
 
 
 class Behind(NamedTuple):
@@ -59,6 +63,22 @@ class Recorder(Machine):
         return Reading(ticks, 10 * ticks, -ticks, 2 * ticks, 0.5 * ticks)
 
 
+class RecordedTwin(TwinMachine):
+    """The twin, which remembers torques."""
+
+    def __init__(self) -> None:
+        super().__init__(Twin(RobotParameters(), RealityGap(), np.random.default_rng(0), hold=1.0))
+        self.torques: list[tuple[float, float]] = []
+
+    def start(self) -> Reading:
+        self.torques = []
+        return super().start()
+
+    def tick(self, torque_1: float, torque_2: float) -> Reading:
+        self.torques.append((torque_1, torque_2))
+        return super().tick(torque_1, torque_2)
+
+
 class LiveRing:
     """The test's end of the process."""
 
@@ -66,17 +86,21 @@ class LiveRing:
         self._pipe = pipe
 
     def look(self) -> Behind:
-        self._pipe.send("look")
+        return self.wait(0)
+
+    def wait(self, ticks: int) -> Behind:
+        """Lets time pass in which no frame comes."""
+        self._pipe.send(ticks)
         return self._pipe.recv()
 
 
 @contextmanager
-def live_ring(*faults: Fault) -> Iterator[LiveRing]:
+def live_ring(*faults: Fault, make_machine: Callable[[], Recorder | RecordedTwin] = Recorder) -> Iterator[LiveRing]:
     """A ring in lock-step; skips the test where raw sockets are not allowed."""
     context = get_context("forkserver")
     context.set_forkserver_preload([__name__])
     here, there = context.Pipe()
-    process = context.Process(target=_serve, args=(there, faults), daemon=True)
+    process = context.Process(target=_serve, args=(INTERFACE, there, faults, make_machine), daemon=True)
     process.start()
     there.close()
     with here:
@@ -91,18 +115,21 @@ def live_ring(*faults: Fault) -> Iterator[LiveRing]:
             process.join()
 
 
-def _serve(pipe: Connection, faults: tuple[Fault, ...]) -> None:
+def _serve(
+    interface: str, pipe: Connection, faults: tuple[Fault, ...], make_machine: Callable[[], Recorder | RecordedTwin]
+) -> None:
     with suppress(PermissionError):  # pysoem waits 2 ms for some answers, less than a busy machine may take
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    machine = Recorder()
+    machine = make_machine()
     ring = Ring(machine, RingSettings(inputs_after_tick=True, faults=faults))
     try:
-        with veth_pair(INTERFACE) as end, raw_socket(end) as raw:
+        with veth_pair(interface) as end, raw_socket(end) as raw:
             pipe.send("")
             while True:
                 ready = select([raw, pipe], [], [])[0]
                 if pipe in ready:
-                    pipe.recv()
+                    for _ in range(pipe.recv()):
+                        ring.advance()
                     drives = ring.drives
                     enabled, now = [drive.is_enabled for drive in drives], [drive.torque for drive in drives]
                     pipe.send(Behind(ring.cycles, machine.torques, enabled, now))

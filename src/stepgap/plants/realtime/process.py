@@ -12,7 +12,7 @@ from stepgap.plants.hop_control import HopControl
 from stepgap.plants.phases import Phase
 from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
-from stepgap.plants.realtime.pace import WallClock, ask_for_realtime
+from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_ring import TickRing
 from stepgap.rigs.limits import SafetyLimits
@@ -29,6 +29,7 @@ class RealtimeSetup:
         gains: Joint controller.
         bounds: Range of the command.
         loop: Times and budgets.
+        make_pace: Makes what waits for the ticks, from the time between two frames [s].
     """
 
     make_rig: Callable[[], Rig]
@@ -36,6 +37,7 @@ class RealtimeSetup:
     gains: Gains
     bounds: CommandBounds
     loop: LoopSettings = LoopSettings()
+    make_pace: Callable[[float], Pace] = WallClock
 
     def control(self, rig: Rig) -> HopControl:
         """The joint control of a rig, all of it compiled: a first call would take longer than a tick."""
@@ -70,7 +72,7 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str) -> None:
                 rig, control, setup.bounds, board, ring.push, setup.loop, alive=lambda: os.getppid() == parent
             )
             signal.signal(signal.SIGTERM, lambda *_: loop.ask_to_stop())
-            loop.run(WallClock(rig.layout.tick / rig.layout.frames_per_tick))
+            loop.run(setup.make_pace(rig.layout.tick / rig.layout.frames_per_tick))
     except Exception as error:
         # whatever it is, the one who waits must learn of it; the rig is off by now
         board.words = str(error) if isinstance(error, RigFault | ValueError) else f"{type(error).__name__}: {error}"

@@ -115,6 +115,13 @@ class Bus:
         """
         self._write(number, index, 0, layout, value)
 
+    def in_operation(self) -> bool:
+        """Whether every slave says that it is in OP; one frame more.
+
+        A slave may leave OP and yet be counted, its inputs frozen, since its memory is still there.
+        """
+        return self._master.read_state() == self._soem.OP_STATE
+
     def complaint(self) -> str:
         """What slaves say that are not in OP, one line; not for the time of a tick."""
         self._block(True)
@@ -230,6 +237,7 @@ class Bus:
             self._exchange()
             if monotonic() > until:
                 raise RigFault(f"a slave refuses OP: {self._states(soem.OP_STATE)}")
+        soem.settings.timeouts.ret = self._timeout
         self._block(False)  # else a lost frame holds up the tick for a whole tick of the kernel
 
     def _exchange(self) -> None:

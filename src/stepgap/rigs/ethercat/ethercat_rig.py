@@ -27,6 +27,9 @@ _U16, _U32 = Struct("<H"), Struct("<I")
 
 LOST = Health(frame_lost=True, stale=True)
 
+STATES_EVERY = 50
+"""Good frames from one look at the slaves' states to the next."""
+
 LAST_FRAMES = 3
 """Frames without torque that are sent when all is over, in case one is lost."""
 
@@ -77,7 +80,7 @@ class EthercatRig(Rig):
         )
         self._contact = settings.position(contact.slave)
         self._connected, self._fault = False, ""
-        self._lost, self._under_way = 0, False
+        self._lost, self._under_way, self._good_frames, self._outside_op = 0, False, 0, 0
         self._reading = Reading(0, 0, 0, 0, 0.0)
 
     @property
@@ -113,7 +116,7 @@ class EthercatRig(Rig):
         except RigFault:
             self.close()
             raise
-        self._lost, self._under_way = 0, False
+        self._lost, self._under_way, self._good_frames, self._outside_op = 0, False, 0, 0
 
     def read(self) -> Reading:
         """Counts and force of the last frame, or of an earlier one while no more than the budget are lost.
@@ -128,6 +131,7 @@ class EthercatRig(Rig):
         if self._bus.receive():
             self._lost = 0
             self._take()
+            self._look_after_states()
         else:
             self._lost += 1
             if self._lost > self._settings.limits.lost_frames:
@@ -203,6 +207,15 @@ class EthercatRig(Rig):
         contact = self._settings.contact
         force = contact.newton_per_count * (self._bus.inputs(self._contact)["force"] - contact.zero)
         self._reading = Reading(motor_1, motor_2, horizontal, vertical, force)
+
+    def _look_after_states(self) -> None:
+        """Now and then asks whether all slaves are in OP; twice in a row, since a reply may be lost."""
+        self._good_frames += 1
+        if self._outside_op or self._good_frames % STATES_EVERY == 0:
+            self._outside_op = 0 if self._bus.in_operation() else self._outside_op + 1
+        if self._outside_op > 1:
+            fault = self._trip("a slave has left OP")
+            raise RigFault(f"{fault}: {self._bus.complaint()}")
 
     def _command(self, drive: int, units: int, controlword: int) -> None:
         self._bus.set_outputs(drive, {"target_torque": units, "controlword": controlword, "mode": CYCLIC_TORQUE})

@@ -1,0 +1,180 @@
+"""What breaks on the way between controller and motors, on an emulated ring with the twin behind it."""
+
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from stepgap.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.plants.hop_control import HopControl
+from stepgap.plants.realtime.board import Board, Request
+from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
+from stepgap.plants.realtime.states import RigState
+from stepgap.rigs.ethercat.emulator.faults import (
+    DriveFault,
+    DuplicatedFrame,
+    LateFrame,
+    LostFrames,
+    PowerLost,
+    SentEmergency,
+    Silence,
+    Stalled,
+    Unplugged,
+    WrongMapping,
+)
+from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.ethercat.emulator.ring_rig import emulated_settings
+from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.rig import RigFault
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
+from stepgap.step import Reason
+from tests.rigs.ethercat.ring_process import INTERFACE, RecordedTwin, live_ring
+
+pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+
+ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
+LIMITS = SafetyLimits(torque=36.0, torque_step=20.0, joint_speed=80.0, fold_angle=2.6, lowest_hip=0.1, highest_hip=0.9)
+LAYOUT = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).layout
+WATCHDOG = 0.05
+SETTINGS = replace(
+    emulated_settings(LAYOUT, ROBOT, RingSettings(inputs_after_tick=True), INTERFACE),
+    limits=LIMITS,
+    watchdog=WATCHDOG,
+    reply_timeout=0.02,
+)
+COLUMN = {name: place for place, name in enumerate(LOOP_UNITS)}
+COMMAND = (-4.0, -3.0)
+HOPPING = 1600
+"""Ticks after which the robot pushes itself off the ground for the first time, about."""
+
+
+class Deployment:
+    """A loop that hops the ring's robot, each hop with a command."""
+
+    def __init__(self, rig):
+        self.rig, self.board, self.rows, self.ticks = rig, Board.create(), [], 0
+        control = HopControl(rig.layout, ROBOT, GAINS, rig.limits)
+        self.loop = ControlLoop(rig, control, BOUNDS, self.board, self.rows.append)
+        self.board.request = Request.HOP
+        self.hops = []
+
+    def run(self, ticks):
+        """Ticks that many times or until it is off; whether it still ticks."""
+        for _ in range(ticks):
+            if not self.loop.tick():
+                return False
+            if hop := self.board.hop(len(self.hops)):
+                self.hops.append(hop)
+                self.board.post_command(len(self.hops), *COMMAND)
+        return True
+
+
+@contextmanager
+def deployment(*faults):
+    with live_ring(*faults, make_machine=RecordedTwin) as ring, EthercatRig(SETTINGS, ROBOT) as rig:
+        begun = Deployment(rig)
+        try:
+            yield ring, begun
+        finally:
+            begun.board.close()
+            begun.board.unlink()
+
+
+@cache
+def cycles_to_connect() -> int:
+    """Frames with outputs that a bring-up takes."""
+    with deployment() as (ring, _):
+        return ring.look().cycles
+
+
+def at(fault, **changes):
+    """The fault while the robot hops."""
+    return replace(fault, cycle=cycles_to_connect() + HOPPING, **changes)
+
+
+SURVIVED = {
+    "one lost frame": LostFrames(0),
+    "two lost frames": LostFrames(0, cycles=2),
+    "a late frame": LateFrame(0),
+    "a duplicated frame": DuplicatedFrame(0),
+    "an emergency without more": SentEmergency(0, "drive_2"),
+}
+STOPPED = {
+    "three lost frames": (LostFrames(0, cycles=3), "3 frames in a row"),
+    "a slave gone and back": (Unplugged(0, "coupler", cycles=20), "3 frames in a row"),
+    "a drive that loses power": (PowerLost(0, "drive_1", cycles=2), "drive_1"),
+    "a drive's fault": (DriveFault(0, "drive_2"), "slave 2 'drive_2' takes no torque any more"),
+    "a mapping error": (WrongMapping(0, "drive_1"), "drive_1"),
+    "a master that stalls past the watchdog": (Silence(0, 60), "drive_1"),
+}
+
+
+@pytest.mark.parametrize("name", SURVIVED)
+def test_the_robot_hops_on_after(name):
+    with deployment(at(SURVIVED[name])) as (ring, hopping):
+        assert hopping.run(HOPPING + 1500)
+        assert len(hopping.hops) >= 2
+        assert all(hop.reason == Reason.OK for hop in hopping.hops)
+        check_torques(ring, hopping)
+
+
+@pytest.mark.parametrize("name", STOPPED)
+def test_torque_goes_off_for_good_after(name):
+    fault, says = STOPPED[name]
+    with deployment(at(fault)) as (ring, hopping):
+        assert not hopping.run(HOPPING + 1500)
+        assert hopping.loop.state == RigState.FAULT
+        assert says in hopping.board.words
+        assert len(hopping.rows) >= HOPPING - 5, "every tick before is kept"
+        assert hopping.rows[-1][COLUMN["state"]] == RigState.FAULT
+        check_torques(ring, hopping)
+        behind = ring.wait(round(WATCHDOG * 1000) + 5)
+        assert behind.now == [0.0, 0.0]
+        assert behind.enabled == [False, False]
+        ticks = len(behind.torques)
+        assert not any(any(torques) for torques in ring.wait(200).torques[ticks - 1 :]), "nor does it come back"
+        with pytest.raises(RigFault, match="start anew"):
+            hopping.rig.connect()
+
+
+def test_an_application_that_hangs_is_seen_by_what_its_drive_no_longer_does():
+    """Its slave controller goes on and counts, so neither working counter nor statusword tell."""
+    with deployment(at(Stalled(0, "drive_1", cycles=5000))) as (ring, hopping):
+        assert not hopping.run(HOPPING + 5000)
+        check_torques(ring, hopping)
+        assert ring.wait(round(WATCHDOG * 1000) + 5).enabled[1] is False
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_command_that_is_no_number_reaches_no_motor(bad):
+    with deployment() as (ring, hopping):
+        assert hopping.run(HOPPING)
+        hopping.board.post_command(len(hopping.hops), bad, 0.0)
+        hopping.hops.append(None)
+        hopping.run(3000)
+        check_torques(ring, hopping)
+
+
+def test_the_software_stop_goes_all_the_way():
+    with deployment() as (ring, hopping):
+        assert hopping.run(HOPPING)
+        hopping.board.stop_at_once()
+        assert not hopping.run(2)
+        hopping.rig.close()
+        assert ring.look().now == [0.0, 0.0]
+        assert "emergency stop" in hopping.board.words
+
+
+def check_torques(ring, hopping):
+    """What the drives really gave was within limits, and is what the log says was applied."""
+    given = np.array(ring.look().torques)
+    assert np.isfinite(given).all()
+    assert np.abs(given).max() <= LIMITS.torque
+    assert np.abs(given).max() > 1, "it did something"
+    applied = np.array(hopping.rows)[:, COLUMN["applied_1"] : COLUMN["applied_2"] + 1]
+    applied = applied[np.isfinite(applied).all(axis=1)]
+    assert np.abs(applied).max() <= LIMITS.torque
