@@ -138,20 +138,26 @@ def test_other_readers_read_the_same(tmp_path):
     assert max(sizes) < 64 * 2**10 + 300
 
 
-def test_a_flush_brings_every_tick_into_the_file_and_a_full_chunk_goes_there_by_itself(tmp_path):
-    rows = ticks(3000)
-    with TickLog(tmp_path / "log.mcap", UNITS) as log:
+def test_a_full_chunk_is_in_the_file_at_once_and_every_tick_after_a_flush(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    path, units, rows = tmp_path / "log.mcap", {"time": "s"} | {f"x{i}": "m" for i in range(19)}, ticks(3000, 20)
+    with TickLog(path, units) as log:
         log.append(rows[:2500])
-        without = recovered((tmp_path / "log.mcap").read_bytes())
-        assert without is not None
-        assert 0 < len(without) < 2500
-        assert same(without, rows[: len(without)])
+        faults = []
+        found = recovered(path.read_bytes(), lambda outcome: faults.extend(outcome.faults))
+        assert found is not None
+        assert 2500 - 64 * 2**10 / 216 <= len(found) < 2500
+        assert same(found, rows[: len(found)])
+        assert faults == [f"it breaks off after {path.stat().st_size} bytes, before its index is complete"]
         log.append(rows[2500:])
+        synced.clear()
         log.flush()
-        assert same(recovered((tmp_path / "log.mcap").read_bytes()), rows)
+        assert len(synced) == 1
+        assert same(recovered(path.read_bytes()), rows)
         with pytest.raises(TickLogError, match=r"log\.mcap: it breaks off .* `recover_ticks` saves"):
-            read_ticks(tmp_path / "log.mcap")
-    assert same(read_ticks(tmp_path / "log.mcap")[1], rows)
+            read_ticks(path)
+    assert same(read_ticks(path)[1], rows)
 
 
 def test_a_log_cut_anywhere_gives_all_whole_ticks_before_the_cut(small):
@@ -201,6 +207,43 @@ def test_any_damage_is_survived_and_takes_no_memory(small, data):
         assert tracemalloc.get_traced_memory()[1] < 4 * LARGEST_RECORD
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("length", [2**21, 2**31, 2**62, 2**64 - 1])
+def test_a_length_that_cannot_be_costs_what_comes_after_it(small, length):
+    content, rows, chunks = small
+    changed = bytearray(content)
+    place = content.index(b"\x06", content.index(b"mcap-python")) + 1
+    assert struct.unpack_from("<Q", content, place)[0] < chunks[0][0]
+    struct.pack_into("<Q", changed, place, length)
+    assert same(recovered(changed), rows[:2])
+
+
+@pytest.mark.parametrize("wrong", [-1.0, 1.0, np.nan, np.inf, 1e300])
+def test_in_a_chunk_that_breaks_off_the_times_must_agree(small, wrong):
+    content, rows, chunks = small
+    broken = bytearray(content[: chunks[1][0] - 1])
+    place = content.index(struct.pack("<d", rows[3, 0]))
+    struct.pack_into("<d", broken, place, wrong)
+    assert same(recovered(broken), rows[:3])
+
+
+def test_names_and_units_are_taken_from_the_index_where_the_first_chunk_is_damaged(small, tmp_path):
+    content, rows, _ = small
+    (tmp_path / "broken.mcap").write_bytes(content.replace(b"rad", b"deg", 1))
+    recover_ticks(tmp_path / "broken.mcap", tmp_path / "out.mcap")
+    units, found = read_ticks(tmp_path / "out.mcap")
+    assert units == UNITS
+    assert same(found, rows[2:])
+
+
+def test_zeros_that_a_power_cut_left_are_no_records(small):
+    content, rows, chunks = small
+    faults = []
+    cut = content.index(b"\x06", chunks[0][0])
+    found = recovered(content[:cut] + bytes(1000), lambda outcome: faults.extend(outcome.faults))
+    assert same(found, rows[:2])
+    assert faults == [f"it breaks off, or is damaged, in the record at byte {cut} of {cut + 1000}"]
 
 
 def test_faults_are_named(small):
