@@ -144,6 +144,7 @@ def test_a_full_chunk_is_in_the_file_at_once_and_every_tick_after_a_flush(tmp_pa
     path, units, rows = tmp_path / "log.mcap", {"time": "s"} | {f"x{i}": "m" for i in range(19)}, ticks(3000, 20)
     with TickLog(path, units) as log:
         log.append(rows[:2500])
+        assert path.stat().st_size == log._file.tell()
         faults = []
         found = recovered(path.read_bytes(), lambda outcome: faults.extend(outcome.faults))
         assert found is not None
