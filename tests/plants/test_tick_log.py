@@ -141,14 +141,14 @@ def test_other_readers_read_the_same(tmp_path):
 def test_a_full_chunk_is_in_the_file_at_once_and_every_tick_after_a_flush(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr(os, "fsync", synced.append)
-    path, units, rows = tmp_path / "log.mcap", {"time": "s"} | {f"x{i}": "m" for i in range(19)}, ticks(3000, 20)
+    path, units, rows = tmp_path / "log.mcap", {"time": "s"} | {f"x{i}": "m" for i in range(39)}, ticks(3000, 40)
     with TickLog(path, units) as log:
         log.append(rows[:2500])
         assert path.stat().st_size == log._file.tell()
         faults = []
         found = recovered(path.read_bytes(), lambda outcome: faults.extend(outcome.faults))
         assert found is not None
-        assert 2500 - 64 * 2**10 / 216 <= len(found) < 2500
+        assert 2500 - 64 * 2**10 / 416 <= len(found) < 2500
         assert same(found, rows[: len(found)])
         assert faults == [f"it breaks off after {path.stat().st_size} bytes, before its index is complete"]
         log.append(rows[2500:])

@@ -116,7 +116,7 @@ class TickLayout:
         return messages
 
     def parse(self, content: bytes) -> np.ndarray:
-        """The records that `content` begins with, up to the first that is no tick of this layout or not the next one."""
+        """The records that `content` begins with, up to one that is no tick of this layout, or not the next."""
         messages = np.frombuffer(content, self._message.dtype, len(content) // self._message.itemsize)
         time = messages["value 0"]
         right = _in_range(time)
