@@ -56,10 +56,16 @@ def test_rows_come_in_order_and_the_lost_ones_are_counted(rows, steps):
 
 
 class Overtaking:
-    """Slots of a ring whose writer goes on while they are copied; some of the copy may be old, some new."""
+    """A writer that goes on while the reader copies: some of the copy may be old, some new."""
 
-    def __init__(self, slots, writer, first, steps):
-        self.slots, self.writer, self.first, self.steps = slots, writer, first, steps
+    def __init__(self, reader, writer, first, steps):
+        self.reader, self.writer, self.first, self.steps = reader, writer, first, steps
+        self.slots, reader._slots = reader._slots, self
+
+    def stop(self):
+        """Lets the reader have its slots back; how many rows were pushed by now."""
+        self.reader._slots = self.__dict__.pop("slots")
+        return self.first
 
     def __getitem__(self, index):
         copied = []
@@ -75,9 +81,9 @@ class Overtaking:
 def test_rows_overwritten_while_they_are_copied_are_dropped_and_counted(rows, before, steps):
     with TickRing.create(2, rows) as writer, TickRing.attach(writer.name) as reader:
         push(writer, 0, before)
-        reader._slots = Overtaking(reader._slots, writer, before, iter(steps))
+        overtaking = Overtaking(reader, writer, before, iter(steps))
         during = reader.drain()
-        pushed, reader._slots = reader._slots.first, reader._slots.slots
+        pushed = overtaking.stop()
         first = max(0, min(before, pushed - rows))
         np.testing.assert_array_equal(during, numbered(first, before))
         assert reader.lost == first

@@ -116,12 +116,11 @@ class TickLayout:
         return messages
 
     def parse(self, content: bytes) -> np.ndarray:
-        """The records that `content` begins with, up to the first that `messages` would not have made."""
+        """The records that `content` begins with, up to one that is no tick of this layout, or not the next."""
         messages = np.frombuffer(content, self._message.dtype, len(content) // self._message.itemsize)
         time = messages["value 0"]
         right = _in_range(time)
         right &= messages["log_time"] == _nanoseconds(np.where(right, time, 0.0))
-        right &= messages["publish_time"] == messages["log_time"]
         right &= np.diff(messages["sequence"], prepend=messages["sequence"][:1] - np.uint32(1)) == 1
         for name in ("opcode", "length", "channel", *(f"key {i}" for i in range(len(self.units)))):
             right &= messages[name] == self._message[name]
