@@ -64,19 +64,24 @@ class Recorder(Machine):
 
 
 class RecordedTwin(TwinMachine):
-    """The twin, which remembers torques."""
+    """The twin, held up until a second after it first feels torque, and however long that takes.
+
+    It remembers all torques, also those before it was put back to its start.
+    """
 
     def __init__(self) -> None:
         super().__init__(Twin(RobotParameters(), RealityGap(), np.random.default_rng(0), hold=1.0))
         self.torques: list[tuple[float, float]] = []
 
     def start(self) -> Reading:
-        self.torques = []
-        return super().start()
+        self._limp = True
+        self._reading = super().start()
+        return self._reading
 
     def tick(self, torque_1: float, torque_2: float) -> Reading:
         self.torques.append((torque_1, torque_2))
-        return super().tick(torque_1, torque_2)
+        self._limp = self._limp and torque_1 == torque_2 == 0
+        return self._reading if self._limp else super().tick(torque_1, torque_2)
 
 
 class LiveRing:

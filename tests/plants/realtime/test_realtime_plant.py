@@ -1,0 +1,208 @@
+"""Two processes and a ring in a third, in lock-step: its time goes on with frames, however busy the machine is."""
+
+import os
+import resource
+import select
+import signal
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.plants.realtime.board import Request
+from stepgap.plants.realtime.loop import LOOP_UNITS, LoopSettings
+from stepgap.plants.realtime.process import RealtimeSetup
+from stepgap.plants.realtime.realtime_plant import RealtimePlant
+from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick_log import read_ticks
+from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.rig import RigFault
+from stepgap.step import Reason
+from tests.plants.realtime.test_faults import LIMITS, SETTINGS, WATCHDOG
+from tests.rigs.ethercat.ring_process import RecordedTwin, live_ring
+
+pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+
+ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
+COMMAND = np.array([-4.0, -3.0])
+COLUMN = {name: place for place, name in enumerate(LOOP_UNITS)}
+
+
+def at_once(period):
+    """A pace that never waits: the ring answers when it has moved its robot on."""
+    return lambda: 0.0
+
+
+SETUP = RealtimeSetup(
+    partial(EthercatRig, SETTINGS, ROBOT), ROBOT, GAINS, BOUNDS, LoopSettings(missed_commands=5), at_once
+)
+
+
+@contextmanager
+def hopping(folder: Path):
+    with live_ring(make_machine=RecordedTwin) as ring, RealtimePlant(SETUP, folder) as plant:
+        plant.start()
+        yield ring, plant
+
+
+def logged(folder: Path, number=0):
+    return read_ticks(folder / f"ticks-{number}.mcap")[1]
+
+
+def check_off(ring):
+    """No torque when no frame has come for the watchdog's time and 5 ms, and none ever after."""
+    before = len(ring.look().torques)
+    behind = ring.wait(round(WATCHDOG * 1000) + 5)
+    assert behind.now == [0.0, 0.0]
+    assert behind.enabled == [False, False]
+    given = np.array(ring.wait(100).torques)
+    assert np.abs(given).max() <= LIMITS.torque
+    assert not given[before + round(WATCHDOG * 1000) + 4 :].any()
+    return given
+
+
+def test_it_hops_lands_and_keeps_every_tick(tmp_path):
+    asked = []
+    with live_ring(make_machine=RecordedTwin) as ring:
+        with RealtimePlant(SETUP, tmp_path, lambda: asked.append("hold the robot")) as plant:
+            state = plant.start()
+            assert asked == ["hold the robot"]
+            for _ in range(3):
+                record = plant.take_step(COMMAND)
+                assert record.reason == Reason.OK
+                np.testing.assert_array_equal(record.state, state)
+                np.testing.assert_array_equal(record.command, COMMAND)
+                state = record.next_state
+                assert 0.5 < state[1] < 0.7
+        assert plant.fault == ""
+        check_off(ring)
+        given = np.array(ring.look().torques)
+    rows = logged(tmp_path)
+    np.testing.assert_allclose(np.diff(rows[:, 0]), 1e-3)
+    states = [RigState(state).name for state in dict.fromkeys(rows[:, COLUMN["state"]])]
+    assert states == ["CALIBRATE", "READY", "STAND", "HOP", "STOP", "OFF"]
+    applied = rows[:, COLUMN["applied_1"] : COLUMN["applied_2"] + 1]
+    first = int(np.argmax(given.any(axis=1))), int(np.argmax(applied.any(axis=1)))
+    count = len(applied) - first[1]
+    np.testing.assert_allclose(given[first[0] :][:count], applied[first[1] :], atol=1e-9)
+
+
+def test_a_killed_real_time_process_leaves_no_torque_and_loses_no_logged_tick(tmp_path):
+    with hopping(tmp_path) as (ring, plant):
+        assert plant.take_step(COMMAND).reason == Reason.OK
+        session = plant._session
+        assert session is not None
+        rows = session.board.ticks
+        os.kill(session.process_id, signal.SIGKILL)
+        record = plant.take_step(COMMAND)
+        assert record.reason == Reason.STOPPED
+        assert np.isnan(record.next_state).all()
+        assert plant.fault == "the real-time process was killed by signal 9"
+        given = check_off(ring)
+        assert np.abs(given[-1000:]).max() > 1, "it hopped when it was killed"
+    assert len(logged(tmp_path)) >= rows - 1, "the tick that was under way is lost, no other"
+
+
+def learn_and_die(setup: RealtimeSetup, folder: Path, pipe):
+    """A process that learns, has the robot hop, and is killed."""
+    plant = RealtimePlant(setup, folder)
+    plant.start()
+    plant.take_step(COMMAND)
+    assert plant._session is not None
+    pipe.send(plant._session.process_id)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_dead_learner_leaves_a_robot_that_lands(tmp_path):
+    context = get_context("spawn")
+    here, there = context.Pipe()
+    with live_ring(make_machine=RecordedTwin) as ring:
+        process = context.Process(target=learn_and_die, args=(SETUP, tmp_path, there))
+        process.start()
+        there.close()
+        orphan = here.recv()
+        process.join()
+        wait_for_end(orphan)
+        behind = ring.look()
+        assert behind.enabled == [False, False], "its drives were switched off, not only found by their watchdogs"
+        given = np.array(behind.torques)
+        assert np.abs(given).max() <= LIMITS.torque
+        assert given[-2000:].any(), "it landed under control"
+        check_off(ring)
+
+
+def wait_for_end(process_id: int) -> None:
+    """Until a process that is no child of this one has ended."""
+    descriptor = os.pidfd_open(process_id)
+    try:
+        assert select.select([descriptor], [], [], 60)[0], "it never ended"
+    finally:
+        os.close(descriptor)
+
+
+def take_steps(plant, count):
+    for _ in range(count):
+        plant.take_step(COMMAND)
+
+
+def test_a_full_disk_lands_the_robot_and_keeps_what_is_written(tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with live_ring(make_machine=RecordedTwin) as ring:
+        plant = RealtimePlant(SETUP, tmp_path)
+        with plant:
+            plant.start()
+            resource.setrlimit(resource.RLIMIT_FSIZE, ((tmp_path / "ticks-0.mcap").stat().st_size + 70_000, hard))
+            try:
+                with pytest.raises(RigFault, match=r"ticks-0\.mcap"):
+                    take_steps(plant, 30)
+            finally:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        check_off(ring)
+
+
+def test_a_robot_that_nobody_holds_gets_no_torque(tmp_path):
+    def nobody():
+        raise RigFault("nobody is there")
+
+    with live_ring(make_machine=RecordedTwin) as ring, RealtimePlant(SETUP, tmp_path, nobody) as plant:
+        with pytest.raises(RigFault, match="nobody is there"):
+            plant.start()
+        plant.stop()
+        assert not np.array(ring.look().torques).any()
+
+
+def test_a_command_that_is_no_number_ends_the_deployment(tmp_path):
+    with hopping(tmp_path) as (ring, plant):
+        record = plant.take_step(np.array([np.nan, 0.0]))
+        assert record.reason == Reason.INVALID
+        check_off(ring)
+
+
+def test_a_ring_that_is_not_there_is_said(tmp_path):
+    with RealtimePlant(SETUP, tmp_path) as plant, pytest.raises(RigFault, match="cannot be opened"):
+        plant.start()
+
+
+def test_a_second_deployment_has_its_own_log(tmp_path):
+    with live_ring(make_machine=RecordedTwin), RealtimePlant(SETUP, tmp_path) as plant:
+        for _ in range(2):
+            plant.start()
+            assert plant.take_step(COMMAND).reason == Reason.OK
+            plant.stop()
+    assert len(logged(tmp_path, 0)) > 1000
+    assert len(logged(tmp_path, 1)) > 1000
+
+
+def test_an_emergency_stop_from_the_learning_side(tmp_path):
+    with hopping(tmp_path) as (ring, plant):
+        session = plant._session
+        assert session is not None
+        session.board.stop_at_once()
+        assert plant.take_step(COMMAND).reason == Reason.STOPPED
+        assert "emergency stop" in plant.fault
+        assert session.board.request == Request.HOP
+        check_off(ring)
