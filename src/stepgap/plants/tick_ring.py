@@ -13,7 +13,7 @@ from stepgap.step import Array
 
 MARK = int.from_bytes(b"stepring", sys.byteorder)
 HEAD = 8
-"""Place of the count of rows pushed, as a 64-bit word; a cache line of its own."""
+"""Place of the count of rows pushed, in words of 64 bits; it has a cache line of its own."""
 ROWS_START = 128
 """Place of the first row [bytes]."""
 
