@@ -5,8 +5,10 @@ A *step* runs from one apex to the next. Everything above this module speaks of 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -90,7 +92,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class StepSpace:
-    """Names, units and ranges of the state and the command of a step.
+    """Names, units and ranges of the state and the command of a step; its arrays are made once and read-only.
 
     Attributes:
         state: The n coordinates of the apex state.
@@ -100,45 +102,52 @@ class StepSpace:
     state: tuple[Quantity, ...]
     command: tuple[Quantity, ...]
 
-    @property
+    @cached_property
     def state_names(self) -> tuple[str, ...]:
         """Names of the state coordinates."""
         return tuple(quantity.name for quantity in self.state)
 
-    @property
+    @cached_property
     def command_names(self) -> tuple[str, ...]:
         """Names of the command coordinates."""
         return tuple(quantity.name for quantity in self.command)
 
-    @property
+    @cached_property
     def state_centre(self) -> Array:
         """Middle of the range of use of each state coordinate; shape (n,)."""
-        return np.array([(quantity.upper + quantity.lower) / 2 for quantity in self.state])
+        return _read_only((quantity.upper + quantity.lower) / 2 for quantity in self.state)
 
-    @property
+    @cached_property
     def state_scale(self) -> Array:
         """Half the range of use of each state coordinate; shape (n,)."""
-        return np.array([(quantity.upper - quantity.lower) / 2 for quantity in self.state])
+        return _read_only((quantity.upper - quantity.lower) / 2 for quantity in self.state)
 
-    @property
+    @cached_property
     def command_scale(self) -> Array:
         """Half the range of each command coordinate; shape (m,)."""
-        return np.array([(quantity.upper - quantity.lower) / 2 for quantity in self.command])
+        return _read_only((quantity.upper - quantity.lower) / 2 for quantity in self.command)
 
-    @property
+    @cached_property
     def command_lower(self) -> Array:
         """Lower command bounds; shape (m,)."""
-        return np.array([quantity.lower for quantity in self.command])
+        return _read_only(quantity.lower for quantity in self.command)
 
-    @property
+    @cached_property
     def command_upper(self) -> Array:
         """Upper command bounds; shape (m,)."""
-        return np.array([quantity.upper for quantity in self.command])
+        return _read_only(quantity.upper for quantity in self.command)
 
-    @property
+    @cached_property
     def command_centre(self) -> Array:
         """Middle of the command bounds; shape (m,)."""
-        return (self.command_lower + self.command_upper) / 2
+        return _read_only((quantity.lower + quantity.upper) / 2 for quantity in self.command)
+
+
+def _read_only(numbers: Iterable[float]) -> Array:
+    """The numbers as an array that many may share."""
+    array = np.array(list(numbers), float)
+    array.flags.writeable = False
+    return array
 
 
 class Outcome(NamedTuple):
