@@ -182,19 +182,21 @@ class StepMap(ABC):
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
 
-    def std(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:  # noqa: ARG002
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviation of one measured step about the next state; zero where it is not known; shape (n,)."""
+        return np.zeros(len(self.space.state))
+
+    def std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the next state; zero for a map that is sure of itself; shape (…, n) [state units].
 
-        Args:
-            state: Shape (…, n).
-            command: Shape (…, m).
-            include_noise: False: of the map. True: of one measured step.
+        That of a measured step is √(std² + `noise_std`²).
         """
         leading = np.broadcast_shapes(np.shape(state)[:-1], np.shape(command)[:-1])
         return np.zeros((*leading, len(self.space.state)))
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂(std of the map)/∂(state, command); shape (…, n, n + m)."""
+        """∂std/∂(state, command); shape (…, n, n + m)."""
         leading = np.broadcast_shapes(np.shape(state)[:-1], np.shape(command)[:-1])
         return np.zeros((*leading, len(self.space.state), len(self.space.state) + len(self.space.command)))
 

@@ -50,19 +50,18 @@ class CorrectedMap(StepMap):
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
         return self.nominal.jacobian(state, command) + self.residual.mean_gradient(join_points(state, command))
 
-    def std(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:
-        """Standard deviation of the next state, which is the residual's; shape (…, n) [units of the state].
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviation of one measured step about the next state, as the residual has it; shape (n,)."""
+        return self.residual.noise_std
 
-        Args:
-            state: Shape (…, n).
-            command: Shape (…, m).
-            include_noise: False: of the map. True: of one measured step.
-        """
-        return self.residual.std(join_points(state, command), include_noise=include_noise)
+    def std(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """Standard deviation of the next state, which is the residual's; shape (…, n) [units of the state]."""
+        return self.residual.std(join_points(state, command))
 
-    def std_gradient(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:
+    def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂std/∂(state, command), which is the residual's; shape (…, n, n + m)."""
-        return self.residual.std_gradient(join_points(state, command), include_noise=include_noise)
+        return self.residual.std_gradient(join_points(state, command))
 
     def after(self, log: StepLog, iteration: int) -> "CorrectedMap":
         """The map of the step that follows a log, in a deployment: what a residual with hindsight makes of the past."""

@@ -104,6 +104,11 @@ class Residual:
         gradient = np.stack([regression.mean_gradient(inputs) for regression in self.regressions], axis=-2)
         return gradient[..., : sum(self.sizes)]
 
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviation of one measured step's residual about the expected one; shape (n,) [units of the state]."""
+        return np.array([regression.noise_std for regression in self.regressions])
+
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Standard deviation of the residual; shape (…, n) [units of the state].
 
