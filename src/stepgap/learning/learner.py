@@ -8,12 +8,12 @@ import numpy as np
 
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.drift import Drift
-from stepgap.learning.observations import next_context, observe
+from stepgap.learning.observations import context_after, error_of, next_context, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.step import Array, Reason, StepMap
+from stepgap.step import Array, Reason, StepMap, StepRecord
 
 WATCHED = 10
 """Steps over which a correction is compared with the nominal map."""
@@ -51,6 +51,7 @@ class Learner:
         self._fit: Future[Residual] | None = None
         self._fit_from = self._due = len(self._log)
         self._context = next_context(self._log, nominal, iteration)
+        self._failures = [_point_of(step.record) for step in log if step.record.reason != Reason.OK]
         self._since: list[tuple[Array, Array, Array]] = []
 
     def __enter__(self) -> Self:
@@ -67,9 +68,7 @@ class Learner:
     @property
     def failures(self) -> Array:
         """Points (state, command) of the steps that failed; shape (k, n + m)."""
-        failed = [step.record for step in self._log if step.record.reason != Reason.OK]
-        points = [np.concatenate([record.state, record.applied]) for record in failed]
-        return np.array(points).reshape(len(points), sum(self._residual.sizes))
+        return np.array(self._failures).reshape(len(self._failures), sum(self._residual.sizes))
 
     def step_map(self) -> CorrectedMap:
         """The map to plan the next step with."""
@@ -83,11 +82,13 @@ class Learner:
         """Takes in the step just executed."""
         record, scale, context = logged.record, self.nominal.space.state_scale, self._context
         self._log.append(logged)
-        self._context = next_context(self._log, self.nominal, self._iteration)
-        error = record.next_state - self.nominal.evaluate(record.state, record.applied).next_state
+        if record.reason != Reason.OK:
+            self._failures.append(_point_of(record))
+        error, point = error_of(record, self.nominal), _point_of(record)
+        self._context = context_after(record, error, self.nominal.space, len(self._log))
         if not np.isfinite(error).all():
             return
-        residual, point = self._residual.given(context), join_points(record.state, record.applied)
+        residual = self._residual.given(context)
         left = error - residual.mean(point)
         self._advantage.append(float(np.sum((error / scale) ** 2) - np.sum((left / scale) ** 2)))
         if self._learning.drift and residual.kind != "none":
@@ -115,3 +116,8 @@ class Learner:
         learning, observations = self._learning, observe(log, self.nominal)
         kind = learning.residual if len(observations) else "none"
         return fit_residual(kind, observations, learning.features, learning.memory, start)
+
+
+def _point_of(record: StepRecord) -> Array:
+    """State and applied command of a step; shape (n + m,)."""
+    return join_points(record.state, record.applied)
