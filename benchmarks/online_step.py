@@ -51,6 +51,7 @@ def measure(nominal: ApexMap, known: list[LoggedStep], new: list[LoggedStep], ho
             controller = CarefulController(learner.step_map(), nominal, learner.failures)
             controller(logged.record.next_state, logged.target, guess=logged.record.command)
             seconds.append(perf_counter() - begin)
+            learner.fit_beside()
             _tick_for(hop, nominal)
     return seconds
 

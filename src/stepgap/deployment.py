@@ -86,6 +86,7 @@ def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int,
                 plan = calibrating_plan(controller, learner.residual, state, goals)
             else:
                 plan = tracking_plan(controller, state, reference.targets[number - 1], command)
+            learner.fit_beside()
             record = plant.take_step(plan.command)
             target = reference.targets[number - 1] if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
