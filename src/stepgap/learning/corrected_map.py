@@ -1,13 +1,11 @@
 """The nominal map plus what was learnt of its error: a `StepMap` again."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 from numpy.typing import ArrayLike
 
-from stepgap.learning.observations import next_context
-from stepgap.learning.residual import Hindsight, Residual, join_points
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.residual import Residual, join_points
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 
@@ -62,9 +60,3 @@ class CorrectedMap(StepMap):
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂std/∂(state, command), which is the residual's; shape (…, n, n + m)."""
         return self.residual.std_gradient(join_points(state, command))
-
-    def after(self, log: StepLog, iteration: int) -> "CorrectedMap":
-        """The map of the step that follows a log, in a deployment: what a residual with hindsight makes of the past."""
-        if self.residual.hindsight == Hindsight():
-            return self
-        return replace(self, residual=self.residual.given(next_context(log, self.nominal, iteration)))
