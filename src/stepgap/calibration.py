@@ -11,7 +11,7 @@ import numpy as np
 
 from stepgap.control.careful_controller import CarefulController, CarefulPlan
 from stepgap.control.reference import Reference
-from stepgap.control.step_controller import StepController, box_grid
+from stepgap.control.step_controller import StepController
 from stepgap.learning.residual import Residual
 from stepgap.step import Array, StepFailed, StepMap
 
@@ -67,7 +67,7 @@ def calibrating_plan(controller: CarefulController, residual: Residual, state: A
     """
     step_map, space = controller.step_map, controller.step_map.space
     n, m = len(space.state), len(space.command)
-    commands = space.command_centre + space.command_scale * box_grid(TRIED, m).reshape(-1, m)
+    commands = space.command_grid(TRIED).reshape(-1, m)
     safe = np.array([command for command in commands if controller.is_safe(state, command)]).reshape(-1, m)
     if not len(safe):
         return controller(state, goals.points[0, :n])

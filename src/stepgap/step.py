@@ -142,6 +142,24 @@ class StepSpace:
         """Middle of the command bounds; shape (m,)."""
         return _read_only((quantity.lower + quantity.upper) / 2 for quantity in self.command)
 
+    def command_at(self, point: Array) -> Array:
+        """Commands at scaled points, of which −1 and 1 are the bounds, where those beyond them end; shape (…, m)."""
+        command = self.command_centre + self.command_scale * point
+        return np.minimum(np.maximum(command, self.command_lower), self.command_upper)
+
+    def point_of(self, command: Array) -> Array:
+        """Scaled points of commands; shape (…, m)."""
+        return (command - self.command_centre) / self.command_scale
+
+    def command_grid(self, samples: int) -> Array:
+        """Even grid over the command bounds, its ends included; shape (samples, …, samples, m)."""
+        return self.command_at(box_grid(samples, len(self.command)))
+
+
+def box_grid(samples: int, k: int) -> Array:
+    """Even grid over |point| ≤ 1, its ends included; shape (samples, …, samples, k)."""
+    return np.stack(np.meshgrid(*[np.linspace(-1, 1, samples)] * k, indexing="ij"), axis=-1)
+
 
 def _read_only(numbers: Iterable[float]) -> Array:
     """The numbers as an array that many may share."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.control.step_controller import StepController, as_vector, box_grid, descend
+from stepgap.control.step_controller import StepController, as_vector, descend
 from stepgap.step import Array, Reason, StepFailed, StepMap
 
 RISK = 2.0
@@ -76,9 +76,7 @@ class CarefulController:
         commands = np.array([exact.command, *self._cautious_commands(state, target, exact.command)])
         best = self._best(state, target, commands)
         if best is None:
-            space = self.step_map.space
-            grid = box_grid(SEARCHED, len(space.command)).reshape(-1, len(space.command))
-            best = self._best(state, target, space.command_centre + space.command_scale * grid)
+            best = self._best(state, target, self.step_map.space.command_grid(SEARCHED).reshape(-1, commands.shape[1]))
         command = exact.command if best is None else best
         return CarefulPlan(command, self.step_map(state, command), self.step_std(state, command))
 
@@ -98,21 +96,17 @@ class CarefulController:
         space, n = self.step_map.space, len(target)
         scale = np.concatenate([space.state_scale, space.state_scale])
 
-        def command_at(point: Array) -> Array:
-            return np.clip(space.command_centre + space.command_scale * point, space.command_lower, space.command_upper)
-
         def residual(point: Array) -> Array:
-            command = command_at(point)
+            command = space.command_at(point)
             mean = self.step_map.evaluate(state, command).next_state
             return np.concatenate([mean - target, self.step_map.std(state, command)], axis=-1) / scale
 
         def slope(point: Array) -> Array:
-            command = command_at(point)
+            command = space.command_at(point)
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
             return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
 
-        begin = (start - space.command_centre) / space.command_scale
-        return command_at(descend(residual, slope, begin, bound=1.0).point)
+        return space.command_at(descend(residual, slope, space.point_of(start), bound=1.0).point)
 
     def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
         """Of commands (k, m) the safe one of least expected squared distance, None if none is safe."""
@@ -140,6 +134,5 @@ class CarefulController:
         stuck = places[self.nominal.evaluate(places, space.command_centre).reason != Reason.OK]
         if not len(stuck):
             return True
-        grid = space.command_centre + space.command_scale * box_grid(ONWARD, len(space.command))
-        onward = self.nominal.evaluate(stuck[:, None], grid.reshape(1, -1, len(space.command))).reason
+        onward = self.nominal.evaluate(stuck[:, None], space.command_grid(ONWARD).reshape(-1, len(command))).reason
         return bool((onward == Reason.OK).any(axis=1).all())

@@ -112,7 +112,7 @@ def error_of(record: StepRecord, nominal: StepMap) -> Array:
 
 def _told(space: StepSpace, error: Array, applied_command: Array, state: Array) -> Array:
     """What a step tells the next one, in half ranges; shape (…, 2n + m). An error that is not known is none."""
-    command = (applied_command - space.command_centre) / space.command_scale
+    command = space.point_of(applied_command)
     parts = [np.nan_to_num(error) / space.state_scale, command, (state - space.state_centre) / space.state_scale]
     return np.concatenate(parts, axis=-1)
 
