@@ -108,7 +108,7 @@ class Residual:
 
     @property
     def noise_std(self) -> Array:
-        """Standard deviation of one measured step's residual about the expected one; shape (n,) [units of the state]."""
+        """Standard deviation of one measured step's residual about the expected one; shape (n,)."""
         return np.array([regression.noise_std for regression in self.regressions])
 
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
