@@ -4,6 +4,9 @@ A model whose body is heavier stands for the robot. Between two steps a little i
 control loop does, for as long as a hop lasts, so that a fit in the background has the time that it would have.
 
     ./go python benchmarks/online_step.py --known 500
+
+Where other programs want the cores, too, the scheduler takes one away for some 4 ms now and then, in whatever is running.
+A control loop therefore has real-time priority, and to measure what it would see: `chrt -f 10 ./go python …`.
 """
 
 import argparse
@@ -51,6 +54,7 @@ def measure(nominal: ApexMap, known: list[LoggedStep], new: list[LoggedStep], ho
             controller = CarefulController(learner.step_map(), nominal, learner.failures)
             controller(logged.record.next_state, logged.target, guess=logged.record.command)
             seconds.append(perf_counter() - begin)
+            learner.fit_beside()
             _tick_for(hop, nominal)
     return seconds
 

@@ -16,6 +16,7 @@ from stepgap.deployment import Deployment, deploy, summarise
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
+from stepgap.learning.observations import next_context
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, read_step_log
@@ -157,11 +158,12 @@ def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
     log = list(read_step_log(tmp_path / "steps.csv", NOMINAL.space))
     for deployment in done[1:]:
         saved = json.loads((tmp_path / "models" / f"iteration_{deployment.iteration}.json").read_text())
-        corrected = CorrectedMap(NOMINAL, residual_from_dict(saved))
+        residual = residual_from_dict(saved)
         assert deployment.residual == f"{saved['kind']} with previous error"
         for row, logged in enumerate(log):
             if logged.iteration == deployment.iteration:
-                expected = corrected.after(in_space(log[:row]), logged.iteration)
+                context = next_context(in_space(log[:row]), NOMINAL, logged.iteration)
+                expected = CorrectedMap(NOMINAL, residual.given(context))
                 predicted = expected(logged.record.state, logged.record.command)
                 np.testing.assert_allclose(logged.predicted, predicted, rtol=1e-9, atol=1e-9)
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepgap.control.careful_controller import CarefulController
+from stepgap.control.careful_controller import CarefulController, CarefulPlan
 from stepgap.control.reference import Reference
-from stepgap.control.step_controller import StepController, StepPlan, box_grid
+from stepgap.control.step_controller import StepController
 from stepgap.learning.residual import Residual
 from stepgap.step import Array, StepFailed, StepMap
 
@@ -57,7 +57,7 @@ def goals_of(reference: Reference, step_map: StepMap) -> Goals:
     return Goals(np.array(points), np.array(weights, float), step_map.space.state_scale)
 
 
-def calibrating_plan(controller: CarefulController, residual: Residual, state: Array, goals: Goals) -> StepPlan:
+def calibrating_plan(controller: CarefulController, residual: Residual, state: Array, goals: Goals) -> CarefulPlan:
     """The safe command that, with the one after it, leaves the least uncertainty at the goals.
 
     It leads to a state in the range of the goals, or as near to it as one can be had.
@@ -67,7 +67,7 @@ def calibrating_plan(controller: CarefulController, residual: Residual, state: A
     """
     step_map, space = controller.step_map, controller.step_map.space
     n, m = len(space.state), len(space.command)
-    commands = space.command_centre + space.command_scale * box_grid(TRIED, m).reshape(-1, m)
+    commands = space.command_grid(TRIED).reshape(-1, m)
     safe = np.array([command for command in commands if controller.is_safe(state, command)]).reshape(-1, m)
     if not len(safe):
         return controller(state, goals.points[0, :n])
@@ -82,4 +82,4 @@ def calibrating_plan(controller: CarefulController, residual: Residual, state: A
         return min(goals.uncertainty_after(residual, here, point) for point in onward)
 
     best = min(allowed.tolist(), key=left)
-    return StepPlan(safe[best], ends[best], reached=True, distance=0.0)
+    return CarefulPlan(safe[best], ends[best], controller.step_std(state, safe[best]))

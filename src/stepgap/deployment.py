@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepgap.calibration import calibrating_plan, goals_of
-from stepgap.control.careful_controller import CarefulController
+from stepgap.control.careful_controller import CarefulController, CarefulPlan
 from stepgap.control.reference import Reference
-from stepgap.control.step_controller import StepPlan
 from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
@@ -87,10 +86,10 @@ def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int,
                 plan = calibrating_plan(controller, learner.residual, state, goals)
             else:
                 plan = tracking_plan(controller, state, reference.targets[number - 1], command)
-            std = controller.step_map.std(state, plan.command, include_noise=True)
+            learner.fit_beside()
             record = plant.take_step(plan.command)
             target = reference.targets[number - 1] if number > 0 else plan.predicted
-            logged = LoggedStep(iteration, number, target, plan.predicted, std, record)
+            logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
             yield logged
             if record.reason != Reason.OK:
                 return
@@ -98,9 +97,10 @@ def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int,
             state, command = record.next_state, plan.command
 
 
-def tracking_plan(controller: CarefulController, state: Array, target: Array, guess: Array | None) -> StepPlan:
+def tracking_plan(controller: CarefulController, state: Array, target: Array, guess: Array | None) -> CarefulPlan:
     """The command for a target; the middle of the bounds where the map knows none that makes a step."""
     try:
         return controller(state, target, guess=guess)
     except StepFailed:
-        return StepPlan(controller.step_map.space.command_centre, np.full_like(target, np.nan), False, np.inf)
+        command = controller.step_map.space.command_centre
+        return CarefulPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))

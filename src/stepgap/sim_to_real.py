@@ -111,8 +111,8 @@ def run(
     path, log, deployments, learner = folder / "steps.csv", StepLog(nominal.space), [], None
     with StepWriter(path, nominal.space) as writer, threadpool_limits(limits=1, user_api="blas"):  # same bytes anywhere
         recorded = deque(writer.recorded)
-        vouched = _vouched_deployments(folder / "summary.json", writer.recorded, seed)
-        known_spread = _measured_spread(folder / "summary.json", nominal.space.state_names)
+        former = _read_summary(folder / "summary.json")
+        vouched = _vouched_deployments(former, writer.recorded, seed)
         for iteration in range(learning.iterations + 1):
             learner = Learner(nominal, log, learning, iteration)
             if iteration > 0:
@@ -138,7 +138,7 @@ def run(
             if not _worth_going_on(deployments, nominal.space.state_scale, learning.least_gain):
                 break
         if measure_spread and learner and not recorded:
-            spread = known_spread if vouched == len(deployments) else None
+            spread = _measured_spread(former, nominal.space.state_names) if vouched == len(deployments) else None
             if spread is None:
                 spread = measure_spread(learner.step_map(), np.random.default_rng([seed, deployments[-1].iteration, 1]))
             summary = _summary(deployments, log, reference, seed, spread)
@@ -148,24 +148,30 @@ def run(
     return deployments
 
 
-def _vouched_deployments(path: Path, recorded: StepLog, seed: int) -> int:
+def _read_summary(path: Path) -> Any:
+    """What `summary.json` holds; nothing if there is none."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def _vouched_deployments(summary: Any, recorded: StepLog, seed: int) -> int:
     """How many whole deployments of the record are what they were when `summary.json` was written."""
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
         count, wanted = len(summary["iterations"]), (summary["seed"], summary["steps_sha256"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (KeyError, TypeError):
         return 0  # none, or not ours: it will be written anew
     known = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < count))
     return count if (seed, digest(known)) == wanted else 0
 
 
-def _measured_spread(path: Path, names: Sequence[str]) -> Array | None:
+def _measured_spread(summary: Any, names: Sequence[str]) -> Array | None:
     """The repeatability that `summary.json` holds, if it was measured."""
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
         known = [summary["repeatability"][name] for name in names]
         return np.array(known, float) if summary["repeatability_measured"] is True else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):
         return None
 
 

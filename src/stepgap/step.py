@@ -5,8 +5,10 @@ A *step* runs from one apex to the next. Everything above this module speaks of 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -90,7 +92,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class StepSpace:
-    """Names, units and ranges of the state and the command of a step.
+    """Names, units and ranges of the state and the command of a step; its arrays are made once and read-only.
 
     Attributes:
         state: The n coordinates of the apex state.
@@ -100,45 +102,70 @@ class StepSpace:
     state: tuple[Quantity, ...]
     command: tuple[Quantity, ...]
 
-    @property
+    @cached_property
     def state_names(self) -> tuple[str, ...]:
         """Names of the state coordinates."""
         return tuple(quantity.name for quantity in self.state)
 
-    @property
+    @cached_property
     def command_names(self) -> tuple[str, ...]:
         """Names of the command coordinates."""
         return tuple(quantity.name for quantity in self.command)
 
-    @property
+    @cached_property
     def state_centre(self) -> Array:
         """Middle of the range of use of each state coordinate; shape (n,)."""
-        return np.array([(quantity.upper + quantity.lower) / 2 for quantity in self.state])
+        return _read_only((quantity.upper + quantity.lower) / 2 for quantity in self.state)
 
-    @property
+    @cached_property
     def state_scale(self) -> Array:
         """Half the range of use of each state coordinate; shape (n,)."""
-        return np.array([(quantity.upper - quantity.lower) / 2 for quantity in self.state])
+        return _read_only((quantity.upper - quantity.lower) / 2 for quantity in self.state)
 
-    @property
+    @cached_property
     def command_scale(self) -> Array:
         """Half the range of each command coordinate; shape (m,)."""
-        return np.array([(quantity.upper - quantity.lower) / 2 for quantity in self.command])
+        return _read_only((quantity.upper - quantity.lower) / 2 for quantity in self.command)
 
-    @property
+    @cached_property
     def command_lower(self) -> Array:
         """Lower command bounds; shape (m,)."""
-        return np.array([quantity.lower for quantity in self.command])
+        return _read_only(quantity.lower for quantity in self.command)
 
-    @property
+    @cached_property
     def command_upper(self) -> Array:
         """Upper command bounds; shape (m,)."""
-        return np.array([quantity.upper for quantity in self.command])
+        return _read_only(quantity.upper for quantity in self.command)
 
-    @property
+    @cached_property
     def command_centre(self) -> Array:
         """Middle of the command bounds; shape (m,)."""
-        return (self.command_lower + self.command_upper) / 2
+        return _read_only((quantity.lower + quantity.upper) / 2 for quantity in self.command)
+
+    def command_at(self, point: Array) -> Array:
+        """Commands at scaled points, of which −1 and 1 are the bounds, where those beyond them end; shape (…, m)."""
+        command = self.command_centre + self.command_scale * point
+        return np.minimum(np.maximum(command, self.command_lower), self.command_upper)
+
+    def point_of(self, command: Array) -> Array:
+        """Scaled points of commands; shape (…, m)."""
+        return (command - self.command_centre) / self.command_scale
+
+    def command_grid(self, samples: int) -> Array:
+        """Even grid over the command bounds, its ends included; shape (samples, …, samples, m)."""
+        return self.command_at(box_grid(samples, len(self.command)))
+
+
+def box_grid(samples: int, k: int) -> Array:
+    """Even grid over |point| ≤ 1, its ends included; shape (samples, …, samples, k)."""
+    return np.stack(np.meshgrid(*[np.linspace(-1, 1, samples)] * k, indexing="ij"), axis=-1)
+
+
+def _read_only(numbers: Iterable[float]) -> Array:
+    """The numbers as an array that many may share."""
+    array = np.array(list(numbers), float)
+    array.flags.writeable = False
+    return array
 
 
 class Outcome(NamedTuple):
@@ -173,19 +200,21 @@ class StepMap(ABC):
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
 
-    def std(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:  # noqa: ARG002
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviation of one measured step about the next state; zero where it is not known; shape (n,)."""
+        return np.zeros(len(self.space.state))
+
+    def std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the next state; zero for a map that is sure of itself; shape (…, n) [state units].
 
-        Args:
-            state: Shape (…, n).
-            command: Shape (…, m).
-            include_noise: False: of the map. True: of one measured step.
+        That of a measured step is √(std² + `noise_std`²).
         """
         leading = np.broadcast_shapes(np.shape(state)[:-1], np.shape(command)[:-1])
         return np.zeros((*leading, len(self.space.state)))
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂(std of the map)/∂(state, command); shape (…, n, n + m)."""
+        """∂std/∂(state, command); shape (…, n, n + m)."""
         leading = np.broadcast_shapes(np.shape(state)[:-1], np.shape(command)[:-1])
         return np.zeros((*leading, len(self.space.state), len(self.space.state) + len(self.space.command)))
 

@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import arrays
 
 from stepgap.control.command_table import CommandTable, build_table, measure_table
 from stepgap.control.command_table_file import KINDS, read_table, write_table
-from stepgap.control.step_controller import StepController, box_grid
-from stepgap.step import Array, Reason, StepFailed
+from stepgap.control.step_controller import StepController
+from stepgap.step import Array, Reason, StepFailed, box_grid
 from tests.control.maps import FoldedMap, LossyHopper, NeverWorks, RedundantMap, StumblingHopper
 
 POINTS = 7

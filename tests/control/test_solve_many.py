@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from stepgap.control.solve_many import box_steps, solve_many
-from stepgap.control.step_controller import StepController, box_grid, box_step
-from stepgap.step import Array, Reason, StepMap
+from stepgap.control.step_controller import StepController, box_step
+from stepgap.step import Array, Reason, StepMap, box_grid
 from tests.control.maps import (
     CountingMap,
     FoldedMap,
@@ -65,7 +65,7 @@ def test_unreached_targets_get_the_least_distance_of_a_dense_grid():
     step_map = StumblingHopper()
     state, target = np.array([0.1, 0.55]), np.array([0.4, 0.64])
     answers = solve_many(step_map, state[None], target[None])
-    dense = step_map.space.command_scale * box_grid(201, 2)
+    dense = step_map.space.command_grid(201)
     off = (step_map.evaluate(state, dense).next_state - target) / step_map.space.state_scale
     found = np.linalg.norm((answers.predicted[0, 0] - target) / step_map.space.state_scale)
     assert not answers.reached

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import lsq_linear
 
-from stepgap.control.step_controller import REACHED, StepController, box_grid, box_step
+from stepgap.control.step_controller import REACHED, StepController, box_step
 from stepgap.step import Array, Reason, StepFailed, StepMap
 from tests.control.maps import (
     CountingMap,
@@ -39,8 +39,8 @@ def commands(step_map: StepMap, fractions: Array) -> Array:
 def closest_on_grid(step_map: StepMap, state: Array, target: Array) -> float:
     """Least distance over a dense grid of the command bounds."""
     space = step_map.space
-    grid = box_grid({1: 4001, 2: 201, 3: 41}[len(space.command)], len(space.command))
-    next_states = step_map.evaluate(state, space.command_centre + space.command_scale * grid).next_state
+    grid = space.command_grid({1: 4001, 2: 201, 3: 41}[len(space.command)])
+    next_states = step_map.evaluate(state, grid).next_state
     return float(np.nanmin(np.linalg.norm((next_states - target) / space.state_scale, axis=-1)))
 
 

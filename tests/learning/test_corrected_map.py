@@ -3,10 +3,9 @@ import pytest
 from numpy.typing import ArrayLike
 
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.observations import Observations, next_context, observe
+from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
-from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import (
     Array,
     Outcome,
@@ -14,7 +13,6 @@ from stepgap.step import (
     Reason,
     StepFailed,
     StepMap,
-    StepRecord,
     StepSpace,
     difference_jacobian,
 )
@@ -123,27 +121,9 @@ def test_standard_deviation_is_the_residual_s(corrected: CorrectedMap, residual:
     state, command = apexes(6, seed=5)
     point = join_points(state, command)
     np.testing.assert_array_equal(corrected.std(state, command), residual.std(point))
-    noisy = corrected.std(state, command, include_noise=True)
-    np.testing.assert_array_equal(noisy, residual.std(point, include_noise=True))
-    slope = corrected.std_gradient(state, command, include_noise=True)
-    np.testing.assert_array_equal(slope, residual.std_gradient(point, include_noise=True))
-
-
-def test_hindsight_takes_the_map_of_the_step_that_follows() -> None:
-    state, command = apexes(30, seed=7)
-    log = StepLog(SPACE)
-    for row in range(30):
-        drift = 0.01 * np.sin(0.3 * row)
-        record = StepRecord(state[row], command[row], command[row], actual(state[row], command[row]) + drift, Reason.OK)
-        log.append(LoggedStep(0, row + 1, state[row], state[row], np.zeros(2), record))
-    residual = fit_residual("linear", observe(log, NOMINAL), "previous_error")
-    corrected = CorrectedMap(NOMINAL, residual)
-    for iteration in (0, 1):
-        expected = residual.given(next_context(log, NOMINAL, iteration)).mean(join_points(state, command))
-        found = corrected.after(log, iteration)(state, command) - NOMINAL(state, command)
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
-    plain = CorrectedMap(NOMINAL, no_residual(2, 1))
-    assert plain.after(log, 0) is plain
+    noisy = np.hypot(corrected.std(state, command), corrected.noise_std)
+    np.testing.assert_allclose(noisy, residual.std(point, include_noise=True), rtol=1e-12)
+    np.testing.assert_array_equal(corrected.std_gradient(state, command), residual.std_gradient(point))
 
 
 def test_no_residual_changes_nothing() -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import WATCHED, Learner
 from stepgap.learning.observations import observe
 from stepgap.learning.residual_fit import fit_residual
@@ -37,6 +38,7 @@ def log_of(steps: list[LoggedStep]) -> StepLog:
 def taught(learner: Learner, steps: list[LoggedStep]) -> Learner:
     with learner:
         for logged in steps:
+            learner.fit_beside()
             learner.observe(logged)
     return learner
 
@@ -91,6 +93,22 @@ def test_the_same_steps_give_the_same_model_however_long_fits_take() -> None:
     steps = hops(REALITY, 50, seed=3)
     one, other = (taught(Learner(NOMINAL, log_of([]), ONLINE, 0), steps).residual.mean(POINTS) for _ in range(2))
     np.testing.assert_array_equal(one, other)
+
+
+def test_a_fit_that_is_taken_over_knows_every_step() -> None:
+    """While it went on, steps came in; the next fit begins only later."""
+    known, new = hops(REALITY, 40, seed=0), hops(REALITY, 6, seed=7, iteration=1)
+    learner = taught(Learner(NOMINAL, log_of(known), ONLINE, iteration=1), new)
+    for regression in learner.residual.regressions:
+        assert isinstance(regression, GaussianProcessRegression)
+        assert len(regression.process.points) == 46
+    expected = fit_residual("gp", observe(log_of(known + new[:4]), NOMINAL), start=fitted(known))
+    context = np.zeros(7)
+    for logged in new[4:]:
+        record = logged.record
+        error = record.next_state - NOMINAL(record.state, record.applied)
+        expected = expected.given(context).append(np.concatenate([record.state, record.applied]), error)
+    np.testing.assert_array_equal(learner.residual.mean(POINTS), expected.mean(POINTS))
 
 
 def test_calibration_teaches_its_steps_and_no_more() -> None:

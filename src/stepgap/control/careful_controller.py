@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.control.step_controller import REACHED, StepController, StepPlan, as_vector, box_grid, descend
+from stepgap.control.step_controller import StepController, as_vector, descend
 from stepgap.step import Array, Reason, StepFailed, StepMap
 
 RISK = 2.0
@@ -23,6 +23,21 @@ SEARCHED = 9
 """Commands along each axis of the grid that is searched where no better one is safe."""
 ONWARD = 3
 """Commands along each axis of which one must lead on from the next state."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarefulPlan:
+    """A command and what is expected of it.
+
+    Attributes:
+        command: Within the bounds; shape (m,).
+        predicted: Next state; shape (n,).
+        std: Standard deviation of the next state as measured; shape (n,).
+    """
+
+    command: Array
+    predicted: Array
+    std: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +54,7 @@ class CarefulController:
     nominal: StepMap
     failures: Array
 
-    def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> StepPlan:
+    def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> CarefulPlan:
         """Plans one step.
 
         Args:
@@ -52,22 +67,22 @@ class CarefulController:
             ValueError: State, target or guess has the wrong size, or the target or guess is not finite.
         """
         exact = StepController(self.step_map)(state, target, guess)
-        map_std = self.step_map.std(state, exact.command)
-        step_std = self.step_map.std(state, exact.command, include_noise=True)
-        sure = (2 * map_std**2 <= step_std**2).all()  # the map errs less than one measured step scatters
+        map_std, noise_std = self.step_map.std(state, exact.command), self.step_map.noise_std
+        step_std = np.hypot(map_std, noise_std)
+        sure = (map_std <= noise_std).all()  # the map errs less than one measured step scatters
         if sure and self._leads_on(state, exact.command, exact.predicted, step_std):
-            return exact
+            return CarefulPlan(exact.command, exact.predicted, step_std)
         state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
         commands = np.array([exact.command, *self._cautious_commands(state, target, exact.command)])
         best = self._best(state, target, commands)
         if best is None:
-            space = self.step_map.space
-            grid = box_grid(SEARCHED, len(space.command)).reshape(-1, len(space.command))
-            best = self._best(state, target, space.command_centre + space.command_scale * grid)
+            best = self._best(state, target, self.step_map.space.command_grid(SEARCHED).reshape(-1, commands.shape[1]))
         command = exact.command if best is None else best
-        predicted = self.step_map(state, command)
-        distance = float(np.linalg.norm((predicted - target) / self.step_map.space.state_scale))
-        return StepPlan(command, predicted, distance <= REACHED, distance)
+        return CarefulPlan(command, self.step_map(state, command), self.step_std(state, command))
+
+    def step_std(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """Standard deviation of the next state as measured; shape (…, n)."""
+        return np.hypot(self.step_map.std(state, command), self.step_map.noise_std)
 
     def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
         """The nominal command, and the nearest ones of least expected squared distance from it and from `start`."""
@@ -81,21 +96,17 @@ class CarefulController:
         space, n = self.step_map.space, len(target)
         scale = np.concatenate([space.state_scale, space.state_scale])
 
-        def command_at(point: Array) -> Array:
-            return np.clip(space.command_centre + space.command_scale * point, space.command_lower, space.command_upper)
-
         def residual(point: Array) -> Array:
-            command = command_at(point)
+            command = space.command_at(point)
             mean = self.step_map.evaluate(state, command).next_state
             return np.concatenate([mean - target, self.step_map.std(state, command)], axis=-1) / scale
 
         def slope(point: Array) -> Array:
-            command = command_at(point)
+            command = space.command_at(point)
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
             return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
 
-        begin = (start - space.command_centre) / space.command_scale
-        return command_at(descend(residual, slope, begin, bound=1.0).point)
+        return space.command_at(descend(residual, slope, space.point_of(start), bound=1.0).point)
 
     def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
         """Of commands (k, m) the safe one of least expected squared distance, None if none is safe."""
@@ -109,8 +120,7 @@ class CarefulController:
     def is_safe(self, state: ArrayLike, command: Array) -> bool:
         """Whether the step makes an apex from which the robot can hop on, also if it errs, and resembles no failure."""
         mean, reason = self.step_map.evaluate(state, command)
-        step_std = self.step_map.std(state, command, include_noise=True)
-        return bool(reason == Reason.OK) and self._leads_on(state, command, mean, step_std)
+        return bool(reason == Reason.OK) and self._leads_on(state, command, mean, self.step_std(state, command))
 
     def _leads_on(self, state: ArrayLike, command: Array, mean: Array, std: Array) -> bool:
         """The same of a step that is predicted to make an apex, with a standard deviation (n,)."""
@@ -122,6 +132,7 @@ class CarefulController:
         error = np.diag(RISK * std)
         places = np.concatenate([mean[None], mean + error, mean - error])
         stuck = places[self.nominal.evaluate(places, space.command_centre).reason != Reason.OK]
-        grid = space.command_centre + space.command_scale * box_grid(ONWARD, len(space.command))
-        onward = self.nominal.evaluate(stuck[:, None], grid.reshape(1, -1, len(space.command))).reason
+        if not len(stuck):
+            return True
+        onward = self.nominal.evaluate(stuck[:, None], space.command_grid(ONWARD).reshape(-1, len(command))).reason
         return bool((onward == Reason.OK).any(axis=1).all())

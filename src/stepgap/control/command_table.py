@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.control.solve_many import Answers, solve_many
-from stepgap.control.step_controller import StepPlan, as_vector, box_grid
-from stepgap.step import Array, Codes, Reason, StepFailed, StepMap, StepSpace
+from stepgap.control.step_controller import StepPlan, as_vector
+from stepgap.step import Array, Codes, Reason, StepFailed, StepMap, StepSpace, box_grid
 
 BATCH = 4096
 """About how many nodes are solved together, at least one state's."""

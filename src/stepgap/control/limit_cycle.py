@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepgap.control.step_controller import REACHED, StepController, as_vector, box_grid, solve
+from stepgap.control.step_controller import REACHED, StepController, as_vector, solve
 from stepgap.step import Array, Codes, Reason, StepMap
 
 STATE_BOUND = 10.0
@@ -105,7 +105,7 @@ def free_fixed_point(step_map: StepMap, command: ArrayLike, guess: ArrayLike | N
     space = step_map.space
     n, scale = len(space.state), space.state_scale
     command = as_vector("command", command, len(space.command))
-    centre = np.array([(quantity.lower + quantity.upper) / 2 for quantity in space.state])
+    centre = space.state_centre
     start = np.zeros(n) if guess is None else (as_vector("guess", guess, n) - centre) / scale
 
     def drift(point: Array) -> Array:
@@ -144,8 +144,7 @@ def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> Rea
         raise ValueError(f"samples = {samples}, but it must be at least 2: both ends of each command")
     space = step_map.space
     state = as_vector("state", state, len(space.state))
-    points = space.command_centre + space.command_scale * box_grid(samples, len(space.command))
-    commands = np.clip(points, space.command_lower, space.command_upper)
+    commands = space.command_grid(samples)
     next_states, reasons = step_map.evaluate(state, commands)
     return ReachableSet(commands, np.where((reasons == Reason.OK)[..., None], next_states, np.nan), reasons)
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import minimum_filter
 
-from stepgap.control.step_controller import BASINS, FLAT, MOST_DAMPING, REACHED, StepController, box_grid
-from stepgap.step import Array, Codes, Reason, StepFailed, StepMap, StepSpace
+from stepgap.control.step_controller import BASINS, FLAT, MOST_DAMPING, REACHED, StepController
+from stepgap.step import Array, Codes, Reason, StepFailed, StepMap, StepSpace, box_grid
 
 CLOSE_ENOUGH = REACHED / 10
 """Distance [half ranges] at which a node is not improved further."""
@@ -51,14 +51,9 @@ class _Problem:
     states: Array
     targets: Array
 
-    def commands(self, points: Array) -> Array:
-        """Scaled points (…, m) as commands within the bounds."""
-        space = self.space
-        return np.clip(space.command_centre + space.command_scale * points, space.command_lower, space.command_upper)
-
     def residuals(self, nodes: Nodes, points: Array) -> Array:
         """Scaled residuals (k, n) of nodes (k,) at scaled points (k, m), NaN where the step fails."""
-        next_state, reason = self.step_map.evaluate(self.states[nodes], self.commands(points))
+        next_state, reason = self.step_map.evaluate(self.states[nodes], self.space.command_at(points))
         value = (next_state - self.targets[nodes]) / self.space.state_scale
         return np.where((reason == Reason.OK)[:, None], value, np.nan)
 
@@ -85,7 +80,7 @@ def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answ
     count = targets.shape[1]
     problem = _Problem(step_map, space, np.repeat(states, count, axis=0), targets.reshape(-1, n))
     points, values, settled = _solve(problem, states, count)
-    commands, predicted = problem.commands(points), problem.targets + values * space.state_scale
+    commands, predicted = space.command_at(points), problem.targets + values * space.state_scale
     reached = _length(values) <= REACHED
     reason = np.full(len(points), int(Reason.OK))
     free = (np.abs(points) < 1).sum(axis=1)
@@ -103,7 +98,7 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
     space, n, m = problem.space, len(problem.space.state), len(problem.space.command)
     grid = box_grid(max(3, round(SAMPLES ** (1 / m))), m)
     sample = grid.reshape(-1, m)
-    next_states, reason = problem.step_map.evaluate(states[:, None], problem.commands(sample))
+    next_states, reason = problem.step_map.evaluate(states[:, None], space.command_at(sample))
     next_states = np.where((reason == Reason.OK)[..., None], next_states, np.nan)[:, None]
     targets = problem.targets.reshape(len(states), count, 1, n)
     sampled = ((next_states - targets) / space.state_scale).reshape(-1, len(sample), n)
@@ -133,7 +128,7 @@ def _slopes(problem: _Problem, states: Array, rows: Nodes, sample: Array, choice
     """Scaled Jacobians (k, n, m) at chosen samples of states; each pair is asked for once."""
     space, n = problem.space, len(problem.space.state)
     distinct, where = np.unique(rows * len(sample) + choice, return_inverse=True)
-    commands = problem.commands(sample[distinct % len(sample)])
+    commands = space.command_at(sample[distinct % len(sample)])
     jacobian = problem.step_map.jacobian(states[distinct // len(sample)], commands)[..., n:]
     return (jacobian * space.command_scale / space.state_scale[:, None])[where]
 

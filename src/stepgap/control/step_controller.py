@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import get_lapack_funcs
 from scipy.ndimage import minimum_filter
 
-from stepgap.step import Array, Reason, StepFailed, StepMap
+from stepgap.step import Array, Reason, StepFailed, StepMap, box_grid
 
 TOLERANCE = 1e-9
 """Distance [half ranges] at which a solution is not improved further."""
@@ -73,17 +73,13 @@ class StepController:
         """
         space = self.step_map.space
         n, m = len(space.state), len(space.command)
-        centre, scale, state_scale = space.command_centre, space.command_scale, space.state_scale
-        lower, upper = space.command_lower, space.command_upper
+        state_scale, command_at = space.state_scale, space.command_at
         state, target = as_vector("state", state, n), as_vector("target", target, n)
-        start = centre if guess is None else as_vector("guess", guess, m)
+        start = space.command_centre if guess is None else as_vector("guess", guess, m)
         if not np.isfinite(state).all():
             raise StepFailed(Reason.INVALID)
         if not (np.isfinite(target).all() and np.isfinite(start).all()):
             raise ValueError(f"target {target} and guess {start} must be finite numbers")
-
-        def command_at(point: Array) -> Array:
-            return np.minimum(np.maximum(centre + scale * point, lower), upper)
 
         known: dict[bytes, Array] = {}
 
@@ -95,9 +91,9 @@ class StepController:
 
         def slope(point: Array) -> Array:
             jacobian = self.step_map.jacobian(state, command_at(point))[:, n:]
-            return jacobian * scale / state_scale[:, None]
+            return jacobian * space.command_scale / state_scale[:, None]
 
-        solution = solve(residual, slope, (start - centre) / scale, bound=1.0)
+        solution = solve(residual, slope, space.point_of(start), bound=1.0)
         command = command_at(solution.point)
         predicted = known.get(solution.point.tobytes())
         if predicted is None or not np.isfinite(predicted).all():
@@ -251,11 +247,6 @@ def _length(residuals: Array) -> Array:
     """Norms of residuals, infinite where the step fails; (…, n) to (…)."""
     length = np.linalg.norm(residuals, axis=-1)
     return np.where(np.isfinite(length), length, np.inf)
-
-
-def box_grid(samples: int, k: int) -> Array:
-    """Even grid over |point| ≤ 1, its ends included; shape (samples, …, samples, k)."""
-    return np.stack(np.meshgrid(*[np.linspace(-1, 1, samples)] * k, indexing="ij"), axis=-1)
 
 
 def _basins(distance: Array) -> list[tuple[int, ...]]:

@@ -1,13 +1,11 @@
 """The nominal map plus what was learnt of its error: a `StepMap` again."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 from numpy.typing import ArrayLike
 
-from stepgap.learning.observations import next_context
-from stepgap.learning.residual import Hindsight, Residual, join_points
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.residual import Residual, join_points
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 
@@ -50,22 +48,15 @@ class CorrectedMap(StepMap):
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
         return self.nominal.jacobian(state, command) + self.residual.mean_gradient(join_points(state, command))
 
-    def std(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:
-        """Standard deviation of the next state, which is the residual's; shape (…, n) [units of the state].
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviation of one measured step about the next state, as the residual has it; shape (n,)."""
+        return self.residual.noise_std
 
-        Args:
-            state: Shape (…, n).
-            command: Shape (…, m).
-            include_noise: False: of the map. True: of one measured step.
-        """
-        return self.residual.std(join_points(state, command), include_noise=include_noise)
+    def std(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """Standard deviation of the next state, which is the residual's; shape (…, n) [units of the state]."""
+        return self.residual.std(join_points(state, command))
 
-    def std_gradient(self, state: ArrayLike, command: ArrayLike, *, include_noise: bool = False) -> Array:
+    def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂std/∂(state, command), which is the residual's; shape (…, n, n + m)."""
-        return self.residual.std_gradient(join_points(state, command), include_noise=include_noise)
-
-    def after(self, log: StepLog, iteration: int) -> "CorrectedMap":
-        """The map of the step that follows a log, in a deployment: what a residual with hindsight makes of the past."""
-        if self.residual.hindsight == Hindsight():
-            return self
-        return replace(self, residual=self.residual.given(next_context(log, self.nominal, iteration)))
+        return self.residual.std_gradient(join_points(state, command))

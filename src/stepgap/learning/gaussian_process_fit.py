@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal, final
+from typing import Literal, TypedDict, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,15 @@ from stepgap.step import Array
 
 Basis = Literal["constant", "linear"]
 """What a Gaussian process has besides f and noise: a constant, or a constant and slopes."""
+
+
+class Search(TypedDict, total=False):
+    """What else may be said of a search for hyper-parameters; see `fit_gaussian_process`."""
+
+    basis: Basis
+    start: HyperParameters | None
+    last_length_scale: float | None
+
 
 COLD_START_SIZE = 100
 """Most points on which the starts compete; with more, only the best goes on with all points."""

@@ -33,6 +33,11 @@ class GaussianProcessRegression(Regression):
         """As the process has them."""
         return self.process.points.shape[1]
 
+    @property
+    def noise_std(self) -> float:
+        """As the process has it."""
+        return self.process.hyper_parameters.noise_std
+
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…)."""
         return self.process.mean(point)

@@ -1,6 +1,7 @@
 """What is known of the map's error at every step: a residual fitted to a log, watched, and on request learning on."""
 
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Self
 
@@ -8,12 +9,12 @@ import numpy as np
 
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.drift import Drift
-from stepgap.learning.observations import next_context, observe
+from stepgap.learning.observations import context_after, error_of, next_context, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.step import Array, Reason, StepMap
+from stepgap.step import Array, Reason, StepMap, StepRecord
 
 WATCHED = 10
 """Steps over which a correction is compared with the nominal map."""
@@ -24,14 +25,18 @@ GROWTH = 1.1
 FITTED_A_HOP = 150
 """Steps that a fit handles, at least, while the robot hops once."""
 
+Lesson = tuple[Array, Array, Array]
+"""Context, point and error of a step that is learnt from."""
+
 
 class Learner:
     """The corrected map from step to step of one deployment.
 
     A correction that predicted the last steps significantly worse than the nominal map is left out until it predicts
     better again, and it is shifted by what drifts. Learning online, every step enters the model before the next is
-    planned, and the hyper-parameters are fitted anew beside the hopping: a fit is taken over a fixed number of steps
-    after it began, however long it took, so that the same steps give the same commands.
+    planned, and the hyper-parameters are fitted anew beside the hopping: a fit begins when the command is out, so that
+    it delays none, and is taken over a fixed number of steps later, however long it took, so that the same steps give
+    the same commands.
 
     Args:
         nominal: Map of the physics model.
@@ -41,7 +46,7 @@ class Learner:
     """
 
     def __init__(self, nominal: StepMap, log: StepLog, learning: LearningSettings, iteration: int):
-        self.nominal, self._learning, self._iteration = nominal, learning, iteration
+        self.nominal, self._learning = nominal, learning
         self._lessons = learning.lessons(iteration)
         self._log = StepLog(log.space, log)
         self._residual = self._fitted(self._log, None)
@@ -49,9 +54,10 @@ class Learner:
         self._advantage: deque[float] = deque(maxlen=WATCHED)
         self._pool = ThreadPoolExecutor(1)
         self._fit: Future[Residual] | None = None
-        self._fit_from = self._due = len(self._log)
+        self._due, self._next_fit = 0, max(1.0, GROWTH * len(log))
         self._context = next_context(self._log, nominal, iteration)
-        self._since: list[tuple[Array, Array, Array]] = []
+        self._failures = [_point_of(step.record) for step in log if step.record.reason != Reason.OK]
+        self._since: list[Lesson] = []
 
     def __enter__(self) -> Self:
         return self
@@ -67,9 +73,7 @@ class Learner:
     @property
     def failures(self) -> Array:
         """Points (state, command) of the steps that failed; shape (k, n + m)."""
-        failed = [step.record for step in self._log if step.record.reason != Reason.OK]
-        points = [np.concatenate([record.state, record.applied]) for record in failed]
-        return np.array(points).reshape(len(points), sum(self._residual.sizes))
+        return np.array(self._failures).reshape(len(self._failures), sum(self._residual.sizes))
 
     def step_map(self) -> CorrectedMap:
         """The map to plan the next step with."""
@@ -83,35 +87,60 @@ class Learner:
         """Takes in the step just executed."""
         record, scale, context = logged.record, self.nominal.space.state_scale, self._context
         self._log.append(logged)
-        self._context = next_context(self._log, self.nominal, self._iteration)
-        error = record.next_state - self.nominal.evaluate(record.state, record.applied).next_state
+        if record.reason != Reason.OK:
+            self._failures.append(_point_of(record))
+        error, point = error_of(record, self.nominal), _point_of(record)
+        self._context = context_after(record, error, self.nominal.space, len(self._log))
         if not np.isfinite(error).all():
             return
-        residual, point = self._residual.given(context), join_points(record.state, record.applied)
+        residual = self._residual.given(context)
         left = error - residual.mean(point)
         self._advantage.append(float(np.sum((error / scale) ** 2) - np.sum((left / scale) ** 2)))
         if self._learning.drift and residual.kind != "none":
             self._drift = self._drift.followed(left)
         if self._lessons > 0:
             self._lessons -= 1
-            self._residual = residual.append(point, error)
-            self._since.append((context, point, error))
-            self._fit_anew()
+            self._learn((context, point, error))
 
-    def _fit_anew(self) -> None:
-        """Begins a fit where the steps have grown in number, and takes over the one that is due."""
+    def fit_beside(self) -> None:
+        """Begins a fit where the steps have grown in number, and teaches the one that goes on the steps since.
+
+        To be called when the command is out: while the robot hops there is time for it.
+        """
         count = len(self._log)
-        if not self._lessons > 0:
-            self._residual = self._fitted(self._log, self._residual)
-        elif self._fit is None and count >= GROWTH * self._fit_from:
+        if self._fit is not None:
+            self._fit = self._pool.submit(_taught, self._fit, self._since)
+        elif self._lessons > 0 and count >= self._next_fit:
             self._fit = self._pool.submit(self._fitted, StepLog(self._log.space, self._log), self._residual)
-            self._fit_from, self._due, self._since = count, count + 1 + count // FITTED_A_HOP, []
-        elif self._fit is not None and count >= self._due:
-            self._residual, self._fit = self._fit.result(), None
-            for context, point, error in self._since:
-                self._residual = self._residual.given(context).append(point, error)
+            self._due = count + 1 + count // FITTED_A_HOP
+            self._next_fit = max(GROWTH * count, self._due + 1)
+        self._since = []
+
+    def _learn(self, lesson: Lesson) -> None:
+        """Lets a step enter the model: the present one, that of the last fit, or of a fit that is now due."""
+        self._since.append(lesson)
+        if not self._lessons > 0:
+            self._residual, self._fit = self._fitted(self._log, self._residual), None
+        elif self._fit is not None and len(self._log) >= self._due:
+            self._residual, self._fit = _taught(self._fit, self._since), None
+        else:
+            context, point, error = lesson
+            self._residual = self._residual.given(context).append(point, error)
 
     def _fitted(self, log: StepLog, start: Residual | None) -> Residual:
         learning, observations = self._learning, observe(log, self.nominal)
         kind = learning.residual if len(observations) else "none"
         return fit_residual(kind, observations, learning.features, learning.memory, start)
+
+
+def _taught(fit: Future[Residual], lessons: Sequence[Lesson]) -> Residual:
+    """What a fit gives, with the steps since."""
+    residual = fit.result()
+    for context, point, error in lessons:
+        residual = residual.given(context).append(point, error)
+    return residual
+
+
+def _point_of(record: StepRecord) -> Array:
+    """State and applied command of a step; shape (n + m,)."""
+    return join_points(record.state, record.applied)

@@ -12,7 +12,7 @@ import numpy as np
 
 from stepgap.learning.residual import Hindsight
 from stepgap.learning.step_log import StepLog
-from stepgap.step import Array, StepMap, StepSpace
+from stepgap.step import Array, StepMap, StepRecord, StepSpace
 
 
 @final
@@ -88,17 +88,31 @@ def next_context(log: StepLog, nominal: StepMap, iteration: int) -> Array:
         iteration: Deployment that the step belongs to.
     """
     *_, last = [None, *log]
-    told = np.zeros(2 * len(log.space.state) + len(log.space.command))
-    if last is not None and last.iteration == iteration:
-        record = last.record
-        error = record.next_state - nominal.evaluate(record.state, record.applied).next_state
-        told = _told(log.space, error, record.applied, record.state)
-    return np.append(told, len(log))
+    if last is None or last.iteration != iteration:
+        return np.append(np.zeros(2 * len(log.space.state) + len(log.space.command)), len(log))
+    return context_after(last.record, error_of(last.record, nominal), log.space, len(log))
+
+
+def context_after(record: StepRecord, error: Array, space: StepSpace, steps: int) -> Array:
+    """Context of the step that follows another one; shape (2n + m + 1,).
+
+    Args:
+        record: The step before.
+        error: The nominal map's error at it; shape (n,).
+        space: Of both.
+        steps: How many steps were recorded, the one before included.
+    """
+    return np.append(_told(space, error, record.applied, record.state), steps)
+
+
+def error_of(record: StepRecord, nominal: StepMap) -> Array:
+    """Actual − nominal next state of one step, NaN where either has none; shape (n,)."""
+    return record.next_state - nominal.evaluate(record.state, record.applied).next_state
 
 
 def _told(space: StepSpace, error: Array, applied_command: Array, state: Array) -> Array:
     """What a step tells the next one, in half ranges; shape (…, 2n + m). An error that is not known is none."""
-    command = (applied_command - space.command_centre) / space.command_scale
+    command = space.point_of(applied_command)
     parts = [np.nan_to_num(error) / space.state_scale, command, (state - space.state_centre) / space.state_scale]
     return np.concatenate(parts, axis=-1)
 

@@ -7,6 +7,7 @@ values of standard deviation `noise_scale` would tell. So one value is enough, a
 together, do no harm: the weights they leave open stay open in the standard deviation.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -103,6 +104,11 @@ class Polynomial(Regression):
     def inputs(self) -> int:
         """Number of inputs d."""
         return len(self.scale)
+
+    @property
+    def noise_std(self) -> float:
+        """Standard deviation of a new value about the expected one, if the weights were known."""
+        return math.sqrt(self._noise_variance)
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…)."""

@@ -34,6 +34,11 @@ class Regression(ABC):
     def inputs(self) -> int:
         """Number of inputs d."""
 
+    @property
+    @abstractmethod
+    def noise_std(self) -> float:
+        """Standard deviation of a new value about the expected one."""
+
     @abstractmethod
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…)."""
@@ -79,17 +84,22 @@ class Zero(Regression):
 
     Attributes:
         size: Number of inputs d.
-        noise_std: How far noisy values lie from zero; 0 where that is not known.
+        noise: How far noisy values lie from zero; 0 where that is not known.
     """
 
     kind = "none"
     size: int
-    noise_std: float = 0.0
+    noise: float = 0.0
 
     @property
     def inputs(self) -> int:
         """As given."""
         return self.size
+
+    @property
+    def noise_std(self) -> float:
+        """As given."""
+        return self.noise
 
     def mean(self, point: ArrayLike) -> Array:
         """Zero; shape (…)."""
@@ -101,7 +111,7 @@ class Zero(Regression):
 
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Zero, or that of the noise; shape (…)."""
-        return self.mean(point) + (self.noise_std if include_noise else 0.0)
+        return self.mean(point) + (self.noise if include_noise else 0.0)
 
     def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:  # noqa: ARG002
         """Zero; shape (…, d)."""
@@ -110,7 +120,7 @@ class Zero(Regression):
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Zero, with the noise of all values."""
         size = blocks[-1].stop
-        return Prediction(np.zeros(size), np.full(size, self.noise_std))
+        return Prediction(np.zeros(size), np.full(size, self.noise))
 
     def append(self, point: ArrayLike, value: float) -> "Zero":  # noqa: ARG002
         """The same."""
@@ -118,4 +128,4 @@ class Zero(Regression):
 
     def to_dict(self) -> dict[str, Any]:
         """The number of inputs, and the noise."""
-        return {"kind": "none", "inputs": self.inputs, "noise_std": self.noise_std}
+        return {"kind": "none", "inputs": self.inputs, "noise_std": self.noise}

@@ -91,6 +91,8 @@ class Residual:
 
     def given(self, context: Array) -> "Residual":
         """The residual of the step that has this context (2n + m + 1,), as a function of state and command."""
+        if self.hindsight == Hindsight():
+            return self
         return replace(self, past=self.hindsight.inputs(np.asarray(context, float), len(self.regressions)))
 
     def mean(self, point: ArrayLike) -> Array:
@@ -103,6 +105,11 @@ class Residual:
         inputs = self._inputs(point)
         gradient = np.stack([regression.mean_gradient(inputs) for regression in self.regressions], axis=-2)
         return gradient[..., : sum(self.sizes)]
+
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviation of one measured step's residual about the expected one; shape (n,)."""
+        return np.array([regression.noise_std for regression in self.regressions])
 
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Standard deviation of the residual; shape (…, n) [units of the state].
@@ -159,6 +166,8 @@ def no_residual(state_size: int, command_size: int) -> Residual:
 def join_points(state: ArrayLike, command: ArrayLike) -> Array:
     """State (…, n) and command (…, m), broadcast over their leading axes, side by side; shape (…, n + m)."""
     state, command = np.asarray(state, float), np.asarray(command, float)
-    leading = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
-    parts = [np.broadcast_to(part, (*leading, part.shape[-1])) for part in (state, command)]
-    return np.concatenate(parts, axis=-1)
+    n, m = state.shape[-1], command.shape[-1]
+    leading = np.broadcast(state[..., :1], command[..., :1]).shape[:-1]
+    points = np.empty((*leading, n + m))
+    points[..., :n], points[..., n:] = state, command
+    return points

@@ -10,7 +10,7 @@ of these among each other, it is a linear regression on φ with the precision A 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, final
+from typing import Any, Unpack, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +29,7 @@ from stepgap.learning.gaussian_process import (
     require,
     saved_hyper_parameters,
 )
-from stepgap.learning.gaussian_process_fit import Basis, fit_gaussian_process
+from stepgap.learning.gaussian_process_fit import Search, fit_gaussian_process
 from stepgap.learning.saved import numbers
 from stepgap.step import Array
 
@@ -238,10 +238,7 @@ def fit_sparse(
     values: ArrayLike,
     input_scale: ArrayLike,
     value_scale: float | None = None,
-    *,
-    basis: Basis = "constant",
-    start: HyperParameters | None = None,
-    last_length_scale: float | None = None,
+    **search: Unpack[Search],
 ) -> SparseGaussianProcess:
     """Sparse Gaussian process whose hyper-parameters an exact fit to some of the points chose.
 
@@ -254,22 +251,11 @@ def fit_sparse(
         values: Shape (N,).
         input_scale: Fixed size of each input, not taken from the data; shape (d,).
         value_scale: As for `fit_gaussian_process`.
-        basis: Constant, or constant and slopes.
-        start: Hyper-parameters of a former fit, from which the search then begins, besides a single cold start.
-        last_length_scale: As for `fit_gaussian_process`.
+        search: As for `fit_gaussian_process`.
     """
     points, values, input_scale = checked_data(points, values, input_scale)
     some = np.unique(np.linspace(0, len(values) - 1, SEARCH_SIZE).astype(int))
-    part = fit_gaussian_process(
-        points[some],
-        values[some],
-        input_scale,
-        value_scale,
-        basis=basis,
-        start=start,
-        last_length_scale=last_length_scale,
-    )
-    found = part.hyper_parameters
+    found = fit_gaussian_process(points[some], values[some], input_scale, value_scale, **search).hyper_parameters
     held_out = np.arange(len(values)) % 5 == 4
     size, best = INDUCING_SIZES[0], -np.inf
     for candidate in INDUCING_SIZES:
@@ -287,14 +273,11 @@ def fit_process(
     values: ArrayLike,
     input_scale: ArrayLike,
     value_scale: float | None = None,
-    *,
-    basis: Basis = "constant",
-    start: HyperParameters | None = None,
-    last_length_scale: float | None = None,
+    **search: Unpack[Search],
 ) -> Process:
     """`fit_gaussian_process`, or `fit_sparse` for more than `EXACT_SIZE` points."""
     fit = fit_sparse if len(np.asarray(values)) > EXACT_SIZE else fit_gaussian_process
-    return fit(points, values, input_scale, value_scale, basis=basis, start=start, last_length_scale=last_length_scale)
+    return fit(points, values, input_scale, value_scale, **search)
 
 
 def process_from_dict(data: Mapping[str, Any]) -> Process:
