@@ -55,9 +55,10 @@ def run_in(
     nominal: StepMap = NOMINAL,
     seed: int = 3,
     observer: Observer = Observer(),  # noqa: B008  (frozen)
+    replays: bool = True,
 ) -> list[Deployment]:
     folder.mkdir(exist_ok=True)
-    return run(nominal, make_plant, REFERENCE, learning, folder, seed, observer)
+    return run(nominal, make_plant, REFERENCE, learning, folder, seed, observer, replays=replays)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -375,6 +376,40 @@ def test_killed_after_any_step_it_ends_as_if_it_had_not_been(unbroken: Path, tmp
         assert len(read_step_log(folder / "steps.csv", NOMINAL.space)) == last
         run_in(folder)
         assert contents(folder) == contents(unbroken)
+
+
+def test_what_hardware_did_before_it_was_broken_off_is_kept_and_the_next_deployment_starts(tmp_path: Path) -> None:
+    luck = np.random.default_rng(8)  # hardware does not repeat itself
+
+    def make_plant(rng: np.random.Generator) -> Plant:
+        return ModelPlant(REALITY, START, NOISE, luck)
+
+    count = iter(range(1, 100))
+
+    def on_step(logged: LoggedStep) -> None:
+        if next(count) == 21:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run_in(tmp_path, make_plant, observer=Observer(on_step=on_step), replays=False)
+    before = (tmp_path / "steps.csv").read_text()
+    rows_kept(tmp_path, 21, "1,6,0.")  # the process died while it wrote
+    deployments = run_in(tmp_path, make_plant, replays=False)
+    assert (tmp_path / "steps.csv").read_text().startswith(before)
+    assert [(deployment.iteration, deployment.steps) for deployment in deployments] == [(0, 16), (1, 5), (2, 16)]
+    again = run_in(tmp_path, lambda rng: pytest.fail("all is done"), replays=False)
+    assert [deployment.steps for deployment in again] == [16, 5, 16]
+
+
+def test_what_the_plant_says_of_a_deployments_end_is_told(tmp_path: Path) -> None:
+    class Tired(ModelPlant):
+        @property
+        def fault(self) -> str:
+            return "the battery is empty"
+
+    told: list[str] = []
+    run_in(tmp_path, lambda rng: Tired(REALITY, START, NOISE, rng), observer=Observer(on_fault=told.append))
+    assert told == ["the battery is empty"] * 3
 
 
 def rows_kept(folder: Path, count: int, rest: str = "") -> None:

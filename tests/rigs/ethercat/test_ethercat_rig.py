@@ -16,6 +16,7 @@ from stepgap.rigs.ethercat.emulator.faults import (
     LateFrame,
     LostFrames,
     PowerLost,
+    SentEmergency,
     Silence,
     Unplugged,
     WrongMapping,
@@ -201,13 +202,15 @@ def test_what_breaks_within_the_budget_passes_and_else_stops_the_motors_for_good
 
 
 def test_a_drives_error_is_told() -> None:
-    with live_ring(DriveFault(cycles_to_connect() + 3, "drive_2", 0x2310)):
+    when = cycles_to_connect() + 3
+    with live_ring(SentEmergency(when - 1, "drive_1", 0x4210), DriveFault(when, "drive_2", 0x2310)):
         rig = rig_of()
         rig.connect()
         _, message = ticks_until_fault(rig, 20)
         rig.close()
     assert "slave 2 'drive_2' takes no torque any more" in message
     assert "is fault, mode 10, error 0x2310" in message
+    assert "slave 1 'drive_1' sent emergency 0x4210; slave 2 'drive_2' sent emergency 0x2310" in message
 
 
 @pytest.mark.parametrize("bad", [nan, inf, -inf])

@@ -43,6 +43,7 @@ class Bus:
         self._inputs = [Packing(pdos.inputs) for pdos in sets]
         self._timeout = round(settings.reply_timeout * 1e6)
         self._sockets: set[int] = set()
+        self._emergencies: list[Any] = []
 
     def connect(self, prepare: Callable[[], None]) -> None:
         """Brings all slaves to OP, all outputs zero.
@@ -66,10 +67,11 @@ class Bus:
                 "it must exist, and raw Ethernet needs root or the capability CAP_NET_RAW"
             ) from None
         self._master, self._sockets = master, _sockets() - before
+        self._emergencies.clear()
         try:
             self._check_identities(master.config_init())
             for device in master.slaves:
-                device.add_emergency_callback(lambda emergency: None)  # without, a transfer that meets one fails
+                device.add_emergency_callback(self._emergencies.append)  # without, a transfer that meets one fails
             for number in range(len(self._settings.slaves)):
                 self._configure(number)
             prepare()
@@ -126,6 +128,13 @@ class Bus:
         """What slaves say that are not in OP, one line; not for the time of a tick."""
         self._block(True)
         return self._states(self._soem.OP_STATE)
+
+    def emergencies(self) -> str:
+        """Emergencies that slaves sent, as far as they have come in: they arrive with transfers, not with frames."""
+        return "; ".join(
+            f"{self.label(emergency.slave_pos - 1)} sent emergency 0x{emergency.error_code:04X}"
+            for emergency in self._emergencies
+        )
 
     def close(self) -> None:
         """All slaves to INIT, the interface released; may be called twice."""

@@ -246,7 +246,7 @@ class EthercatRig(Rig):
             if error := self._bus.read_object(drive, ERROR_CODE, _U16):
                 text += f", error 0x{error:04X}"
             words.append(text)
-        return "; ".join(words)
+        return "; ".join([*words, *filter(None, [self._bus.emergencies()])])
 
 
 class _Angle:
