@@ -15,6 +15,7 @@ from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.rig_plant import RigPlant, Tick
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.moteus.can_bus import _registers
 from stepgap.rigs.moteus.joint import JointCommand, Scale
 from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
 from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor
@@ -249,6 +250,19 @@ def test_a_number_that_is_none_never_reaches_a_motor(bench: tuple[Controllers, M
         rig.write(1.0, bad)
     assert controllers.modes() == [STOPPED, STOPPED]
     assert set(controllers.torques) == {(0.0, 0.0)}
+
+
+@given(st.binary(max_size=64), st.sampled_from([b"", bytes([0x2F, 0x01]), bytes([0x21, 0x00, 0x0A])]))
+def test_whatever_is_in_a_frame_is_read_or_not_taken_for_an_answer(data: bytes, head: bytes) -> None:
+    registers = _registers(head + data)
+    assert registers is None or all(isinstance(value, (int, float)) for value in registers.values())
+
+
+@pytest.mark.parametrize(
+    "data", [bytes([0x10, 0xFF, 0xFF, 0xFF, 0x7F, 0x00]), b"", b"\x50" * 8, bytes([0x01, 0x00, 0x0A])]
+)
+def test_what_is_no_answer_is_none_at_once(data: bytes) -> None:
+    assert _registers(data) is None
 
 
 # Joints

@@ -1,9 +1,14 @@
 """moteus.toml: read strictly, refused with what would be right."""
 
+from math import inf, isfinite
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from stepgap.hopper.parameters import RobotParameters
+from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.moteus.moteus_settings import MoteusSettings, read_moteus_settings
 from stepgap.strict_toml import InputError
 
@@ -60,4 +65,25 @@ def test_what_is_wrong_is_refused_with_what_would_be_right(tmp_path: Path, old: 
         read(tmp_path, TEXT.replace(old, new, 1))
     message = str(caught.value)
     assert message.removeprefix(f"{tmp_path / 'moteus.toml'}: ").startswith(says)
+    assert "\n" not in message
+
+
+@given(
+    at=st.sampled_from([at for at, line in enumerate(TEXT.splitlines()) if " = " in line and '"' not in line]),
+    value=st.one_of(
+        st.floats().map(str), st.integers().map(str), st.booleans().map(lambda yes: str(yes).lower()), st.just("[]")
+    ),
+)
+def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
+    lines = TEXT.splitlines()
+    lines[at] = f"{lines[at].partition(' = ')[0]} = {value}"
+    try:
+        settings = read(tmp_path_factory.getbasetemp(), "\n".join(lines))
+    except InputError as error:
+        message = str(error)
+    else:
+        message = ""
+        assert 0 < settings.motor_1.torque_limit < inf
+        assert 0 < settings.watchdog <= 0.5
+        assert isfinite(MoteusRig(settings, RobotParameters()).layout.motor_counts)
     assert "\n" not in message

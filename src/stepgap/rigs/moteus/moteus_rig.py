@@ -193,12 +193,12 @@ class MoteusRig(Rig):
     def _check_controllers(self, bus: CanBus) -> None:
         """Stops both, which ends their faults, and asks for the version of their registers."""
         version = _query({Register.REGISTER_MAP_VERSION: moteus.INT32})
-        until, replies = monotonic() + PATIENCE, {}
         self._stop(bus)
+        until, replies = monotonic() + PATIENCE, self._ask(bus, version)
         while len(replies) < len(self._controllers):
-            replies = self._ask(bus, version)
             if monotonic() > until:
                 raise RigFault(f"{self._absent(replies)} on {bus.name} did not answer")
+            replies = self._ask(bus, version)
         for number, registers in replies.items():
             if registers.get(Register.REGISTER_MAP_VERSION) != REGISTER_MAP:
                 raise RigFault(
