@@ -259,7 +259,14 @@ def test_whatever_is_in_a_frame_is_read_or_not_taken_for_an_answer(data: bytes, 
 
 
 @pytest.mark.parametrize(
-    "data", [bytes([0x10, 0xFF, 0xFF, 0xFF, 0x7F, 0x00]), b"", b"\x50" * 8, bytes([0x01, 0x00, 0x0A])]
+    "data",
+    [
+        bytes([0x10, 0xFF, 0xFF, 0xFF, 0x7F, 0x00]),
+        b"",
+        b"\x50" * 8,
+        bytes([0x01, 0x00, 0x0A]),
+        bytes([0x42, 0x01, 0x80, 0x02]),
+    ],
 )
 def test_what_is_no_answer_is_none_at_once(data: bytes) -> None:
     assert _registers(data) is None

@@ -115,6 +115,6 @@ def _registers(data: bytes) -> Registers | None:
                 if part.type != moteus.SubframeType.RESPONSE:
                     return None
                 found[part.register] = moteus.scale_register(part.register, part.resolution, part.value)
-    except (StructError, RuntimeError):
+    except (StructError, RuntimeError, ValueError):
         return None
     return found or None
