@@ -8,7 +8,7 @@ from struct import Struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -252,6 +252,7 @@ def test_a_number_that_is_none_never_reaches_a_motor(bench: tuple[Controllers, M
     assert set(controllers.torques) == {(0.0, 0.0)}
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=64), st.sampled_from([b"", bytes([0x2F, 0x01]), bytes([0x21, 0x00, 0x0A])]))
 def test_whatever_is_in_a_frame_is_read_or_not_taken_for_an_answer(data: bytes, head: bytes) -> None:
     registers = _registers(head + data)
@@ -280,6 +281,7 @@ SCALES = st.builds(
 NUMBERS = st.floats(-10, 10)
 
 
+@settings(deadline=None)
 @given(SCALES, st.builds(JointCommand, NUMBERS, NUMBERS, st.floats(1e-3, 100), st.just(0.0), NUMBERS), NUMBERS, NUMBERS)
 def test_the_controllers_law_is_the_joints(scale: Scale, command: JointCommand, q: float, dq: float) -> None:
     """Moteus: kp · kp_scale · (position − p) + kd · kd_scale · (velocity − v) + feedforward, at its output."""

@@ -4,7 +4,7 @@ from math import inf, isfinite
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.hopper.parameters import RobotParameters
@@ -68,6 +68,7 @@ def test_what_is_wrong_is_refused_with_what_would_be_right(tmp_path: Path, old: 
     assert "\n" not in message
 
 
+@settings(deadline=None)
 @given(
     at=st.sampled_from([at for at, line in enumerate(TEXT.splitlines()) if " = " in line and '"' not in line]),
     value=st.one_of(
