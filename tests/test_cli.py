@@ -120,6 +120,9 @@ def test_the_gait_and_its_picture(stepgap: Command) -> None:
 # Bad input: one line, exit code 2, nothing made or changed
 
 
+RIG = Path(__file__).parent.parent / "examples" / "rig.toml"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -182,6 +185,7 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, word
     Path("deep.csv").write_text("speed,height\n0.1,-1\n")
     Path("nan.csv").write_text("speed,height\nnan,0.55\n")
     Path("empty.csv").write_bytes(b"")
+    Path("rig.toml").write_bytes(RIG.read_bytes())
     before = contents(Path())
     refused(stepgap(*arguments.split()), *words)
     assert contents(Path()) == before

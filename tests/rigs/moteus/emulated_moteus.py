@@ -100,7 +100,8 @@ class Controller:
 class Controllers(Thread):
     """Both, and what they move; a tick passes when each has got a command in position mode.
 
-    `mute[n]` are the numbers that do not answer in tick n, `breaks[n]` what then happens.
+    `mute[n]` are the numbers that do not answer after n ticks, `breaks[n]` what happens then; `overrides` are told
+    instead of what is so, and the frames of `noise`, each by a number, come before every answer.
     """
 
     def __init__(self, settings: MoteusSettings, machine: Machine):
@@ -113,6 +114,7 @@ class Controllers(Thread):
         self.mute: dict[int, set[int]] = {}
         self.breaks: dict[int, tuple[int, int, int]] = {}
         self.overrides: dict[int, float] = {}
+        self.noise: list[tuple[int, bytes]] = []
         self.failure: BaseException | None = None
         self._reading = machine.start()
         self._tell()
@@ -166,14 +168,13 @@ class Controllers(Thread):
                 asked.append((kind, first, len(values)))
             else:
                 written |= {first + place: value for place, value in enumerate(values)}
-        tick, sensed = len(self.torques), dict(controller.registers)
-        controller.command(written)
-        told = sensed | {MODE: controller.mode, FAULT: controller.fault} | self.overrides
-        if controller.mode == STOPPED:
-            self._due.clear()
-        else:
+        told = controller.registers | {MODE: controller.mode, FAULT: controller.fault} | self.overrides
+        if written:
+            controller.command(written)
             self._tick(number)
-        if message.arbitration_id & 0x8000 and number not in self.mute.get(tick, ()):
+        if message.arbitration_id & 0x8000 and number not in self.mute.get(len(self.torques), ()):
+            for sender, data in self.noise:
+                self._bus.send(can.Message(arbitration_id=sender << 8, data=data, is_fd=True, is_extended_id=True))
             source = message.arbitration_id >> 8 & 0x7F
             parts = [reply(kind, first, [told[first + n] for n in range(count)]) for kind, first, count in asked]
             data = b"".join(parts)
@@ -182,9 +183,9 @@ class Controllers(Thread):
             self._bus.send(can.Message(arbitration_id=number << 8 | source, data=data, is_fd=True, is_extended_id=True))
 
     def _tick(self, number: int) -> None:
-        """The machine moves on when both have a command; answers tell what was before."""
-        self._due.add(number)
+        """The machine moves on when both have a command and are ready."""
         pair = list(self.controllers.values())
+        self._due = self._due | {number} if self.controllers[number].mode != STOPPED else set()
         if len(self._due) == 2 and all(each.mode in (POSITION_MODE, FAULTED, TIMED_OUT) for each in pair):
             self._due.clear()
             motors = (self._settings.motor_1, self._settings.motor_2)

@@ -1,9 +1,14 @@
 """moteus.toml: read strictly, refused with what would be right."""
 
+from math import inf, isfinite
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from stepgap.hopper.parameters import RobotParameters
+from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.moteus.moteus_settings import MoteusSettings, read_moteus_settings
 from stepgap.strict_toml import InputError
 
@@ -30,10 +35,10 @@ WRONG = [
     ('channel = "can0"', "", "channel: missing; it must be given"),
     ('channel = "can0"', 'chanel = "can0"', "chanel: unknown key; did you mean channel?"),
     ('channel = "can0"', 'channel = ""', "channel = '', but it must be a name, such as 'can0'"),
-    ("tick = 0.001 ", "tick = nan ", "tick = nan, but it must lie between 0.0001 and 0.01"),
+    ("tick = 0.002 ", "tick = nan ", "tick = nan, but it must lie between 0.0001 and 0.01"),
     ("watchdog = 0.05 ", "watchdog = nan ", "watchdog = nan, but it must be at least two ticks, at most 0.5"),
     ("watchdog = 0.05 ", "watchdog = 0.0 ", "watchdog = 0.0, but it must be at least two ticks, at most 0.5"),
-    ("reply_timeout = 0.0005", "reply_timeout = 0.06", "reply_timeout = 0.06, but it must be positive and less than"),
+    ("reply_timeout = 0.001 ", "reply_timeout = 0.06 ", "reply_timeout = 0.06, but it must be positive and less than"),
     ("id = 2\ntorque", "id = 1\ntorque", "[motor_2] id = 1, but it must differ from motor 1's"),
     ("id = 2\ntorque", "id = 127\ntorque", "[motor_2] id = 127, but it must lie between 1 and 126"),
     ("sign = -1", "sign = 2", "[motor_2] sign = 2, but it must be 1 or -1"),
@@ -60,4 +65,26 @@ def test_what_is_wrong_is_refused_with_what_would_be_right(tmp_path: Path, old: 
         read(tmp_path, TEXT.replace(old, new, 1))
     message = str(caught.value)
     assert message.removeprefix(f"{tmp_path / 'moteus.toml'}: ").startswith(says)
+    assert "\n" not in message
+
+
+@settings(deadline=None)
+@given(
+    at=st.sampled_from([at for at, line in enumerate(TEXT.splitlines()) if " = " in line and '"' not in line]),
+    value=st.one_of(
+        st.floats().map(str), st.integers().map(str), st.booleans().map(lambda yes: str(yes).lower()), st.just("[]")
+    ),
+)
+def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
+    lines = TEXT.splitlines()
+    lines[at] = f"{lines[at].partition(' = ')[0]} = {value}"
+    try:
+        settings = read(tmp_path_factory.getbasetemp(), "\n".join(lines))
+    except InputError as error:
+        message = str(error)
+    else:
+        message = ""
+        assert 0 < settings.motor_1.torque_limit < inf
+        assert 0 < settings.watchdog <= 0.5
+        assert isfinite(MoteusRig(settings, RobotParameters()).layout.motor_counts)
     assert "\n" not in message

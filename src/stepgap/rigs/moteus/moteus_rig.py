@@ -67,10 +67,10 @@ LIMP = JointCommand(0.0, 0.0, 0.0, 0.0, 0.0)
 class MoteusRig(Rig):
     """Two controllers as `moteus.toml` describes them, in position mode with no gains of their own.
 
-    A command leaves for each controller with every `write`, with the watchdog and the largest torque in it; the next
-    `read` takes the answers in, which tell how things stood when the command arrived. A tick whose answers do not all
-    come in time repeats the reading before; too many in a row are a fault. Whatever is wrong stops both controllers,
-    and the fault stays for the life of the object. A controller found in fault at connect is reset once.
+    `read` asks both controllers and waits for their answers, so that they are of this tick; `write` sends each a
+    command with the watchdog and the largest torque in it. A tick whose answers do not all come in time repeats the
+    reading before; too many in a row are a fault. Whatever is wrong stops both controllers, and the fault stays for the
+    life of the object. A controller found in fault at connect is reset once.
 
     Args:
         settings: The robot's bus; `limits.lost_frames` is the budget.
@@ -95,7 +95,7 @@ class MoteusRig(Rig):
         self._controllers = {motor.id: self._controller(motor.id) for motor in self._motors}
         self._boom = (_Turns(settings.boom_horizontal), _Turns(settings.boom_vertical))
         self._bus: CanBus | None = None
-        self._fault, self._lost, self._under_way = "", 0, False
+        self._fault, self._lost, self._written = "", 0, False
         self._reading, self._joints = Reading(0, 0, 0, 0, 0.0), (JointState(0, 0, 0), JointState(0, 0, 0))
 
     @property
@@ -132,19 +132,19 @@ class MoteusRig(Rig):
         except RigFault:
             self.close()
             raise
-        self._lost, self._under_way = 0, False
+        self._lost, self._written = 0, False
 
     def read(self) -> Reading:
-        """Counts and force of the last answers, or of earlier ones while no more than the budget are lost.
+        """Counts and force at this tick, or earlier ones while no more answers than the budget are lost.
 
         Raises:
             RigFault: Not connected, too many answers lost, or a controller does not take torques any more.
         """
         bus = self._up()
-        if not self._under_way:
+        if not self._written:
             return self._reading
-        self._under_way = False
-        replies = bus.receive(self._controllers, self._settings.reply_timeout)
+        self._written = False
+        replies = self._ask(bus)
         if len(replies) == len(self._controllers):
             self._lost = 0
             self._take(replies)
@@ -160,8 +160,8 @@ class MoteusRig(Rig):
         Raises:
             RigFault: A torque is not finite, or the rig is stopped.
         """
-        self._up()
-        if self._under_way:
+        bus = self._up()
+        if self._written:
             self.read()
         if not (isfinite(torque_1) and isfinite(torque_2)):
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
@@ -169,8 +169,8 @@ class MoteusRig(Rig):
         first, second = (
             min(max(torque, -most), most) for torque, most in zip((torque_1, torque_2), limits, strict=True)
         )
-        self._send(LIMP._replace(tau=first), LIMP._replace(tau=second))
-        self._under_way = True
+        self._command(bus, LIMP._replace(tau=first), LIMP._replace(tau=second))
+        self._written = True
         return first, second
 
     def close(self) -> None:
@@ -193,12 +193,12 @@ class MoteusRig(Rig):
     def _check_controllers(self, bus: CanBus) -> None:
         """Stops both, which ends their faults, and asks for the version of their registers."""
         version = _query({Register.REGISTER_MAP_VERSION: moteus.INT32})
-        until, replies = monotonic() + PATIENCE, {}
+        self._stop(bus)
+        until, replies = monotonic() + PATIENCE, self._ask(bus, version)
         while len(replies) < len(self._controllers):
-            bus.send({number: each.make_stop(query_override=version) for number, each in self._controllers.items()})
-            replies = bus.receive(self._controllers, self._settings.reply_timeout)
             if monotonic() > until:
                 raise RigFault(f"{self._absent(replies)} on {bus.name} did not answer")
+            replies = self._ask(bus, version)
         for number, registers in replies.items():
             if registers.get(Register.REGISTER_MAP_VERSION) != REGISTER_MAP:
                 raise RigFault(
@@ -210,8 +210,8 @@ class MoteusRig(Rig):
         """Commands no torque until both controllers take commands."""
         until = monotonic() + PATIENCE
         while True:
-            self._send(LIMP, LIMP)
-            replies = bus.receive(self._controllers, self._settings.reply_timeout)
+            self._command(bus, LIMP, LIMP)
+            replies = self._ask(bus)
             ready = [registers.get(Register.MODE) == Mode.POSITION for registers in replies.values()]
             if len(ready) == len(self._controllers) and all(ready):
                 return self._take(replies)
@@ -220,19 +220,26 @@ class MoteusRig(Rig):
                 raise RigFault(f"the controllers do not get ready: {'; '.join(states) or 'no answers'}")
             sleep(self._settings.tick)
 
-    def _send(self, *commands: JointCommand) -> None:
-        """A command to each controller, to be answered."""
-        frames = {
-            motor.id: self._controllers[motor.id].make_position(
+    def _ask(self, bus: CanBus, query: moteus.QueryResolution | None = None) -> dict[int, Registers]:
+        """The controllers' answers to a query, as many as come in time."""
+        self._send(bus, {number: each.make_query(query) for number, each in self._controllers.items()})
+        return bus.receive(self._controllers, self._settings.reply_timeout)
+
+    def _command(self, bus: CanBus, *commands: JointCommand) -> None:
+        """A command to each controller, not to be answered."""
+        frames = {}
+        for motor, command in zip(self._motors, commands, strict=True):
+            frames[motor.id] = self._controllers[motor.id].make_position(
                 **motor.scale.position_command(command),
                 maximum_torque=motor.torque_limit / motor.gear,
                 watchdog_timeout=self._settings.watchdog,
-                query=True,
+                query=False,
             )
-            for motor, command in zip(self._motors, commands, strict=True)
-        }
+        self._send(bus, frames)
+
+    def _send(self, bus: CanBus, frames: Mapping[int, moteus.Command]) -> None:
         try:
-            self._up().send(frames)
+            bus.send(frames)
         except RigFault as fault:
             raise self._trip(str(fault)) from None
 
