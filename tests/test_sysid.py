@@ -6,13 +6,14 @@ import mujoco.sysid
 import numpy as np
 import pytest
 
+from stepgap import sysid
 from stepgap.baselines import PhysicalError, erring_robot, with_error
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.hopper.parameters import RobotParameters
 from stepgap.plants.rig_plant import RigPlant, Tick
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.rigs.twin.twin import TrueState, Twin
-from stepgap.sysid import BEFORE, MISFIT, SPREADS, WINDOWS, errors, fit, physical_error, record_windows
+from stepgap.sysid import BEFORE, HIP_FIT, MISFIT, SPREADS, errors, fit, physical_error, record_windows
 
 NOMINAL = ApexMap()
 ROBOT = NOMINAL.robot
@@ -46,13 +47,15 @@ def recorded() -> tuple[list[Tick], list[TrueState]]:
 def test_windows_start_as_the_robot_really_moved(recorded: tuple[list[Tick], list[TrueState]]) -> None:
     ticks, truth = recorded
     windows = record_windows(ticks, LAYOUT, 60)
-    assert len(windows.start) == min(len(COMMANDS), WINDOWS)
     forces = np.array([tick.reading.contact_force for tick in ticks])
-    starts = [k for k in range(len(ticks) - BEFORE) if forces[k + BEFORE - 1] <= 0 < forces[k + BEFORE]]
-    for start, k in zip(windows.start, [k for k in starts if not (forces[k - 140 : k] > 0).any()], strict=False):
-        true = truth[k - 1]
-        np.testing.assert_allclose(start[0], [*true.hip, *true.leg], atol=1e-4)
-        np.testing.assert_allclose(start[1], [*true.hip_rate, *true.leg_rate], atol=0.01)
+    landings = [k for k in range(HIP_FIT, len(ticks)) if forces[k] > 0 and not forces[k - HIP_FIT : k].any()]
+    assert len(windows.start) == len(landings) == 1 + len(COMMANDS)
+    for start, landing in zip(windows.start, landings, strict=True):
+        true = truth[landing - BEFORE - 1]
+        np.testing.assert_allclose(start[0, :2], true.hip, atol=1e-4)
+        np.testing.assert_allclose(start[1, :2], true.hip_rate, atol=1e-3)
+        np.testing.assert_allclose(start[0, 2:], true.leg, atol=1e-3)  # the leg still follows the speed
+        np.testing.assert_allclose(start[1, 2:], true.leg_rate, atol=0.1)
 
 
 def masses(robot: RobotParameters, torque: float) -> np.ndarray:
@@ -73,19 +76,22 @@ def test_with_the_true_parameters_the_model_moves_as_recorded(recorded: tuple[li
 
 
 @needs_the_toolbox
-def test_mass_and_friction_are_recovered(recorded: tuple[list[Tick], list[TrueState]]) -> None:
+def test_mass_and_friction_are_recovered(
+    recorded: tuple[list[Tick], list[TrueState]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sysid, "MISFIT", 0.002)  # the model of this twin errs less
     values = fit(ROBOT, recorded[0], LAYOUT)
     found, true = physical_error(NOMINAL, values), PhysicalError(HEAVIER, 0, 0, 0, 0, 0, 0, 0)
     np.testing.assert_allclose(
-        masses(erring_robot(ROBOT, found), 1 + found.torque), masses(erring_robot(ROBOT, true), 1.0), rtol=0.025
+        masses(erring_robot(ROBOT, found), 1 + found.torque), masses(erring_robot(ROBOT, true), 1.0), rtol=0.02
     )
-    assert values["boom_friction"] == pytest.approx(FRICTION, rel=0.25)
+    assert values["boom_friction"] == pytest.approx(FRICTION, rel=0.15)
     state, command = np.array([[0.15, 0.57], [0.3, 0.6]]), np.array([[-3.0, -5.0], [1.0, 0.0]])
     target, before, after = (
         step_map.evaluate(state, command).next_state
         for step_map in (with_error(NOMINAL, true), NOMINAL, with_error(NOMINAL, found))
     )
-    assert np.linalg.norm(after - target) < 0.25 * np.linalg.norm(before - target)
+    assert np.linalg.norm(after - target) < 0.2 * np.linalg.norm(before - target)
 
 
 def test_offsets_of_the_motors_become_postures() -> None:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from mujoco import sysid
+from numpy.typing import NDArray
 
 from stepgap.baselines import SPREAD, AdjustedMap, PhysicalError, erring_robot, with_error
 from stepgap.hopper.apex_map import ApexMap
@@ -39,6 +40,9 @@ BEFORE = 10
 
 HIP_FIT, LEG_FIT = 150, 40
 """Ticks before touchdown to whose sensor values a parabola is fitted."""
+
+CLEAR = 2
+"""Of these, the last ones that are left out: the foot may touch the ground before that is noticed."""
 
 WINDOWS = 28
 """Touchdowns of a deployment that are used."""
@@ -161,9 +165,9 @@ def record_windows(ticks: Sequence[Tick], layout: RigLayout, horizon: int) -> Wi
     )
 
 
-def _start(sensed: Array, landings: Array, count: int, tick: float) -> Array:
+def _start(sensed: Array, landings: NDArray[np.intp], count: int, tick: float) -> Array:
     """Values and rates BEFORE ticks before landings, by parabolas through the `count` ticks before; shape (W, 2, 2)."""
-    before = np.arange(-count, 0)
+    before = np.arange(-count, -CLEAR)
     powers = np.vander((before + BEFORE) * tick, 3, increasing=True)
     return (np.linalg.pinv(powers) @ sensed[landings[:, None] + before])[:, :2]
 
