@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from stepgap import bench_learning
-from stepgap.bench_learning import METHODS, Trial, coverage, hopping_gap, measure
+from stepgap.bench_learning import METHODS, SKIPPED, Trial, coverage, hopping_gap, measure
 from stepgap.control import reference
 from stepgap.control.reference import Reference
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.plants.rig_plant import Tick
 from stepgap.rigs.twin.family import DRAWN, random_gap
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.step import Reason, StepRecord
@@ -51,6 +52,13 @@ def test_equal_residuals_are_deployed_once(monkeypatch: pytest.MonkeyPatch) -> N
     first = METHODS["linear"](trial, log)
     assert METHODS["linear"](trial, log) is first
     assert METHODS["constant"](trial, log) is not first
+
+
+def test_a_deployment_is_recorded_as_it_was_made() -> None:
+    trial, ticks = Trial(NOMINAL, RealityGap(), SHORT, twin=0, seed=0), list[Tick]()
+    log, again = trial.deploy(trial.uncorrected(), 0), trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)
+    np.testing.assert_array_equal(again.next_state, log.next_state)
+    assert len(ticks) > 500 * len(log)
 
 
 def test_draws_that_fall_at_once_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,6 +102,8 @@ def test_a_second_call_adds_what_is_missing(tiny: None, stepgap: Command) -> Non
 
 def test_bad_input_is_refused(stepgap: Command) -> None:
     refused(stepgap("bench", "learning", "--methods", "linear,magic"), "magic", "it must be one of integral")
+    if "sysid" in SKIPPED:
+        refused(stepgap("bench", "learning", "--methods", "sysid"), "sysid", "stepgap[sysid]")
     refused(stepgap("bench", "learning", "--out", "nowhere/x.jsonl"), "nowhere/x.jsonl", "a folder that exists")
     refused(stepgap("bench", "learning", "--out", "x.json"), ".jsonl")
     refused(stepgap("bench", "learning", "--twins", "0"), "twins")

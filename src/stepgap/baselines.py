@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from stepgap.hopper.apex_map import ApexMap
+from stepgap.hopper.parameters import RobotParameters
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.residual import no_residual
@@ -131,18 +132,7 @@ def identify(nominal: ApexMap, log: StepLog) -> AdjustedMap:
 
 def with_error(nominal: ApexMap, error: PhysicalError) -> AdjustedMap:
     """The model of a robot that differs so from the nominal one."""
-    robot, gains, legs, torque = nominal.robot, nominal.gains, 1 + error.leg_mass, 1 + error.torque
-    robot = replace(
-        robot,
-        body_mass=robot.body_mass * (1 + error.body_mass),
-        top_mass=robot.top_mass * legs,
-        bottom_mass=robot.bottom_mass * legs,
-        top_inertia=robot.top_inertia * legs,
-        bottom_inertia=robot.bottom_inertia * legs,
-        boom_inertia_vertical=robot.boom_inertia_vertical * (1 + error.boom_vertical),
-        boom_inertia_horizontal=robot.boom_inertia_horizontal * (1 + error.boom_horizontal),
-        torque_limit=robot.torque_limit * torque,
-    )
+    gains, torque = nominal.gains, 1 + error.torque
     gains = replace(
         gains,
         stiffness=gains.stiffness * torque,
@@ -152,5 +142,21 @@ def with_error(nominal: ApexMap, error: PhysicalError) -> AdjustedMap:
         landing_length=gains.landing_length + error.landing_length,
         rest_length=gains.rest_length + error.rest_length,
     )
-    base = ApexMap(robot, gains, nominal.bounds, nominal.tolerances)
+    base = ApexMap(erring_robot(nominal.robot, error), gains, nominal.bounds, nominal.tolerances)
     return AdjustedMap(base, np.zeros(len(nominal.space.state)), torque)
+
+
+def erring_robot(robot: RobotParameters, error: PhysicalError) -> RobotParameters:
+    """The robot that differs so from the nominal one."""
+    legs = 1 + error.leg_mass
+    return replace(
+        robot,
+        body_mass=robot.body_mass * (1 + error.body_mass),
+        top_mass=robot.top_mass * legs,
+        bottom_mass=robot.bottom_mass * legs,
+        top_inertia=robot.top_inertia * legs,
+        bottom_inertia=robot.bottom_inertia * legs,
+        boom_inertia_vertical=robot.boom_inertia_vertical * (1 + error.boom_vertical),
+        boom_inertia_horizontal=robot.boom_inertia_horizontal * (1 + error.boom_horizontal),
+        torque_limit=robot.torque_limit * (1 + error.torque),
+    )

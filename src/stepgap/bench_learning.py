@@ -18,6 +18,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
 
+import mujoco.sysid
 import numpy as np
 from threadpoolctl import threadpool_limits
 
@@ -29,7 +30,7 @@ from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings, ResidualKind
 from stepgap.learning.step_log import StepLog
-from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.rig_plant import RigPlant, Tick
 from stepgap.report.learning import UNCORRECTED, Row, hops_to_band
 from stepgap.rigs.rig import RigFault
 from stepgap.rigs.twin.family import random_gap
@@ -74,13 +75,23 @@ class Trial:
         """Knows nothing."""
         return Learner(self.nominal, StepLog(self.nominal.space), LearningSettings(residual="none"), 0)
 
-    def deploy(self, learner: Learner, iteration: int, calibration: int = 0, most_steps: int | None = None) -> StepLog:
+    def meet(self, iteration: int) -> Twin:
+        """The twin of a deployment."""
+        robot, rng = self.nominal.robot, np.random.default_rng([self.twin, self.seed, iteration])
+        ground = GroundProfile(self.gap, robot.boom_length, np.random.default_rng([self.twin]))
+        return Twin(robot, self.gap, rng, ground=ground, turn=rng.uniform(0, tau))
+
+    def deploy(
+        self,
+        learner: Learner,
+        iteration: int,
+        calibration: int = 0,
+        most_steps: int | None = None,
+        on_tick: Callable[[Tick], None] | None = None,
+    ) -> StepLog:
         """The steps of a deployment; none where not even the hop before them was made."""
         nominal, log = self.nominal, StepLog(self.nominal.space)
-        rng = np.random.default_rng([self.twin, self.seed, iteration])
-        ground = GroundProfile(self.gap, nominal.robot.boom_length, np.random.default_rng([self.twin]))
-        twin = Twin(nominal.robot, self.gap, rng, ground=ground, turn=rng.uniform(0, tau))
-        plant = RigPlant(twin, nominal.robot, nominal.gains, nominal.bounds)
+        plant = RigPlant(self.meet(iteration), nominal.robot, nominal.gains, nominal.bounds, on_tick)
         with closing(deploy(learner, plant, self.reference, iteration, calibration)) as steps:
             try:
                 for logged in islice(steps, most_steps):
@@ -103,6 +114,17 @@ def _identified(trial: Trial, log: StepLog) -> StepLog:
     return trial.deploy(Learner(identify(trial.nominal, log), log, LearningSettings(residual="none"), 1), 1)
 
 
+def _sysid(trial: Trial, log: StepLog) -> StepLog:
+    from stepgap.sysid import identify_from_ticks
+
+    ticks: list[Tick] = []
+    again = trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)  # the very same deployment, to the last bit
+    if not len(again):
+        return trial.deploy(trial.uncorrected(), 1)
+    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).layout)
+    return trial.deploy(Learner(found, log, LearningSettings(residual="none"), 1), 1)
+
+
 def _residual(trial: Trial, log: StepLog, kind: ResidualKind) -> StepLog:
     learner = Learner(trial.nominal, log, LearningSettings(residual=kind), 1)
     key = json.dumps(learner.residual.to_dict())
@@ -120,9 +142,13 @@ def _calibrated(trial: Trial, log: StepLog) -> StepLog:
     return trial.deploy(Learner(trial.nominal, StepLog(log.space), learning, 0), 0, CALIBRATION)
 
 
+SKIPPED = {} if hasattr(mujoco.sysid, "optimize") else {"sysid": "needs the packages of stepgap[sysid]"}
+"""What is not installed."""
+
 REDEPLOYED: dict[str, Method] = {
     "integral": _integral,
     "identified": _identified,
+    **({} if "sysid" in SKIPPED else {"sysid": _sysid}),
     "constant": partial(_residual, kind="constant"),
     "linear": partial(_residual, kind="linear"),
     "quadratic": partial(_residual, kind="quadratic"),
@@ -136,12 +162,6 @@ FROM_THE_FIRST_HOP: dict[str, Method] = {"online": _online, "calibrated": _calib
 """Methods that make deployment 0 themselves, both with `gp`."""
 
 METHODS = REDEPLOYED | FROM_THE_FIRST_HOP
-
-SKIPPED = {
-    "mujoco.sysid": "needs the packages of mujoco[sysid], and the torques and sensors of every tick, where a step log "
-    "holds one apex a hop; `identified` stands for it and fits the physics model to the log"
-}
-"""What one might look for."""
 
 
 def measure(reference: Reference, twin: int, seed: int, methods: Sequence[str]) -> list[Row]:

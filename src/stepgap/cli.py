@@ -567,7 +567,8 @@ def bench_learning_(
 
     chosen = methods.split(",") if methods else ["linear", "gp"] if quick else list(METHODS)
     if unknown := [name for name in chosen if name not in METHODS]:
-        raise _bad_input(f"--methods {unknown[0]}: it must be one of {', '.join(METHODS)}")
+        missing = SKIPPED.get(unknown[0], f"it must be one of {', '.join(METHODS)}")
+        raise _bad_input(f"--methods {unknown[0]}: {missing}")
     if not out.parent.is_dir() or out.suffix != ".jsonl":
         raise _bad_input(f"--out {out}: give a name that ends with .jsonl in a folder that exists")
     if quick:
