@@ -40,6 +40,16 @@ MeasureSpread = Callable[[StepMap, np.random.Generator], Array]
 """Measures the repeatability of a plant under the step controller of a map; shape (n,)."""
 
 
+def versions_here() -> dict[str, str]:
+    """Version of each recorded package, by its name."""
+    return {"python": platform.python_version(), **{name: version(name) for name in RECORDED_VERSIONS}}
+
+
+def deployment_generator(seed: int, iteration: int) -> np.random.Generator:
+    """What the plant of a deployment draws from."""
+    return np.random.default_rng([seed, iteration])
+
+
 def repeatability(steps: StepLog, reference: Reference) -> Array:
     """Spread of the next state at equal state and command, at most about this [state units]; shape (n,).
 
@@ -96,7 +106,7 @@ def run(
         reference: What to track.
         learning: How often is learnt, and what.
         folder: An existing folder.
-        seed: Of all randomness; deployment K draws from `default_rng([seed, K])`.
+        seed: Of all randomness; deployment K draws from `deployment_generator(seed, K)`.
         observer: Whom to tell.
         measure_spread: Measures the repeatability under the last controller; drawing from `default_rng([seed, K, 1])`
             after deployment K. Without it, it is estimated from the steady steps.
@@ -121,7 +131,7 @@ def run(
             if iteration < vouched or kept:
                 steps = _taken_as_recorded(recorded, iteration)
             else:
-                plant = make_plant(np.random.default_rng([seed, iteration]))
+                plant = make_plant(deployment_generator(seed, iteration))
                 steps = deploy(learner, plant, reference, iteration, 0 if iteration else learning.calibration)
                 steps = _recorded_once(steps, recorded, writer, path)
             with closing(steps):  # so that an error here stops the plant at once
@@ -234,5 +244,5 @@ def _summary(
         "repeatability": named(repeatability(last, reference) if measured is None else measured),
         "repeatability_measured": measured is not None,
         "steps_sha256": digest(log),
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in RECORDED_VERSIONS}},
+        "versions": versions_here(),
     }
