@@ -594,13 +594,12 @@ def report(folder: Path, /) -> None:
     Args:
         folder: Folder of the run.
     """
-    from stepgap.report import read_run_folder, write_report
+    from stepgap.progress import shown_count
+    from stepgap.report_verb import report_run
 
-    try:
-        read_run_folder(folder)
-    except (ValueError, OSError) as error:
-        raise _bad_input(str(error)) from None
-    print(write_report(folder))
+    with shown_count("replay") as tell:
+        page = report_run(folder, tell)
+    print(page)
 
 
 def _free_name(path: Path) -> Path:

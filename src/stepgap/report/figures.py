@@ -14,14 +14,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from stepgap.learning.step_log import StepLog
 from stepgap.report import paper
+from stepgap.report.bands import INTERVAL
 from stepgap.report.run_folder import RunRecord
 from stepgap.step import Array, Quantity, Reason
 
 WIDTH: Final = 9.0
 """Of every figure [inches]."""
-
-BAND: Final = 1.96
-"""Standard deviations on either side that hold 95 % of a normal distribution."""
 
 MOST_VECTORS: Final = 2000
 """Steps beyond which curves are drawn as pixels inside the vector graphic, so that it stays small."""
@@ -112,14 +110,6 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     return figure
 
 
-def coverage(steps: StepLog, index: int) -> tuple[int, int]:
-    """How many next states lie within the 95 % band of their prediction, and of how many with a band."""
-    known = steps.completed()
-    error, std = np.abs(known.next_state - known.predicted)[:, index], known.std[:, index]
-    banded = np.isfinite(error) & (std > 0)
-    return int(np.count_nonzero(error[banded] <= BAND * std[banded])), int(np.count_nonzero(banded))
-
-
 def axis_label(quantity: Quantity, capital: bool = True) -> str:
     """Name of a coordinate with its unit, if that is known."""
     name = plain(quantity.name.replace("_", " "))
@@ -183,7 +173,7 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
     fast = _pixels(steps)
     if std.any():
         band = {"color": SKY, "alpha": 0.5, "linewidth": 0, "label": "95 % band"}
-        panel.fill_between(numbers, mean - BAND * std, mean + BAND * std, **band, **fast)
+        panel.fill_between(numbers, mean - INTERVAL * std, mean + INTERVAL * std, **band, **fast)
     panel.plot(numbers, mean, color=BLUE, linewidth=1.2, label="predicted mean", **fast)
     measured = {"color": BLACK, "linestyle": "", "marker": "o", "markersize": 2, "label": "measured"}
     panel.plot(numbers, reached, **measured, **fast)
