@@ -165,8 +165,8 @@ def run(
     from stepgap.experiment import load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.interrupt import terminated_as_interrupted
-    from stepgap.progress import Progress
-    from stepgap.report import write_report
+    from stepgap.progress import Progress, shown_count
+    from stepgap.report_verb import report_run
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
@@ -205,7 +205,9 @@ def run(
                 plants.measure_spread,
                 plants.replays,
             )
-        print(write_report(folder))
+        with shown_count("replay", quiet) as tell:
+            page = report_run(folder, tell)
+        print(page)
     except KeyboardInterrupt:
         again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
         raise KeyboardInterrupt(f"; go on with: {again}") from None
@@ -588,17 +590,24 @@ def bench_learning_(
 
 
 @app.command
-def report(folder: Path, /) -> None:
-    """Make the report of a run anew.
+def report(folders: list[Path], /, *, out: Path | None = None) -> None:
+    """Make the report of a run anew; of several runs, a page that compares them.
 
     Args:
-        folder: Folder of the run.
+        folders: Folder of the run, or of each run.
+        out: HTML file of a comparison; without it comparison.html beside the first run, or the next free name.
     """
     from stepgap.progress import shown_count
-    from stepgap.report_verb import report_run
+    from stepgap.report_verb import compare_runs, report_run
 
-    with shown_count("replay") as tell:
-        page = report_run(folder, tell)
+    if len(folders) > 1:
+        page = out or _free_name(folders[0].resolve().parent / "comparison.html")
+        compare_runs(folders, page)
+    elif out:
+        raise _bad_input("--out: goes with several runs; the report of one lies in its folder")
+    else:
+        with shown_count("replay") as tell:
+            page = report_run(folders[0], tell)
     print(page)
 
 

@@ -1,6 +1,6 @@
 """What `stepgap report` adds to what a run folder holds: its settings understood, its map, and its replay."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields
 from hashlib import sha256
 from pathlib import Path
@@ -9,7 +9,7 @@ from stepgap.experiment import TWIN, Experiment, InputError, read_experiment
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.step_log import RecordError, digest
 from stepgap.replay import replay
-from stepgap.report import Background, RunRecord, read_run_folder, write_report
+from stepgap.report import Background, RunRecord, comparison_html, read_run_folder, write_report
 from stepgap.report.motion import RATE, Motion, Replay, read_motion, write_motion
 from stepgap.run_plants import SIMULATED
 
@@ -44,6 +44,31 @@ def report_run(folder: Path, tell: Callable[[int, int], None] = lambda done, tot
         return write_report(folder, background=_background(record, tell))
     except (ValueError, OSError) as error:
         raise InputError(str(error)) from None
+
+
+def compare_runs(folders: Sequence[Path], page: Path) -> None:
+    """Writes one page that compares several runs.
+
+    Args:
+        folders: Of the runs.
+        page: File to write, which must not exist.
+
+    Raises:
+        InputError: A run cannot be read or compared, or the page cannot be written.
+    """
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise InputError("a run is named twice; name each run once")
+    try:
+        text = comparison_html([read_run_folder(folder) for folder in folders])
+    except (ValueError, OSError) as error:
+        raise InputError(str(error)) from None
+    try:
+        with page.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(f"{page}: exists already; choose another --out") from None
+    except OSError as error:
+        raise InputError(f"{page}: cannot be written: {error.strerror}; choose another --out") from None
 
 
 def _background(record: RunRecord, tell: Callable[[int, int], None]) -> Background:

@@ -3,6 +3,7 @@
 `run_folder` reads a run, with its `summary`, and `learnt` what it learnt; `reference_gait` finds its limit cycles.
 `figures`, `learnt_figure` and `gait` draw, `error_table`, `learnt_table` and `settings_table` are the numbers, `words`
 the sentences, `replay_view` the motion; `page` puts all on one page, beside the numbers of the `paper`.
+`comparison` is the page of several runs.
 """
 
 import re
@@ -11,6 +12,7 @@ from pathlib import Path
 
 from stepgap.files import write_whole
 from stepgap.report.background import BARE, Background
+from stepgap.report.comparison import comparison_html
 from stepgap.report.drawing import Drawing, draw
 from stepgap.report.learnt import Learnt, read_learnt
 from stepgap.report.page import report_html
@@ -18,7 +20,7 @@ from stepgap.report.reference_gait import ReferenceGait, reference_gait
 from stepgap.report.run_folder import RunRecord, read_run_folder
 from stepgap.step import StepSpace
 
-__all__ = ["Background", "RunRecord", "read_run_folder", "write_report"]
+__all__ = ["Background", "RunRecord", "comparison_html", "read_run_folder", "write_report"]
 
 
 def write_report(folder: Path, space: StepSpace | None = None, background: Background = BARE) -> Path:

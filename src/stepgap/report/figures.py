@@ -4,6 +4,7 @@ They are drawn without `pyplot`, so that nothing global changes and many may be 
 colour: by line style and marker.
 """
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -32,6 +33,9 @@ LONGEST_NAME: Final = 26
 
 # Colours after Okabe and Ito, told apart by colour-blind readers; dark ones in front of light ones.
 BLACK, BLUE, VERMILLION, SKY, GREY = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676"
+RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
+RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
+RUN_LINES: Final = ("-", "--", "-.", ":")
 FIRST: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.3}
 LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "marker": ".", "markersize": 4}
 
@@ -77,6 +81,29 @@ def error_figure(record: RunRecord) -> Figure:
         if not panel.lines:
             _note(panel, "No error is known yet.")
     _finish(figure, panels, "Deployment (0: nominal map; later ones: corrected map)")
+    return figure
+
+
+def comparison_figure(records: Sequence[RunRecord], names: Sequence[str]) -> Figure:
+    """RMSE of every state coordinate by deployment, a curve for each run."""
+    state = records[0].space.state
+    figure, panels = _panels(len(state))
+    for row, (record, name) in enumerate(zip(records, names, strict=True)):
+        numbers = [deployment.iteration for deployment in record.deployments]
+        look: dict[str, Any] = {
+            "color": RUN_COLOURS[row % len(RUN_COLOURS)],
+            "marker": RUN_MARKERS[row % len(RUN_MARKERS)],
+        }
+        for index, panel in enumerate(panels):
+            values = [deployment.errors["rmse"][index] for deployment in record.deployments]
+            if np.isfinite(values).any():
+                panel.plot(numbers, values, **look, linestyle=RUN_LINES[row % len(RUN_LINES)], label=plain(name))
+    for panel, quantity in zip(panels, state, strict=True):
+        panel.set_ylabel(f"RMSE of\n{axis_label(quantity, capital=False)}")
+        _log_scale(panel)
+        if not panel.lines:
+            _note(panel, "No error is known yet.")
+    _finish(figure, panels, "Deployment")
     return figure
 
 

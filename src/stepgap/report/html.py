@@ -102,8 +102,9 @@ def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> 
         f'<tr><th scope="row">{safe(first)}</th>{"".join(f"<td>{safe(cell)}</td>" for cell in cells)}</tr>'
         for first, *cells in rows
     ]
+    title = f"<caption>{safe(caption)}</caption>" if caption else ""
     return (
-        f'<div class="wide"><table><caption>{safe(caption)}</caption><thead><tr>{top}</tr></thead><tbody>\n'
+        f'<div class="wide"><table>{title}<thead><tr>{top}</tr></thead><tbody>\n'
         + "\n".join(lines)
         + "\n</tbody></table></div>"
     )

@@ -96,8 +96,8 @@ def captions(record: RunRecord) -> dict[str, str]:
     hardware = record.space.state_names == paper.STATE_NAMES
     beside = " The paper's points are of its hardware: its Fig. 5, and its Fig. 4 for deployment 0." if hardware else ""
     found = {
-        "tracking": "Tracking without and with the learnt correction, as in the paper's Fig. 4: the state at the end of "
-        "each step in the first and the last deployment, and the reference.",
+        "tracking": "Tracking without and with the learnt correction, as in the paper's Fig. 4: the state at the end "
+        "of each step in the first and the last deployment, and the reference.",
         "errors": f"Tracking error by deployment, as in the paper's Fig. 5.{beside}",
     }
     for row, quantity in enumerate(record.space.state):

@@ -92,12 +92,16 @@ def _gait(name: str, step_map: StepMap, targets: Array, centre: Array) -> MapGai
 def gait_table(gait: ReferenceGait) -> str:
     """Command and multipliers of the limit cycle at each target, map by map."""
     state, command = [[with_unit(each) for each in part] for part in (gait.space.state, gait.space.command)]
-    heads = [*state, *(f"{each.name} {word}" for each in gait.maps for word in [*command, "|\u2060λ\u2060|", "gait"])]
+    heads = [*state, *(f"{each.name} {word}" for each in gait.maps for word in [*command, "λ", "gait"])]
     size, rows = len(command), []
     for row, target in enumerate(gait.targets):
         cells = [cell for each in gait.maps for cell in _cells(each.points[row], size)]
         rows.append([*(f"{value:.4g}" for value in target), *cells])
-    return table("Limit cycle at each target: the constant command that holds it, and its multipliers", heads, rows)
+    return table(
+        "Limit cycle at each target: the constant command that holds it, and the sizes |λ| of its multipliers",
+        heads,
+        rows,
+    )
 
 
 def gait_sentences(gait: ReferenceGait) -> list[str]:

@@ -55,8 +55,8 @@ def _legend() -> str:
     return (
         "Drag to turn; the keys ← and → go on by a frame. The leg is drawn as the closed chain it is; the foot is "
         "full while it bears load. Dashed: the height wanted at the next apex. Circles: apexes reached; bars: their "
-        f"targets. {RATE} frames a second; between the recorded steps the motion was simulated again from the run's seed, and "
-        "every step came out as recorded, to the last bit."
+        f"targets. {RATE} frames a second; between the recorded steps the motion was simulated again from the run's "
+        "seed, and every step came out as recorded, to the last bit."
     )
 
 
