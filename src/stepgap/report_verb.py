@@ -1,9 +1,11 @@
 """What `stepgap report` adds to what a run folder holds: its settings understood, its map, and its replay."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
+
+import numpy as np
 
 from stepgap.experiment import TWIN, Experiment, InputError, read_experiment
 from stepgap.hopper.apex_map import ApexMap
@@ -111,6 +113,7 @@ def _motion(record: RunRecord, iteration: int, tell: Callable[[int, int], None])
     if kept is not None:
         return kept
     ticks = replay(record.folder, iteration, TICKS_A_SECOND // RATE, tell)
-    motion = Motion(**{field.name: ticks[CHANNELS[field.name]] for field in fields(Motion)})
+    channels = {name: ticks[column].astype(np.float32).astype(float) for name, column in CHANNELS.items()}
+    motion = Motion(**channels)  # rounded as it is kept, so that the page is the same however the motion was had
     write_motion(path, motion, origin)
     return motion

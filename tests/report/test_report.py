@@ -1,12 +1,8 @@
 import json
 import re
 import shutil
-from base64 import b64encode
-from hashlib import sha256
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -19,80 +15,10 @@ from stepgap.report.figures import tracking_figure
 from stepgap.report.summary import MEASURES
 from stepgap.report.words import decimal
 from stepgap.step import Quantity, StepSpace
+from tests.report.pages import Page, check_alone
 from tests.report.runs import make_run, write_run, write_summary
 
-VOID = {"meta", "br", "hr", "input"}
-SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
 HOSTILE = "<img src=http://evil/?x='1' onerror=alert(1)>&\"--></svg></pre><script>alert(2)</script>$\\frac{"
-
-
-class Page(HTMLParser):
-    """Tags and text of a page; an element that is not closed in its turn is an error."""
-
-    def __init__(self, path: Path):
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str]]] = []
-        self.text = ""
-        self.cells: list[list[tuple[str, float | None]]] = []
-        self._open: list[str] = []
-        self.source = path.read_text(encoding="utf-8")
-        script = re.search(r"<script>(.*?)</script>", self.source, re.DOTALL)
-        self.script_hash = b64encode(sha256((script[1] if script else "").encode()).digest()).decode()
-        self.feed(SVG.sub("", self.source))
-        self.close()
-        assert self._open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = {name: value or "" for name, value in attrs}
-        self.tags.append((tag, given))
-        if tag not in VOID:
-            self._open.append(tag)
-        if tag == "tr":
-            self.cells.append([])
-        elif tag == "td":
-            self.cells[-1].append((given.get("class", ""), None))
-        elif tag == "data":
-            self.cells[-1][-1] = (self.cells[-1][-1][0], float(given["value"]))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if not {"style", "script"} & set(self._open):
-            self.text += data
-
-
-def check_alone(page: Page) -> None:
-    """The page fetches nothing and runs nothing, its graphics are sound and its identifiers unique."""
-    policy = [given["content"] for tag, given in page.tags if given.get("http-equiv") == "Content-Security-Policy"]
-    assert len(policy) == 1
-    assert policy[0].startswith("default-src 'none'; style-src 'unsafe-inline'; img-src data:;")
-    scripts = [given for tag, given in page.tags if tag == "script"]
-    assert scripts in ([], [{"type": "application/json", "id": "replay-data"}, {}])
-    hashes = re.findall(r"script-src 'sha256-([^']+)'", policy[0])
-    assert hashes == [page.script_hash] * bool(scripts)
-    assert not {tag for tag, _ in page.tags} & {
-        "img",
-        "link",
-        "iframe",
-        "object",
-        "embed",
-        "base",
-        "form",
-    }
-    assert not {name for _, given in page.tags for name in given if name == "src" or name.startswith("on")}
-    assert {given["href"][0] for _, given in page.tags if "href" in given} <= {"#"}
-    pictures = [ElementTree.fromstring(text) for text in SVG.findall(page.source)]
-    assert len(pictures) >= 3
-    for element in (element for picture in pictures for element in picture.iter()):
-        assert element.tag.rpartition("}")[2] not in ("script", "a", "foreignObject", "image")
-        for name, value in element.attrib.items():
-            assert not name.startswith("on")
-            assert "//" not in value
-            assert not name.endswith("href") or value.startswith("#")
-    names = re.findall(r'\sid="([^"]+)"', page.source)
-    assert len(names) == len(set(names))
-    assert set(re.findall(r'(?:href="|url\()#([^")]+)', page.source)) <= set(names)
 
 
 @pytest.fixture(scope="module")

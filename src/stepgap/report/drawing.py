@@ -13,8 +13,15 @@ UNDATED: Final[Mapping[str, Mapping[str, None]]] = {
 }
 """What is left out of files, so that the same run gives the same bytes."""
 
-HOW_TO_MEND: Final = "the figures need a sound matplotlib: pip install --force-reinstall matplotlib"
+HOW_TO_MEND: Final = (
+    "figures need a sound matplotlib, pip install --force-reinstall matplotlib, and no unknown backend in the "
+    "environment variable MPLBACKEND"
+)
 """What to do where drawing fails."""
+
+
+LONGEST_ERROR: Final = 120
+"""Characters of an error that are shown."""
 
 
 class Drawing(NamedTuple):
@@ -36,7 +43,8 @@ def draw(make: Callable[[], Any], what: str) -> Drawing | str:
         figure = make()
         return Drawing(_saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf"))
     except (ImportError, OSError, RuntimeError, ValueError) as error:
-        return f"No figure of {what} could be drawn ({type(error).__name__}: {error}); {HOW_TO_MEND}."
+        short = " ".join(str(error).split())[:LONGEST_ERROR]
+        return f"No figure of {what} could be drawn ({type(error).__name__}: {short}); {HOW_TO_MEND}."
 
 
 def _saved(figure: Any, form: str) -> bytes:

@@ -1,6 +1,7 @@
 """How a deployment moved, thinned for a replay, and the file that keeps it."""
 
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from io import BytesIO
@@ -76,9 +77,9 @@ def read_motion(path: Path, origin: str) -> Motion | None:
     try:
         if path.stat().st_size > LARGEST_FILE:
             return None
-        with np.load(path, allow_pickle=False) as kept:
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as kept:
             if str(kept["origin"]) != origin:
                 return None
             return Motion(**{field.name: kept[field.name].astype(float) for field in fields(Motion)})
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, NotImplementedError):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError):
         return None

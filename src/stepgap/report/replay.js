@@ -11,7 +11,7 @@
 
   function unpacked(source) {
     const bytes = Uint8Array.from(atob(source.packed), (letter) => letter.charCodeAt(0));
-    const whole = new DataView(bytes.buffer), found = {frames: source.frames, deployment: source.deployment};
+    const whole = new DataView(bytes.buffer), found = {frames: source.frames, rate: source.rate, deployment: source.deployment};
     source.channels.forEach((name, row) => {
       const [low, high] = source.ranges[row], values = new Float64Array(source.frames);
       for (let i = 0; i < source.frames; i++)
@@ -125,7 +125,7 @@
     dot(here.foot, "#c00000", 0.9 * stroke, motion.force[frame] > 1);
 
     slider.value = frame;
-    const time = (frame / data.rate).toFixed(2), end = ((motion.frames - 1) / data.rate).toFixed(0);
+    const time = (frame / motion.rate).toFixed(2), end = ((motion.frames - 1) / motion.rate).toFixed(0);
     words.textContent = `deployment ${motion.deployment}, ${time} s of ${end} s: ` + (entry
       ? `step ${step} of ${motion.last}. Target ${shown(entry[0], "m/s")}, ${shown(entry[1], "m")}; ` +
         `reached ${shown(entry[2], "m/s")}, ${shown(entry[3], "m")}; command ${shown(entry[4], "N")}, ${shown(entry[5], "N")}.`
@@ -154,7 +154,7 @@
     requestAnimationFrame(function next(now) {
       if (!playing) return;
       if (Math.round(exact) !== frame) exact = frame;
-      exact = Math.min(exact + Math.max(0, now - before) / 1000 * data.rate * Number(speed.value), motion.frames - 1);
+      exact = Math.min(exact + Math.max(0, now - before) / 1000 * motion.rate * Number(speed.value), motion.frames - 1);
       before = now;
       frame = Math.round(exact);
       draw();

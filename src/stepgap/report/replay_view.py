@@ -20,6 +20,9 @@ REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(e
 LEVELS: Final = 65535
 """Steps into which the range of a channel is divided."""
 
+MOST_FRAMES: Final = 60_000
+"""Of one motion on the page; of a longer one, frames are left out."""
+
 CONTROLS: Final = """<div id="replay-view">
 <canvas id="replay-canvas" tabindex="0" role="img" aria-label="The hopper on its boom; drag to turn the view"></canvas>
 <p id="replay-words" aria-live="off">The replay needs JavaScript, which does not run here.</p>
@@ -39,7 +42,6 @@ def replay_view(record: RunRecord, replay: Replay | str) -> str:
         return paragraph(replay)
     robot = replay.robot
     data = {
-        "rate": RATE,
         "levels": LEVELS,
         "leg": [robot.top_length, robot.bottom_length, robot.foot_length],
         "boom": robot.boom_length,
@@ -55,14 +57,15 @@ def _legend() -> str:
     return (
         "Drag to turn; the keys ← and → go on by a frame. The leg is drawn as the closed chain it is; the foot is "
         "full while it bears load. Dashed: the height wanted at the next apex. Circles: apexes reached; bars: their "
-        f"targets. {RATE} frames a second; between the recorded steps the motion was simulated again from the run's "
+        "targets. Between the recorded steps the motion was simulated again from the run's "
         "seed, and every step came out as recorded, to the last bit."
     )
 
 
 def _motion(number: int, motion: Motion, log: StepLog) -> dict[str, Any]:
     """A motion as JSON: its channels as whole numbers of two bytes, one after the other, and its steps."""
-    channels = [getattr(motion, field.name) for field in fields(motion)]
+    every = -(-len(motion.step) // MOST_FRAMES)
+    channels = [getattr(motion, field.name)[::every] for field in fields(motion)]
     ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
     packed = b"".join(_levels(channel).astype("<u2").tobytes() for channel in channels)
     steps = [
@@ -71,7 +74,8 @@ def _motion(number: int, motion: Motion, log: StepLog) -> dict[str, Any]:
     ]
     return {
         "deployment": number,
-        "frames": len(motion.step),
+        "rate": RATE / every,
+        "frames": len(channels[0]),
         "channels": [field.name for field in fields(motion)],
         "ranges": ranges,
         "packed": b64encode(packed).decode(),
