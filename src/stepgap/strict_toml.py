@@ -89,7 +89,7 @@ def build(kind: type[Any], table: Mapping[str, Any], place: Place, prefix: str =
 
 
 def to_table(settings: Any) -> dict[str, Any]:
-    """The TOML table of a dataclass, which `build` reads; numbers are written as such where whole ones stand for them."""
+    """The TOML table of a dataclass, which `build` reads; a number is written as one even where it is whole."""
     types = get_type_hints(type(settings))
     return {entry.name: _to_value(getattr(settings, entry.name), types[entry.name]) for entry in fields(settings)}
 
