@@ -189,23 +189,24 @@ def describe(check: Check, bus: bool) -> str:
         bus: There was a bus, not only the machine.
     """
     timing, failures = check.timing, check.failures()
-    lines = [
-        f"ticks                  {timing.ticks}, one every {1e6 * check.tick:g} µs",
-        f"late by   50 %       ≤ {1e6 * timing.p50:.1f} µs",
-        f"          99 %       ≤ {1e6 * timing.p99:.1f} µs",
-        f"          99.9 %     ≤ {1e6 * timing.p99_9:.1f} µs",
-        f"          at most      {1e6 * timing.worst:.1f} µs",
-        f"within half a tick     {100 * timing.punctual:.3f} %",
-        f"ticks missed           {timing.missed}, at most {timing.missed_in_a_row} in a row",
-        f"frames lost            {check.lost_frames if bus else 'no bus was measured'}",
-        f"the kernel refused     {check.refused or 'nothing'}",
-        f"to pass                at most {check.late_ticks} ticks missed in a row, {100 * PUNCTUAL:g} % within half a tick, "
-        "no fault",
-        "passed" if not failures else f"not passed: {'; '.join(failures)}",
-    ]
+    rule = f"at most {check.late_ticks} ticks missed in a row, {100 * PUNCTUAL:g} % within half a tick, no fault"
+    rows = {
+        "ticks": f"  {timing.ticks}, one every {1e6 * check.tick:g} µs",
+        "late by   50 %": f"≤ {1e6 * timing.p50:.1f} µs",
+        "          99 %": f"≤ {1e6 * timing.p99:.1f} µs",
+        "          99.9 %": f"≤ {1e6 * timing.p99_9:.1f} µs",
+        "          at most": f"  {1e6 * timing.worst:.1f} µs",
+        "within half a tick": f"  {100 * timing.punctual:.3f} %",
+        "ticks missed": f"  {timing.missed}, at most {timing.missed_in_a_row} in a row",
+        "frames lost": f"  {check.lost_frames if bus else 'no bus was measured'}",
+        "the kernel refused": f"  {check.refused or 'nothing'}",
+        "rule": f"  {rule}",
+        "result": "  passed" if not failures else f"  not passed: {'; '.join(failures)}",
+    }
+    lines = [f"{name:19} {words}" for name, words in rows.items()]
     if failures:
         lines.append(ADVICE)
-    if bus and (check.fault or check.lost_frames):
+    if failures and bus and (check.fault or check.lost_frames):
         lines.append(BUS_ADVICE)
     return "\n".join(lines)
 
