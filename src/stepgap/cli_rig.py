@@ -71,22 +71,21 @@ def calibrate(
         experiment: TOML file of settings, whose [robot] it is.
     """
     from stepgap.experiment import read_experiment
-    from stepgap.plants.realtime.pace import WallClock
     from stepgap.rig_verbs import calibrate as verb
-    from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+    from stepgap.rig_verbs.limp import limp_setup, ticks_of
     from stepgap.rigs.ethercat.rig_settings import read_rig_settings
+    from stepgap.rigs.limp_rig import FrameCount
 
     if leg_length is None or height is None:
         raise InputError("--leg-length and --height: give both, as measured; nothing else would be right")
     pose, target = verb.Pose(alpha_1, leg_length, height), out or rig_file.with_suffix(".calibrated.toml")
     verb.check_pose(pose)
-    robot, settings = read_experiment(experiment, overrides or []).robot, read_rig_settings(rig_file)
+    given, settings = read_experiment(experiment, overrides or []), read_rig_settings(rig_file)
+    expected = verb.expected_reading(settings, given.robot, pose)
     if target.exists():
         raise InputError(f"{target}: exists already; choose another --out")
-    expected = verb.expected_reading(settings, robot, pose)
-    ticks = round(1 / settings.tick)
-    readings = verb.readings_at_rest(EthercatRig(settings, robot), ticks, WallClock(settings.tick))
-    zeros = verb.new_zeros(settings, verb.mean_reading(settings, readings), expected)
+    ticks = ticks_of(limp_setup(settings, given.robot, given.gains, FrameCount()), round(1 / settings.tick))
+    zeros = verb.new_zeros(settings, verb.mean_reading(settings, ticks), expected)
     calibrated = verb.with_zeros(settings, zeros)
     verb.write_calibrated(rig_file, target, calibrated)
     print(verb.describe_zeros(settings, calibrated))

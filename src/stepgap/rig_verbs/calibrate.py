@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import asin, isfinite, tau
 from pathlib import Path
@@ -12,9 +12,9 @@ import numpy as np
 
 from stepgap.hopper.leg import knee_angle, leg_of
 from stepgap.hopper.parameters import RobotParameters
-from stepgap.plants.realtime.pace import Pace
+from stepgap.rig_verbs.limp import Ticks
 from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
-from stepgap.rigs.rig import Reading, Rig
+from stepgap.rigs.rig import Reading, RigFault
 from stepgap.strict_toml import InputError
 
 MOST_COUNTS = 4
@@ -109,44 +109,25 @@ def with_zeros(settings: RigSettings, zeros: Mapping[str, int]) -> RigSettings:
     return replace(settings, **tables)
 
 
-def readings_at_rest(rig: Rig, ticks: int, pace: Pace) -> list[Reading]:
-    """What a rig reads while its motors get no torque.
-
-    Args:
-        rig: Not connected yet.
-        ticks: How many.
-        pace: Waits for the next tick.
-
-    Raises:
-        RigFault: It fails.
-    """
-    readings = []
-    with rig:
-        for _ in range(ticks):
-            readings.append(rig.read())
-            rig.write(0.0, 0.0)
-            pace()
-    return readings
-
-
-def mean_reading(settings: RigSettings, readings: Sequence[Reading]) -> dict[str, float]:
-    """The mean of what was read, by field.
+def mean_reading(settings: RigSettings, ticks: Ticks) -> dict[str, float]:
+    """The mean of what was read, by field of `Reading`.
 
     Raises:
         InputError: The robot was not at rest.
+        RigFault: The rig failed meanwhile.
     """
-    counts = np.array(readings)
+    if ticks.fault:
+        raise RigFault(ticks.fault)
     contact = settings.contact
     most = dict.fromkeys(Reading._fields, float(MOST_COUNTS))
     most["contact_force"] = max(contact.touchdown_force, MOST_COUNTS * abs(contact.newton_per_count))
-    for name, span in zip(Reading._fields, np.ptp(counts, axis=0).tolist(), strict=True):
+    for name in Reading._fields:
+        span, unit = float(np.ptp(ticks.column(name))), "N" if name == "contact_force" else "counts"
         if span > most[name]:
-            unit = "N" if name == "contact_force" else "counts"
             raise InputError(
-                f"{name} varied by {span:g} {unit} within a second, at most {most[name]:g} are a robot at rest; "
-                "hold it still and try again"
+                f"{name} varied by {span:g} {unit}, at most {most[name]:g} are rest; hold it still and try again"
             )
-    return dict(zip(Reading._fields, counts.mean(axis=0).tolist(), strict=True))
+    return {name: float(ticks.column(name).mean()) for name in Reading._fields}
 
 
 def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:

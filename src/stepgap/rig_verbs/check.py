@@ -7,28 +7,19 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
-from time import sleep
 from typing import Any
 
 import numpy as np
 
 from stepgap.files import write_whole
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup
-from stepgap.plants.realtime.session import Session
-from stepgap.plants.realtime.states import RigState
+from stepgap.rig_verbs.limp import ticks_of
 from stepgap.rigs.limp_rig import FrameCount
-from stepgap.rigs.rig import RigFault
 from stepgap.step import Array
 from stepgap.strict_toml import LARGEST_FILE, InputError
 
 PUNCTUAL = 0.999
 """Share of the ticks that must begin within half a tick."""
-
-LOOK_EVERY = 0.05
-"""Time between two looks whether enough was measured [s]."""
-
-LATE = list(LOOP_UNITS).index("late")
 
 ADVICE = (
     "what helps: nothing else at work on this machine; an rtprio and a memlock limit for you "
@@ -130,28 +121,6 @@ def _longest(missed: Sequence[int]) -> int:
     return most
 
 
-class _Ticks:
-    """Keeps ticks in memory."""
-
-    def __init__(self) -> None:
-        self._blocks, self.count = [np.empty((0, len(LOOP_UNITS)))], 0
-
-    def append(self, rows: Array) -> None:
-        """Takes ticks."""
-        self._blocks.append(rows)
-        self.count += len(rows)
-
-    def flush(self) -> None:
-        """They are where they stay."""
-
-    def close(self) -> None:
-        """No more will come."""
-
-    def column(self, place: int) -> Array:
-        """One field of all ticks."""
-        return np.concatenate(self._blocks)[:, place]
-
-
 def measure(setup: RealtimeSetup, frames: FrameCount, tick: float, late_ticks: int, seconds: float) -> Check:
     """Ticks a limp rig for a while.
 
@@ -165,20 +134,8 @@ def measure(setup: RealtimeSetup, frames: FrameCount, tick: float, late_ticks: i
     Raises:
         RigFault: There was not one tick.
     """
-    ticks, wanted, refused = _Ticks(), round(seconds / tick), ""
-    session = Session(setup, ticks)
-    try:
-        while ticks.count < wanted and not session.over():
-            sleep(LOOK_EVERY)
-            if session.board.state in (RigState.CALIBRATE, RigState.READY):
-                refused = refused or session.words()
-        fault = (session.words() or "the real-time process ended") if session.over() else ""
-    finally:
-        session.close()
-    late = ticks.column(LATE)[:wanted]
-    if not len(late):
-        raise RigFault(fault)
-    return Check(tick, late_ticks, timing_of(late, tick), frames.lost, refused, fault)
+    ticks = ticks_of(setup, round(seconds / tick))
+    return Check(tick, late_ticks, timing_of(ticks.column("late"), tick), frames.lost, ticks.refused, ticks.fault)
 
 
 def describe(check: Check, bus: bool) -> str:

@@ -18,7 +18,7 @@ from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.safety import Watch, check_torque
 from stepgap.plants.tick_log import TickLog, TickLogError, next_path
-from stepgap.rig_verbs.limp import limp_setup
+from stepgap.rig_verbs.limp import ended, limp_setup
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.ethercat.rig_settings import RigSettings
 from stepgap.rigs.limp_rig import FrameCount
@@ -94,7 +94,7 @@ def dry_run(settings: RigSettings, robot: RobotParameters, gains: Gains, seconds
             while log.count < wanted and not session.over():
                 sleep(LOOK_EVERY)
                 show(describe(log, session), log.count)
-        fault = (session.words() or "the real-time process ended") if session.over() else ""
+        fault = ended(session)
     except KeyboardInterrupt:
         pass  # this is how it ends
     finally:

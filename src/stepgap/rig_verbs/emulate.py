@@ -115,7 +115,7 @@ def _leave_for_namespace(settings_file: Path, program: Sequence[str]) -> None:
         master = shlex.join(["stepgap", "rig", "check", str(settings_file)])
         typed = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
         raise NoNetwork(
-            "only root can make a network interface; without being root, ring and master must be in one network of their "
+            "only root can make a network interface; else ring and master must be in one network of their "
             f"own: type `{typed} -- {master}`, or any other command after --"
         )
     run_in_namespace([sys.executable, *sys.orig_argv[1:]])
