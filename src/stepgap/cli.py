@@ -24,6 +24,9 @@ if TYPE_CHECKING:  # what takes time to import is imported where it is used, so 
 Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
 """Settings given as `--table.key value`."""
 
+Program = Annotated[list[str] | None, Parameter(parse=False)]
+"""A command line given after `--`."""
+
 OVERRIDE = re.compile(r"--([a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
 STOPPED = 130
@@ -47,7 +50,7 @@ app = App(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command and exits with its code."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    arguments, program = split_program(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     try:
         tokens, overrides = split_overrides([argument for argument in arguments if argument != "--debug"])
@@ -56,6 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             bound.arguments["overrides"] = overrides
         elif overrides:
             raise _bad_input(f"--{overrides[0][0]}: this verb takes no settings")
+        if "program" in ignored:
+            bound.arguments["program"] = program
+        elif program:
+            raise _bad_input(f"-- {program[0]}: this verb runs no other command")
         command(*bound.args, **bound.kwargs)
     except KeyboardInterrupt as interrupt:
         _say(f"stopped{interrupt}")
@@ -87,6 +94,12 @@ def _is_bad_input(error: Exception) -> bool:
     from stepgap.learning.step_log import RecordError
 
     return isinstance(error, InputError | RecordError)
+
+
+def split_program(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Parts a command line given after `--` from the arguments before it."""
+    end = list(arguments).index("--") if "--" in arguments else len(arguments)
+    return list(arguments[:end]), list(arguments[end + 1 :])
 
 
 def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str, str]]]:
@@ -585,6 +598,9 @@ def bench_learning_(
     write_whole(out.with_suffix(".png"), learning_picture(rows, "png"))
     for file in (out, out.with_suffix(".json"), out.with_suffix(".png")):
         print(file)
+
+
+app.command("stepgap.cli_rig:rig", name="rig")
 
 
 @app.command

@@ -3,10 +3,10 @@
 import csv
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import tomli_w
 
@@ -16,7 +16,17 @@ from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.learning.settings import LearningSettings
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.step import StepSpace
-from stepgap.strict_toml import LARGEST_FILE, InputError, Place, located, merge, read_toml, shown, with_table
+from stepgap.strict_toml import (
+    LARGEST_FILE,
+    InputError,
+    Place,
+    located,
+    merge,
+    read_toml,
+    shown,
+    to_table,
+    with_table,
+)
 
 PAPER = "paper"
 """Name of the built-in reference."""
@@ -118,16 +128,7 @@ def write_experiment(folder: Path, experiment: Experiment, reference: Reference)
         rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
         write_whole(folder / "reference.csv", "\n".join(rows) + "\n")
         experiment = replace(experiment, reference="reference.csv")
-    write_whole(folder / "experiment.toml", tomli_w.dumps(_to_table(experiment)))
-
-
-def _to_table(settings: Any) -> dict[str, Any]:
-    """The TOML table of a dataclass; a number is written as one even where a whole number stands for it."""
-    table: dict[str, Any] = {}
-    for name, wanted in get_type_hints(type(settings)).items():
-        value = getattr(settings, name)
-        table[name] = _to_table(value) if is_dataclass(value) else float(value) if wanted is float else value
-    return table
+    write_whole(folder / "experiment.toml", tomli_w.dumps(to_table(experiment)))
 
 
 def _parse_value(text: str) -> Any:
