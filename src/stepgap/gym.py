@@ -49,8 +49,8 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
     - Reward: minus the squared distance from the target, in half ranges of the state, at most `MISSED`; a fall costs
       `MISSED` for every step that it takes away.
     - Terminated by a fall, truncated at the reference's end.
-    - Info of a step: `command` and `applied` [command units], `reason` (`ok` or why there was no apex), `predicted`: the
-      nominal map's next state for what was applied, if it has one; `fault`: what the plant says of its end, if anything.
+    - Info of a step: `command` and `applied` [command units]; `reason`, `ok` or why there was no apex; `predicted`, the
+      nominal map's next state for what was applied, if it has one; `fault`, what the plant says of its end, if it does.
 
     Args:
         make_plant: Makes the plant of one episode from the environment's random generator.
