@@ -1,20 +1,26 @@
-"""The runner of examples/own_robot.py: its mechanics are right, it learns, and it needs nothing of the hopper."""
+"""Robots that are no hopper: the runner of examples/own_robot.py is right and learns, and so do maps of other sizes."""
 
 import re
 import runpy
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from stepgap.control.careful_controller import CarefulController
 from stepgap.control.limit_cycle import fixed_point
+from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, Reason, StepMap, difference_jacobian
+from stepgap.learning.settings import LearningSettings
+from stepgap.plants.model_plant import ModelPlant
+from stepgap.sim_to_real import run
+from stepgap.step import Array, Outcome, Quantity, Reason, StepMap, StepSpace, difference_jacobian
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "own_robot.py"
 HOPPER = r"stepgap\.(hopper|rigs|experiment|baselines|plants\.(?!plant$|model_plant$))"
@@ -134,6 +140,48 @@ def test_control_knows_it(runner: StepMap) -> None:
     gait = fixed_point(runner, target)
     assert abs(gait.command[1]) < 1e-3  # the model needs no push to go on
     assert np.isclose(np.abs(gait.multipliers), 1, atol=1e-4).any()  # energy neither grows nor dies out
+
+
+@dataclass(frozen=True)
+class Pulled(StepMap):
+    """next = state / 2 + gain · tanh(B command), of any sizes."""
+
+    n: int
+    m: int
+    gain: float
+
+    @property
+    def space(self) -> StepSpace:
+        return StepSpace(
+            tuple(Quantity(f"state_{i}", "m", -1, 1) for i in range(self.n)),
+            tuple(Quantity(f"command_{i}", "N", -2, 2) for i in range(self.m)),
+        )
+
+    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
+        pull = np.tanh(np.asarray(command, float) @ (np.eye(self.m, self.n) + 0.1))
+        next_state = np.asarray(state, float) / 2 + self.gain * pull
+        return Outcome(next_state, np.where(np.isfinite(next_state).all(axis=-1), Reason.OK, Reason.INVALID))
+
+    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
+        return difference_jacobian(self, state, command)
+
+
+@pytest.mark.parametrize("sizes", [(1, 1), (3, 2), (2, 3)])
+@pytest.mark.parametrize("calibration", [0, 5])
+def test_state_and_command_may_have_any_sizes(tmp_path: Path, sizes: tuple[int, int], calibration: int) -> None:
+    n, m = sizes
+    nominal, real = Pulled(n, m, 1.0), Pulled(n, m, 0.6)
+    targets = np.zeros((24, n))
+    targets[:, : min(n, m)] = np.repeat(np.random.default_rng(0).uniform(-0.4, 0.4, (4, min(n, m))), 6, axis=0)
+    reference = Reference(nominal.space.state_names, targets)
+    learning = LearningSettings(iterations=1, calibration=calibration)
+
+    def make_plant(rng: np.random.Generator) -> ModelPlant:
+        return ModelPlant(real, np.zeros(n), np.full(n, 0.003), rng)
+
+    first, second = run(nominal, make_plant, reference, learning, tmp_path, seed=0)
+    assert (first.falls, second.falls) == (0, 0)
+    assert np.linalg.norm(second.rmse) < 0.6 * np.linalg.norm(first.rmse)
 
 
 def test_learning_cuts_the_error_and_needs_no_hopper() -> None:
