@@ -117,7 +117,7 @@ def test_without_a_bus_the_machine_is_measured_and_nothing_written(stepgap: Comm
 
 
 def test_a_dry_run_shows_and_logs_what_the_law_would_want(stepgap: Command, rig_file: Path) -> None:
-    said = unless_too_late(stepgap("rig", "dry-run", rig_file, "--seconds", 0.5))
+    said = unless_too_late(stepgap("rig", "dry-run", rig_file, "--seconds", 1.5))
     assert (said.code, said.out) == (0, "dry-run/ticks-0.mcap\n"), said
     units, ticks = read_ticks(Path("dry-run/ticks-0.mcap"))
     column = dict(zip(units, ticks.T, strict=True))
