@@ -142,8 +142,10 @@ def run(
     iterations: str | None = None,
     calibrate: str | None = None,
     online: bool = False,
+    warm_start: str | None = None,
     resume: bool = False,
     quiet: bool = False,
+    json: bool = False,
     overrides: Overrides = None,
 ) -> None:
     """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. Without more, on the twin.
@@ -159,13 +161,15 @@ def run(
         iterations: Redeployments at most.
         calibrate: Hops before the first deployment whose commands are chosen for what they teach.
         online: Learn from hop to hop, from the first one on.
+        warm_start: Folder of a run whose steps are learnt from before the first deployment.
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
+        json: Print lines of JSON on stdout, for programs: one for every step and deployment, the report's path at last.
     """
-    from stepgap.experiment import load_reference, read_experiment
+    from stepgap.experiment import load_known, load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.interrupt import terminated_as_interrupted
-    from stepgap.progress import Progress
+    from stepgap.progress import Progress, tell_event, telling_events
     from stepgap.report import write_report
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
@@ -175,6 +179,7 @@ def run(
         ("reference", _quoted(reference)),
         ("plant", _quoted(plant)),
         ("rig", _quoted(rig)),
+        ("warm_start", _quoted(warm_start)),
         ("seed", seed),
         ("learning.iterations", iterations),
         ("learning.calibration", calibrate),
@@ -186,9 +191,10 @@ def run(
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     targets = load_reference(settings, nominal.space)
     check_reach(nominal, targets, settings.reference)
+    known = load_known(settings, nominal.space)
     plants = choose_plants(settings, targets, arm, folder)
     if not resume:
-        start_folder(folder, settings, targets)
+        start_folder(folder, settings, targets, known)
     try:
         with (
             terminated_as_interrupted(),
@@ -201,11 +207,16 @@ def run(
                 settings.learning,
                 folder,
                 settings.seed,
-                progress.observer,
+                telling_events(progress.observer, nominal.space) if json else progress.observer,
                 plants.measure_spread,
                 plants.replays,
+                known,
             )
-        print(write_report(folder))
+        written = write_report(folder)
+        if json:
+            tell_event("report", path=str(written))
+        else:
+            print(written)
     except KeyboardInterrupt:
         again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
         raise KeyboardInterrupt(f"; go on with: {again}") from None

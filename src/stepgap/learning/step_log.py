@@ -4,8 +4,8 @@ import errno
 import fcntl
 import hashlib
 import os
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -57,13 +57,22 @@ def column_names(space: StepSpace) -> list[str]:
     ]
 
 
+def values_of(logged: LoggedStep, space: StepSpace) -> dict[str, int | float | str]:
+    """What a row of `steps.csv` holds, by column."""
+    return dict(zip(column_names(space), _values(logged), strict=True))
+
+
 def row_of(logged: LoggedStep) -> str:
     """The line of `steps.csv`, without its end; every number is written so that it is read back to the last bit."""
+    return ",".join(map(str, _values(logged)))
+
+
+def _values(logged: LoggedStep) -> list[int | float | str]:
     record = logged.record
     before = (record.state, logged.target, record.command, record.applied)
     after = (record.next_state, logged.predicted, logged.std)
-    numbers = [repr(float(number)) for group in before + after for number in group]
-    return ",".join([str(logged.iteration), str(logged.step), *numbers, record.reason.status])
+    numbers = np.concatenate(before + after).tolist()
+    return [logged.iteration, logged.step, *numbers, record.reason.status]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -173,10 +182,25 @@ class StepLog:
         return np.array(rows, float).reshape(len(rows), width)
 
 
+def joined(logs: Sequence[StepLog]) -> StepLog:
+    """The steps of one or more logs, one after the other, their deployments numbered through."""
+    whole = StepLog(logs[0].space)
+    for log in logs:
+        first = max(whole.iterations, default=-1) + 1
+        for logged in log:
+            whole.append(replace(logged, iteration=logged.iteration + first))
+    return whole
+
+
+def text_of(log: StepLog) -> str:
+    """The content of the `steps.csv` that holds these steps."""
+    lines = [",".join(column_names(log.space)), *map(row_of, log)]
+    return "".join(f"{line}\n" for line in lines)
+
+
 def digest(log: StepLog) -> str:
     """SHA-256 of the `steps.csv` that holds these steps."""
-    lines = [",".join(column_names(log.space)), *map(row_of, log)]
-    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
+    return hashlib.sha256(text_of(log).encode()).hexdigest()
 
 
 def read_step_log(path: Path, space: StepSpace) -> StepLog:
