@@ -215,27 +215,64 @@ def read_step_log(path: Path, space: StepSpace) -> StepLog:
     return _parse(content, path, space)
 
 
+def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
+    """The steps of a broken `steps.csv` up to the first that is not whole, and what is wrong there; empty: nothing.
+
+    Raises:
+        RecordError: It is not a step log of this space at all.
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        content = file.read(LARGEST_FILE)
+    steps, readable = StepLog(space), _readable(content)
+    try:
+        for logged in _steps_in(content[:readable], path, space):
+            steps.append(logged)
+    except RecordError as error:
+        if not len(steps):
+            raise
+        return steps, str(error)
+    if readable < len(content):
+        return steps, f"{path}: no text from byte {readable} on"
+    cut = content[content.rfind(b"\n") + 1 :]
+    return steps, f"{path}: the last line breaks off after {len(cut)} bytes" if cut else ""
+
+
+def _readable(content: bytes) -> int:
+    """Number of bytes that are text."""
+    try:
+        content.decode()
+    except UnicodeDecodeError as error:
+        return error.start
+    return len(content)
+
+
 def _parse(content: bytes, path: Path, space: StepSpace) -> StepLog:
     if len(content) > LARGEST_FILE:
         raise RecordError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not read")
+    return StepLog(space, _steps_in(content, path, space))
+
+
+def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedStep]:
+    """The steps of the whole lines, up to the first that holds none, which raises RecordError."""
     header = ",".join(column_names(space))
     if header.encode().startswith(content):
-        return StepLog(space)  # broken off before the first line was whole
+        return  # broken off before the first line was whole
     try:
         lines = content[: content.rfind(b"\n") + 1].decode().replace("\r\n", "\n").split("\n")[:-1]
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: not a text file in UTF-8 ({error.reason})") from None
     if lines[:1] != [header]:
         raise RecordError(f"{path}, line 1: the columns must be {header}")
-    steps: list[LoggedStep] = []
+    last = None
     for number, line in enumerate(lines[1:], start=2):
         try:
             logged = _step_of(line, space)
-            _check_order(steps[-1] if steps else None, logged)
+            _check_order(last, logged)
         except ValueError as error:
             raise RecordError(f"{path}, line {number}: not the next step ({error!s:.200})") from None
-        steps.append(logged)
-    return StepLog(space, steps)
+        yield logged
+        last = logged
 
 
 class StepWriter:
