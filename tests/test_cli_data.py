@@ -27,6 +27,7 @@ from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.tick_log import TickLog, read_ticks
 from stepgap.replay import REPLAY_UNITS, replay
 from tests.command_line import Command, Said, refused
+from tests.report.runs import make_run
 
 SPACE = CommandBounds().space()
 
@@ -80,6 +81,23 @@ def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: StepLo
     assert (summary["repeatability"]["speed"], math.isnan(summary["repeatability"]["height"])) == (0.01, True)
     columns = loadmat("run/export/run.mat")["steps"]["speed"][0, 0]
     assert columns.shape == (6, 1), "columns, as MATLAB has them"
+
+
+def test_a_run_of_another_robot_that_is_not_finished(stepgap: Command) -> None:
+    make_run(Path("other"), iterations=1)
+    Path("other/summary.json").unlink()
+    Path("other/experiment.toml").write_text(f"a-b = 1\nlong = 1{'0' * 400}\n")
+    refused(stepgap("export", "other", "--to", "mat"), "'a-b': MATLAB has no such names; export to csv instead")
+    Path("other/experiment.toml").write_text(f"[[list]]\nb = 1\n[c]\nlong = 1{'0' * 400}\nyes = true\n")
+    assert stepgap("export", "other", "--to", "mat").code == 0
+    file = loadmat("other/export/run.mat", simplify_cells=True)
+    assert file["settings"]["list"]["b"] == 1
+    assert (file["settings"]["c"]["yes"], len(file["settings"]["c"]["long"])) == (1, 401)
+    assert file["summary"]["rmse"]["speed"].size == 0
+    assert len(file["steps"]["speed"]) == 80
+    assert stepgap("export", "other", "--to", "csv").code == 0
+    Path("other/experiment.toml").unlink()
+    assert stepgap("export", "other", "--to", "mat").code == 0
 
 
 def test_csv_has_a_second_table_of_units(run: Path, stepgap: Command) -> None:
@@ -250,6 +268,7 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
         ("export binary --to parquet", ["binary/steps.csv"]),
         ("export unsettled --to mat", ["unsettled/experiment.toml: not TOML"]),
         ("export unsettled --to mjcf", ["unsettled/experiment.toml: not TOML"]),
+        ("export nested --to mat", ["nested/experiment.toml: not TOML"]),
         ("recover none", ["none: No such file or directory"]),
         ("recover run", ["run: this is no file; give a steps.csv or an .mcap file"]),
         ("recover file", ["file, line 1: not the header of a step log"]),
@@ -263,13 +282,14 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
 )
 def test_bad_input_is_refused_in_one_line(run: Path, stepgap: Command, arguments: str, words: list[str]) -> None:
     text = (run / "steps.csv").read_text()
-    for name in ("cut", "changed", "foreign", "binary", "unsettled"):
+    for name in ("cut", "changed", "foreign", "binary", "unsettled", "nested"):
         shutil.copytree(run, name)
     Path("cut/steps.csv").write_text(text[:-9])
     Path("changed/steps.csv").write_text(text.replace("0.56", "0.57"))
     Path("foreign/steps.csv").write_text("time,speed\n0,1\n")
     Path("binary/steps.csv").write_bytes(bytes(range(256)) * 8)
     Path("unsettled/experiment.toml").write_text("[[[\n")
+    Path("nested/experiment.toml").write_text(f"a = {'[' * 5000}")
     Path("file").write_text("keep me")
     Path("a_columns.csv").write_text("keep me")
     Path("empty.csv").write_bytes(b"")

@@ -590,5 +590,9 @@ def report(folder: Path, /) -> None:
     print(write_report(folder))
 
 
-for verb in ("export", "recover", "doctor"):
-    app.command(f"stepgap.cli_data:{verb}", name=verb)
+for verb, words in {
+    "export": "Write a run for other programs: MATLAB, tables, players of tick logs, viewers of MuJoCo models.",
+    "recover": "Save what is whole of a steps.csv or a log of ticks that was cut off or damaged.",
+    "doctor": "Say what this machine has: versions, cores, graphics, rights for real time, the cache, extras.",
+}.items():
+    app.command(f"stepgap.cli_data:{verb}", name=verb, help=words)  # read when called: they import this module

@@ -13,6 +13,7 @@ from stepgap.experiment import InputError
 from stepgap.export.columns import Column
 from stepgap.report import RunRecord
 from stepgap.report.summary import MEASURES, Summary
+from stepgap.strict_toml import LARGEST_WHOLE
 
 LONGEST_NAME = 63
 """Of a field in MATLAB."""
@@ -52,7 +53,9 @@ def _value(value: Any) -> Any:
         return _struct(value)
     if isinstance(value, list):
         return np.array([_value(each) for each in value] + [None], dtype=object)[:-1]
-    return float(value) if type(value) is int else value if isinstance(value, bool | float) else str(value)
+    if isinstance(value, bool | float):
+        return value
+    return float(value) if isinstance(value, int) and abs(value) < LARGEST_WHOLE else str(value)
 
 
 def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:

@@ -15,7 +15,11 @@ def write_ticks(ticks: TickTable, out: Path) -> None:
         TickLogError: It exists or cannot be written.
     """
     with TickLog(out, ticks.units) as log:
-        log.append(ticks.rows)
+        try:
+            log.append(ticks.rows)
+        except BaseException:
+            out.unlink()  # a part of the ticks would look like all of them
+            raise
 
 
 def copy_ticks(logs: Path, out: Path) -> Iterator[str]:

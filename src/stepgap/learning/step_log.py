@@ -223,7 +223,7 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
         OSError: The file cannot be read.
     """
     with path.open("rb") as file:
-        content = file.read(LARGEST_FILE)
+        content = file.read(LARGEST_FILE + 1)
     steps, readable = StepLog(space), _readable(content)
     try:
         for logged in _steps_in(content[:readable], path, space):
@@ -248,13 +248,13 @@ def _readable(content: bytes) -> int:
 
 
 def _parse(content: bytes, path: Path, space: StepSpace) -> StepLog:
-    if len(content) > LARGEST_FILE:
-        raise RecordError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not read")
     return StepLog(space, _steps_in(content, path, space))
 
 
 def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedStep]:
     """The steps of the whole lines, up to the first that holds none, which raises RecordError."""
+    if len(content) > LARGEST_FILE:
+        raise RecordError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not read")
     header = ",".join(column_names(space))
     if header.encode().startswith(content):
         return  # broken off before the first line was whole
