@@ -10,6 +10,7 @@ import numpy as np
 from stepgap.experiment import TWIN, Experiment, InputError, read_experiment
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.step_log import RecordError, digest
+from stepgap.new_files import check_new, writing
 from stepgap.replay import replay
 from stepgap.report import Background, RunRecord, comparison_html, read_run_folder, write_report
 from stepgap.report.motion import RATE, Motion, Replay, read_motion, write_motion
@@ -58,19 +59,15 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
     Raises:
         InputError: A run cannot be read or compared, or the page cannot be written.
     """
+    check_new(page, "--out")
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise InputError("a run is named twice; name each run once")
     try:
         text = comparison_html([read_run_folder(folder) for folder in folders])
     except (ValueError, OSError) as error:
         raise InputError(str(error)) from None
-    try:
-        with page.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise InputError(f"{page}: exists already; choose another --out") from None
-    except OSError as error:
-        raise InputError(f"{page}: cannot be written: {error.strerror}; choose another --out") from None
+    with writing(page, "--out"), page.open("x", encoding="utf-8") as file:
+        file.write(text)
 
 
 def _background(record: RunRecord, tell: Callable[[int, int], None]) -> Background:

@@ -39,11 +39,11 @@ class Learnt:
 
 
 def read_learnt(folder: Path, last: int, space: StepSpace) -> Learnt | None:
-    """The residual with which the last deployment began; None if that was the first one, or no model was saved.
+    """The residual with which a deployment began; None if no model was saved, as before one with the nominal map.
 
     Args:
         folder: The run folder.
-        last: Number of the last deployment to look at.
+        last: Number of the deployment.
         space: State and command of the run.
 
     Raises:
@@ -51,7 +51,7 @@ def read_learnt(folder: Path, last: int, space: StepSpace) -> Learnt | None:
         OSError: It cannot be read.
     """
     path = folder / "models" / f"iteration_{last}.json"
-    text = read_text(path, LARGEST_MODEL) if last else None
+    text = read_text(path, LARGEST_MODEL)
     if text is None:
         return None
     try:

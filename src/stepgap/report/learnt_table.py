@@ -14,7 +14,7 @@ def learnt_sentences(record: RunRecord, learnt: Learnt | None) -> list[str]:
     """What models the error, and what the tables mean."""
     if learnt is None:
         last = record.shown[-1]
-        why = "deployment 0 used the map as it is" if last == 0 else f"there is no models/iteration_{last}.json"
+        why = "deployment 0 began with the map as it is" if last == 0 else f"there is no models/iteration_{last}.json"
         return [f"Nothing is said of the model: {why}."]
     said = f"Deployment {learnt.iteration} began with the residual '{learnt.residual.name}'"
     processes = learnt.processes
