@@ -1,9 +1,11 @@
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from stepgap.learning.step_log import StepLog
 from stepgap.report import comparison_html, read_run_folder
 from stepgap.report.comparison import run_names
 from stepgap.report.settings_table import changed_settings, differing, flat_settings
@@ -63,3 +65,12 @@ def test_settings_that_differ() -> None:
     assert differing([one, two]) == [["t.c", "[1, 2]", "[1, 3]"], ["s", "(empty)", "–"], ["d", "–", "true"]]
     assert "All settings are the defaults." in changed_settings("x = 1\n", {"x": 1.0})
     assert "&lt;" in changed_settings("x = '<'\n", json.loads('{"x": 2}'))
+
+
+def test_calibrating_steps_are_no_other_reference(folders: list[Path], tmp_path: Path) -> None:
+    """Their targets are what was predicted, as a run with `--calibrate` writes them."""
+    record = read_run_folder(folders[0])
+    first = next(iter(record.steps))
+    steps = StepLog(record.space, [replace(first, step=0, target=first.predicted), *record.steps])
+    calibrated = replace(record, folder=tmp_path, steps=steps)
+    assert "All runs tracked the same reference." in comparison_html([record, calibrated])

@@ -97,3 +97,11 @@ def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
     check_alone(page, 6)
     assert "Nominal map: 4 of 4 targets are held by a constant command within its bounds" in page.text
     assert (tmp_path / "run" / "figures" / "gait.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_run_that_still_calibrates_has_no_gait(folder: Path, tmp_path: Path) -> None:
+    header, first, *_ = (folder / "steps.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "steps.csv").write_text(header + first.replace("0,1,", "0,0,", 1))
+    page = Page(write_report(tmp_path, background=Background("map", {}, LossyHopper())))
+    check_alone(page)
+    assert "No target was tracked yet" in page.text

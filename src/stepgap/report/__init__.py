@@ -12,6 +12,7 @@ from pathlib import Path
 
 from stepgap.files import write_whole
 from stepgap.report.background import BARE, Background
+from stepgap.report.bands import tracking_steps
 from stepgap.report.comparison import comparison_html
 from stepgap.report.drawing import Drawing, draw
 from stepgap.report.learnt import Learnt, read_learnt
@@ -42,8 +43,7 @@ def write_report(folder: Path, space: StepSpace | None = None, background: Backg
     """
     record = read_run_folder(folder, space)
     learnt = read_learnt(folder, record.shown[-1], record.space)
-    nominal = background.nominal
-    gait = nominal if isinstance(nominal, str) else reference_gait(record, nominal, learnt)
+    gait = _gait(record, background, learnt)
     drawings = _drawings(record, learnt, gait)
     names: list[str] = []
     for name, drawing in drawings.items():
@@ -56,6 +56,15 @@ def write_report(folder: Path, space: StepSpace | None = None, background: Backg
     path = folder / "report.html"
     write_whole(path, report_html(record, drawings, background, learnt, gait))
     return path
+
+
+def _gait(record: RunRecord, background: Background, learnt: Learnt | None) -> ReferenceGait | str:
+    """Limit cycles at the targets, or why they are not known."""
+    if isinstance(background.nominal, str):
+        return background.nominal
+    if not len(tracking_steps(record.steps.of_iteration(record.shown[-1]))):
+        return "No target was tracked yet, so nothing is said of gaits."
+    return reference_gait(record, background.nominal, learnt)
 
 
 def _drawings(record: RunRecord, learnt: Learnt | None, gait: ReferenceGait | str) -> dict[str, Drawing | str]:

@@ -18,10 +18,15 @@ INTERVAL: Final = 1.96
 """Standard deviations on either side that hold 95 % of a normal distribution."""
 
 
+def tracking_steps(steps: StepLog) -> StepLog:
+    """Those that tracked the reference; calibrating ones, up to number 0, had targets of their own."""
+    return StepLog(steps.space, (logged for logged in steps if logged.step > 0))
+
+
 def tracking_errors(steps: StepLog) -> Array:
     """Next state − target of the steps that tracked and ended with an apex; shape (k, n)."""
-    tracked = StepLog(steps.space, (logged for logged in steps.completed() if logged.step > 0))
-    return tracked.next_state - tracked.target
+    whole = tracking_steps(steps).completed()
+    return whole.next_state - whole.target
 
 
 def hops_to_band(errors: Array) -> int | None:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.report import paper
-from stepgap.report.bands import hops_to_band, tracking_errors
+from stepgap.report.bands import hops_to_band, tracking_errors, tracking_steps
 from stepgap.report.drawing import draw
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
 from stepgap.report.run_folder import RunRecord
@@ -83,7 +83,7 @@ def run_names(folders: Sequence[Path]) -> list[str]:
 
 def _references(records: Sequence[RunRecord]) -> str:
     """Whether the errors can be compared at all."""
-    targets = [record.steps.of_iteration(record.shown[0]).target for record in records]
+    targets = [tracking_steps(record.steps.of_iteration(record.shown[0])).target for record in records]
     shortest = min(map(len, targets))
     if all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets):
         return "All runs tracked the same reference. Errors are next state − target."

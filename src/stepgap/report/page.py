@@ -8,7 +8,7 @@ import numpy as np
 from stepgap.control.reference import paper_reference
 from stepgap.report import paper
 from stepgap.report.background import Background
-from stepgap.report.bands import coverage
+from stepgap.report.bands import coverage, tracking_steps
 from stepgap.report.drawing import Drawing
 from stepgap.report.error_table import band_table, error_table
 from stepgap.report.html import bullets, page, paragraph, picture, safe, section
@@ -129,7 +129,8 @@ def _what_is_compared(record: RunRecord, plant: str) -> str:
     )
     if record.space.state_names != paper.STATE_NAMES:
         return words
-    targets, wanted = record.steps.of_iteration(record.shown[-1]).target, paper_reference().targets
+    targets = tracking_steps(record.steps.of_iteration(record.shown[-1])).target
+    wanted = paper_reference().targets
     same = len(targets) <= len(wanted) and np.array_equal(targets, wanted[: len(targets)])
     which = "the paper's reference" if same else "another reference than the paper's: compare trends, not numbers"
     return (
