@@ -588,7 +588,7 @@ def bench_learning_(
         print(file)
 
 
-app.command("stepgap.cli_rig:rig", name="rig")
+app.command("stepgap.cli_rig:rig", name="rig", help="Bring up a robot, or try without one.")
 
 
 @app.command
