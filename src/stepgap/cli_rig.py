@@ -9,24 +9,30 @@ from cyclopts import App
 from stepgap.cli import Overrides, Program, says_if_it_compiles
 from stepgap.strict_toml import InputError
 
+ETHERCAT = "ethercat"
+"""Name of the rig that `rig.toml` describes."""
+
 LONGEST = 86_400.0
 """Of what is measured or shown [s]."""
 
-rig = App(name="rig", help="Bring up a robot on an EtherCAT bus, or try without one.")
+rig = App(name="rig", help="Bring up a robot, on EtherCAT or by the name of its rig, or try without one.")
 
 
 @rig.command
-def check(rig_file: Path | None = None, /, *, seconds: float = 10.0) -> None:
+def check(rig_file: Path | None = None, /, *, plant: str = ETHERCAT, seconds: float = 10.0) -> None:
     """Measure how late this machine is and how well the bus works, no torque given; exit code 1 if it is not fit.
 
     Args:
-        rig_file: rig.toml of the bus, and the result is written beside it; without it only the machine is measured.
+        rig_file: rig.toml of the robot, and the result is written beside it; without it only the machine is measured.
+        plant: Name of its rig; without it ethercat.
         seconds: How long; without it 10.
     """
+    from functools import partial
+
     from stepgap.hopper.parameters import Gains, RobotParameters
     from stepgap.rig_verbs.check import describe, fingerprint, measure, write_check
     from stepgap.rig_verbs.limp import limp_setup, still_setup
-    from stepgap.rigs.ethercat.rig_settings import read_rig_settings
+    from stepgap.rigs.entry_points import load_rig
     from stepgap.rigs.limits import SafetyLimits
     from stepgap.rigs.limp_rig import FrameCount
 
@@ -37,9 +43,10 @@ def check(rig_file: Path | None = None, /, *, seconds: float = 10.0) -> None:
         result = measure(still_setup(1e-3), frames, 1e-3, SafetyLimits.of(robot).late_ticks, seconds)
         print(describe(result, bus=False))
     else:
-        mark, settings = fingerprint(rig_file), read_rig_settings(rig_file)
-        setup = limp_setup(settings, robot, Gains(), frames)
-        result = measure(setup, frames, settings.tick, settings.limits.late_ticks, seconds)
+        mark, make_rig = fingerprint(rig_file), partial(load_rig, plant, rig_file, robot)
+        found, setup = make_rig(), limp_setup(make_rig, robot, Gains(), frames)
+        late_ticks = (found.limits or SafetyLimits.of(robot)).late_ticks
+        result = measure(setup, frames, found.layout.tick, late_ticks, seconds)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))
         print(file)
@@ -60,7 +67,7 @@ def calibrate(
     experiment: Path | None = None,
     overrides: Overrides = None,
 ) -> None:
-    """Find the zeros of all sensors: the limp robot hangs in a known pose, boom at yaw zero, foot without load.
+    """Find the zeros of all sensors on EtherCAT: the limp robot in a known pose, boom at yaw zero, foot without load.
 
     Args:
         rig_file: rig.toml of the bus.
@@ -70,9 +77,12 @@ def calibrate(
         out: File for the settings with the new zeros; without it RIG.calibrated.toml.
         experiment: TOML file of settings, whose [robot] it is.
     """
+    from functools import partial
+
     from stepgap.experiment import read_experiment
     from stepgap.rig_verbs import calibrate as verb
     from stepgap.rig_verbs.limp import limp_setup, ticks_of
+    from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
     from stepgap.rigs.ethercat.rig_settings import read_rig_settings
     from stepgap.rigs.limp_rig import FrameCount
 
@@ -84,7 +94,8 @@ def calibrate(
     expected = verb.expected_reading(settings, given.robot, pose)
     if target.exists():
         raise InputError(f"{target}: exists already; choose another --out")
-    ticks = ticks_of(limp_setup(settings, given.robot, given.gains, FrameCount()), round(1 / settings.tick))
+    setup = limp_setup(partial(EthercatRig, settings, given.robot), given.robot, given.gains, FrameCount())
+    ticks = ticks_of(setup, round(1 / settings.tick))
     zeros = verb.new_zeros(settings, verb.mean_reading(settings, ticks), expected)
     calibrated = verb.with_zeros(settings, zeros)
     verb.write_calibrated(rig_file, target, calibrated)
@@ -98,6 +109,7 @@ def dry_run_(
     rig_file: Path,
     /,
     *,
+    plant: str = ETHERCAT,
     seconds: float | None = None,
     experiment: Path | None = None,
     overrides: Overrides = None,
@@ -105,18 +117,21 @@ def dry_run_(
     """Do everything but give torque: show what the sensors say and what the control law would want.
 
     Args:
-        rig_file: rig.toml of the bus.
+        rig_file: rig.toml of the robot.
+        plant: Name of its rig; without it ethercat.
         seconds: How long; without it until Ctrl-C.
         experiment: TOML file of settings, whose [robot] and [gains] are taken.
     """
+    from functools import partial
+
     from stepgap.experiment import read_experiment
     from stepgap.rig_verbs.dry_run import dry_run
-    from stepgap.rigs.ethercat.rig_settings import read_rig_settings
+    from stepgap.rigs.entry_points import load_rig
 
     if seconds is not None:
         _check_seconds(seconds)
     settings = read_experiment(experiment, overrides or [])
-    dry_run(read_rig_settings(rig_file), settings.robot, settings.gains, seconds)
+    dry_run(partial(load_rig, plant, rig_file, settings.robot), settings.robot, settings.gains, seconds)
 
 
 @rig.command

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.hopper.parameters import Gains, RobotParameters
@@ -55,14 +55,19 @@ def rigs(draw: st.DrawFn) -> RigSettings:
 
 def reading_of(settings: RigSettings, counts: dict[str, float]) -> Reading:
     """What a rig makes of the counts of its sensors."""
-    angles = (
-        table.sign * (counts[name] - table.zero)
-        for name, table in ((name, getattr(settings, name)) for name in SENSORS if name != "contact")
-    )
+
+    def angle(name: str) -> float:
+        table = getattr(settings, name)
+        return table.sign * (counts[name] - table.zero)
+
+    motor_1, motor_2, horizontal, vertical = map(angle, list(SENSORS)[:4])
     contact = settings.contact
-    return Reading(*angles, contact.newton_per_count * (counts["contact"] - contact.zero))
+    return Reading(
+        motor_1, motor_2, horizontal, vertical, contact.newton_per_count * (counts["contact"] - contact.zero)
+    )
 
 
+@settings(deadline=None)
 @given(rigs(), poses, st.data())
 def test_the_pose_reads_right_afterwards(before: RigSettings, pose: Pose, data: st.DataObject) -> None:
     counts = {table: float(data.draw(zeros)) for table in SENSORS}  # whatever they are at this pose
@@ -118,6 +123,7 @@ def test_a_robot_that_moves_is_refused_and_one_at_rest_is_averaged() -> None:
         mean_reading(SETTINGS, replace(at_rest, fault="unplugged"))
 
 
+@settings(deadline=None)
 @given(st.fixed_dictionaries(dict.fromkeys(SENSORS, zeros)))
 def test_only_the_zeros_of_a_file_change(new: dict[str, int]) -> None:
     before, after = EXAMPLE.read_text("utf-8"), replaced_zeros(EXAMPLE.read_text("utf-8"), new)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.rig_verbs.check import Check, Timing, check_file, checked, describe, fingerprint, timing_of, write_check
@@ -25,6 +25,7 @@ GOOD = Check(
 late_by = st.lists(st.floats(0, 5e-3) | st.sampled_from([0.0, 0.5e-3, 1e-3, 2.5e-3]), min_size=1, max_size=300)
 
 
+@settings(deadline=None)
 @given(late_by)
 def test_timing_counts_what_it_says(late: list[float]) -> None:
     timing = timing_of(np.array(late), TICK)

@@ -25,7 +25,6 @@ from stepgap.rigs.ethercat.emulator.ring import RingSettings
 from stepgap.rigs.ethercat.emulator.ring_rig import emulated_settings
 from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
 from stepgap.rigs.rig import Reading, RigLayout
-from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.strict_toml import InputError, to_table
 from tests.command_line import Command, Said, refused
 
@@ -33,9 +32,10 @@ pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 INTERFACE = f"sg{os.getpid() % 10**7}"
 POSE = Reading(2100, -2050, 77, 330, 1.0)
-GAP = RealityGap()
+TICK = 0.01
+"""So long that a busy machine seldom misses the 50 in a row that stop a rig."""
 LAYOUT = RigLayout(
-    tick=1e-3,
+    tick=TICK,
     boom_length=RobotParameters().boom_length,
     pivot_height=0.4,
     motor_counts=16384,
@@ -51,7 +51,7 @@ class JiggedMachine(Machine):
 
     @property
     def period(self) -> float:
-        return 1e-3
+        return TICK
 
     def start(self) -> Reading:
         return POSE
@@ -85,7 +85,7 @@ def rig_file(ring: RigSettings, tmp_path: Path) -> Path:
 def unless_too_late(said: Said) -> Said:
     """Skips where this machine was so late that a robot had to be stopped."""
     if said.code == 1 and "stopped the robot: late" in said.err:
-        pytest.skip("this machine is too busy for 1,000 ticks a second")
+        pytest.skip("this machine is too busy for 100 ticks a second")
     return said
 
 
@@ -97,8 +97,8 @@ def test_table_exit_code_and_file_of_a_check_agree(stepgap: Command, rig_file: P
     assert ("not passed" in said.out) == (not found["passed"])
     assert found["late_ticks"] == 40
     timing = found["timing"]
-    assert timing["ticks"] == 300 or found["fault"]
-    assert f"ticks                 {timing['ticks']}, one every 1000 µs\n" in said.out
+    assert timing["ticks"] == 30 or found["fault"]
+    assert f"ticks                 {timing['ticks']}, one every 10000 µs\n" in said.out
     assert f"at most     {1e6 * timing['worst']:.1f} µs\n" in said.out
     assert f"frames lost           {found['lost_frames']}\n" in said.out
     if found["passed"]:
@@ -117,11 +117,11 @@ def test_without_a_bus_the_machine_is_measured_and_nothing_written(stepgap: Comm
 
 
 def test_a_dry_run_shows_and_logs_what_the_law_would_want(stepgap: Command, rig_file: Path) -> None:
-    said = unless_too_late(stepgap("rig", "dry-run", rig_file, "--seconds", 0.5))
+    said = unless_too_late(stepgap("rig", "dry-run", rig_file, "--seconds", 1.5))
     assert (said.code, said.out) == (0, "dry-run/ticks-0.mcap\n"), said
     units, ticks = read_ticks(Path("dry-run/ticks-0.mcap"))
     column = dict(zip(units, ticks.T, strict=True))
-    assert len(ticks) >= 500
+    assert len(ticks) >= 50
     assert RigState.READY in column["state"]
     assert set(column["state"]) <= {RigState.CALIBRATE, RigState.READY, RigState.OFF}
     assert not np.any([column["applied_1"], column["applied_2"]])
@@ -173,7 +173,7 @@ WRONG = [
     (["check", "--seconds", "0"], "--seconds 0: it must lie between"),
     (["check", "--gap.delay", "0"], "--gap.delay: this verb takes no settings"),
     (["check", "--", "true"], "-- true: this verb runs no other command"),
-    (["dry-run"], "RIG-FILE"),
+    (["dry-run"], "requires an argument"),
     (["dry-run", "none.toml"], "none.toml: No such file or directory"),
     (["dry-run", "none.toml", "--seconds", "-1"], "--seconds -1"),
     (["calibrate", "none.toml"], "--leg-length and --height: give both"),
@@ -215,7 +215,7 @@ def test_a_command_runs_beside_the_ring_and_its_exit_code_is_taken(tmp_path: Pat
     assert (said.returncode, said.stderr) == (7, "")
     assert said.stdout == "emulated.toml\n['--gap.delay', '0']\n"
     settings = read_rig_settings(tmp_path / "emulated.toml")
-    layout = replace(LAYOUT, pivot_height=0.41)
+    layout = replace(LAYOUT, tick=1e-3, pivot_height=0.41)
     assert settings == emulated_settings(layout, RobotParameters(), RingSettings(), "sgtest")
 
 

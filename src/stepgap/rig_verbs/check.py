@@ -21,6 +21,9 @@ from stepgap.strict_toml import LARGEST_FILE, InputError
 PUNCTUAL = 0.999
 """Share of the ticks that must begin within half a tick."""
 
+LEAST_SECONDS = 5.0
+"""What must have been measured before a robot gets torque [s]."""
+
 ADVICE = (
     "what helps: nothing else at work on this machine; an rtprio and a memlock limit for you "
     "(/etc/security/limits.conf), or root; a kernel with PREEMPT_RT, or a core that is left alone (isolcpus); "
@@ -198,7 +201,8 @@ def write_check(rig_file: Path, mark: dict[str, str], check: Check) -> Path:
         InputError: It cannot be written.
     """
     file, date = check_file(rig_file), datetime.now(UTC).isoformat(timespec="seconds")
-    content = {"schema": 1, **mark, "date": date, "passed": not check.failures(), **asdict(check)}
+    seconds = check.timing.ticks * check.tick
+    content = {"schema": 1, **mark, "date": date, "passed": not check.failures(), "seconds": seconds, **asdict(check)}
     try:
         write_whole(file, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
     except OSError as error:
@@ -226,6 +230,9 @@ def checked(rig_file: Path) -> None:
             raise InputError(f"{file}: {said}; {again}")
     if found.get("passed") is not True:
         raise InputError(f"{file}: the check was not passed; see what it says, then {again}")
+    seconds = found.get("seconds")
+    if not isinstance(seconds, float) or not seconds >= LEAST_SECONDS:
+        raise InputError(f"{file}: it measured {seconds} s, less than {LEAST_SECONDS:g}; {again}")
 
 
 def _read(file: Path) -> dict[str, Any]:

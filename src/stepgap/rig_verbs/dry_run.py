@@ -19,10 +19,9 @@ from stepgap.plants.realtime.states import RigState
 from stepgap.plants.safety import Watch, check_torque
 from stepgap.plants.tick_log import TickLog, TickLogError, next_path
 from stepgap.rig_verbs.limp import ended, limp_setup
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.ethercat.rig_settings import RigSettings
+from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.limp_rig import FrameCount
-from stepgap.rigs.rig import HEALTHY, Reading, RigFault
+from stepgap.rigs.rig import HEALTHY, Reading, Rig, RigFault
 from stepgap.step import Array
 from stepgap.strict_toml import InputError
 
@@ -68,11 +67,11 @@ class WatchedLog:
         self._log.close()
 
 
-def dry_run(settings: RigSettings, robot: RobotParameters, gains: Gains, seconds: float | None) -> Path:
+def dry_run(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains, seconds: float | None) -> Path:
     """Shows a limp robot's ticks for a while, or until Ctrl-C; the log of them.
 
     Args:
-        settings: Of the bus.
+        make_rig: Makes its rig; it must be possible to pickle it.
         robot: On it.
         gains: Of the law whose torques are shown.
         seconds: How long, in ticks.
@@ -81,16 +80,16 @@ def dry_run(settings: RigSettings, robot: RobotParameters, gains: Gains, seconds
         InputError: The log cannot be written.
         RigFault: The bus or a drive failed.
     """
-    path, frames = next_path(FOLDER), FrameCount()
+    path, frames, rig = next_path(FOLDER), FrameCount(), make_rig()
     try:
         log = WatchedLog(TickLog(path, LOOP_UNITS))
     except TickLogError as error:
         raise InputError(str(error)) from None
-    wanted, fault = float("inf") if seconds is None else seconds / settings.tick, ""
-    describe = _describer(settings, robot, gains, frames)
-    session = Session(limp_setup(settings, robot, gains, frames), log)
+    wanted, fault = float("inf") if seconds is None else seconds / rig.layout.tick, ""
+    describe = _describer(rig, robot, gains, frames)
+    session = Session(limp_setup(make_rig, robot, gains, frames), log)
     try:
-        with _shown(round(1 / settings.tick)) as show:
+        with _shown(round(1 / rig.layout.tick)) as show:
             while log.count < wanted and not session.over():
                 sleep(LOOK_EVERY)
                 show(describe(log, session), log.count)
@@ -106,10 +105,10 @@ def dry_run(settings: RigSettings, robot: RobotParameters, gains: Gains, seconds
 
 
 def _describer(
-    settings: RigSettings, robot: RobotParameters, gains: Gains, frames: FrameCount
+    rig: Rig, robot: RobotParameters, gains: Gains, frames: FrameCount
 ) -> Callable[[WatchedLog, Session], Shown]:
     """What is to be shown of the last tick."""
-    layout, limits = EthercatRig(settings, robot).layout, settings.limits
+    layout, limits = rig.layout, rig.limits or SafetyLimits.of(robot)
 
     def describe(log: WatchedLog, session: Session) -> Shown:
         tick = log.last

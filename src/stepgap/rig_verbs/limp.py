@@ -1,5 +1,6 @@
 """A real-time process that reads a robot's bus and gives it no torque."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from time import sleep
@@ -11,10 +12,9 @@ from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.ethercat.rig_settings import RigSettings
+from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.limp_rig import FrameCount, LimpRig
-from stepgap.rigs.rig import Reading, RigFault, RigLayout
+from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
 from stepgap.rigs.still_rig import StillRig
 from stepgap.step import Array
 
@@ -85,16 +85,16 @@ class _Memory:
         pass
 
 
-def limp_setup(settings: RigSettings, robot: RobotParameters, gains: Gains, frames: FrameCount) -> RealtimeSetup:
-    """The robot on its bus, limp whatever is asked.
+def limp_setup(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains, frames: FrameCount) -> RealtimeSetup:
+    """A robot that stays limp whatever is asked.
 
     Args:
-        settings: Of the bus.
-        robot: On it.
+        make_rig: Makes its rig; it must be possible to pickle it.
+        robot: The robot it is taken to be.
         gains: Of the law whose torques are computed, and not written.
         frames: Counts those that are lost.
     """
-    return RealtimeSetup(partial(_limp_robot, settings, robot, frames), robot, gains, CommandBounds())
+    return RealtimeSetup(partial(_limp_robot, make_rig, robot, frames), robot, gains, CommandBounds())
 
 
 def still_setup(tick: float) -> RealtimeSetup:
@@ -102,8 +102,8 @@ def still_setup(tick: float) -> RealtimeSetup:
     return RealtimeSetup(partial(_still_robot, tick), RobotParameters(), Gains(), CommandBounds())
 
 
-def _limp_robot(settings: RigSettings, robot: RobotParameters, frames: FrameCount) -> LimpRig:
-    return LimpRig(EthercatRig(settings, robot), settings.limits, frames)
+def _limp_robot(make_rig: Callable[[], Rig], robot: RobotParameters, frames: FrameCount) -> LimpRig:
+    return LimpRig(make_rig(), SafetyLimits.of(robot), frames)
 
 
 def _still_robot(tick: float) -> StillRig:
