@@ -10,7 +10,9 @@ import pytest
 import stepgap
 from stepgap.cli import app, split_overrides, split_program
 from stepgap.experiment import read_experiment
+from stepgap.learning.columns import read_columns
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
+from stepgap.strict_toml import read_toml
 from tests.command_line import Command
 
 ROOT = Path(__file__).parent.parent
@@ -30,6 +32,12 @@ COMMANDS = sorted({
     for text in TEXTS.values()
     for found in re.findall(r"^ *(?:\./go )?stepgap .*", text.replace("\\\n", " "), re.MULTILINE)
 })  # fmt: skip
+SETTINGS = [
+    pytest.param(page, block, id=f"{page.name}-{number}")
+    for page, text in TEXTS.items()
+    for number, block in enumerate(re.findall(r"```toml\n(.*?)```", text, re.DOTALL))
+]
+READERS = {"quickstart.md": read_experiment, "fit.md": lambda file: read_columns(file, {})}
 MENTIONED = sorted({found for text in TEXTS.values() for found in re.findall(r"`(?:\./go )?(stepgap [^`]+)`", text)})
 EXAMPLE_IN_TABLE = re.compile(r"\| `([^`|]+)` \|$", re.MULTILINE)
 
@@ -61,15 +69,31 @@ def test_the_examples_for_those_from_matlab_are_many():
     assert len(EXAMPLE_IN_TABLE.findall(TEXTS[ROOT / "docs" / "from_matlab.md"])) > 30
 
 
+@pytest.mark.parametrize(("page", "block"), SETTINGS)
+def test_settings_are_read(page, block, tmp_path):
+    file = tmp_path / "settings.toml"
+    file.write_text(block, "utf-8")
+    assert READERS.get(page.name, lambda file: read_toml(file, "settings"))(file)
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_are_understood(command):
     """Verb, options and settings of a whole command line; the files that it names need not be there."""
-    arguments, program = split_program(shlex.split(command, comments=True)[1:])
+    check_command(shlex.split(command, comments=True))
+
+
+def check_command(words):
+    if words[:2] == ["sh", "-c"]:
+        for part in words[2].split("&&"):
+            check_command(shlex.split(part))
+        return
+    assert words[0] == "stepgap"
+    arguments, program = split_program(words[1:])
     rest, overrides = split_overrides(arguments)
     app.parse_args(rest, exit_on_error=False, print_error=False)
     read_experiment(None, overrides)
     if program:
-        test_commands_are_understood(shlex.join(program))
+        check_command(program)
 
 
 @pytest.mark.parametrize("words", MENTIONED)
