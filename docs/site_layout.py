@@ -1,5 +1,7 @@
-"""MkDocs hook. Pages keep their paths of the repository, so a link that works there works on the site; sections of other
-files are included by a link of the title "included", so each sentence stands in one place."""
+"""MkDocs hook: pages keep their paths of the repository, so a link that works there works on the site.
+
+A line that is a link with the title "included" is replaced by the section it leads to: each sentence stands in one place.
+"""
 
 import posixpath
 import re

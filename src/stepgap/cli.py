@@ -8,8 +8,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import wraps
 from math import isfinite
 from pathlib import Path
@@ -17,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import cyclopts
 from cyclopts import App, Parameter, validators
+
+from stepgap.new_files import check_new, free_name, write_new, writing
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
     from stepgap.step import StepMap
@@ -155,8 +156,10 @@ def run(
     iterations: str | None = None,
     calibrate: str | None = None,
     online: bool = False,
+    warm_start: str | None = None,
     resume: bool = False,
     quiet: bool = False,
+    json: bool = False,
     overrides: Overrides = None,
 ) -> None:
     """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. Without more, on the twin.
@@ -172,13 +175,15 @@ def run(
         iterations: Redeployments at most.
         calibrate: Hops before the first deployment whose commands are chosen for what they teach.
         online: Learn from hop to hop, from the first one on.
+        warm_start: Folder of a run whose steps are learnt from before the first deployment.
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
+        json: Print lines of JSON on stdout, for programs: one for every step and deployment, the report's path at last.
     """
-    from stepgap.experiment import load_reference, read_experiment
+    from stepgap.experiment import load_known, load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.interrupt import terminated_as_interrupted
-    from stepgap.progress import Progress
+    from stepgap.progress import Progress, tell_event, telling_events
     from stepgap.report import write_report
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
@@ -188,20 +193,22 @@ def run(
         ("reference", _quoted(reference)),
         ("plant", _quoted(plant)),
         ("rig", _quoted(rig)),
+        ("warm_start", _quoted(warm_start)),
         ("seed", seed),
         ("learning.iterations", iterations),
         ("learning.calibration", calibrate),
         ("learning.online", "true" if online else None),
     ]
     changes = [*(overrides or []), *((name, value) for name, value in shorthand if value is not None)]
-    folder = folder_to_resume(experiment, out, changes) if resume else out or _free_name(dated_folder())
+    folder = folder_to_resume(experiment, out, changes) if resume else out or free_name(dated_folder())
     settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     targets = load_reference(settings, nominal.space)
     check_reach(nominal, targets, settings.reference)
+    known = load_known(settings, nominal.space)
     plants = choose_plants(settings, targets, arm, folder)
     if not resume:
-        start_folder(folder, settings, targets)
+        start_folder(folder, settings, targets, known)
     try:
         with (
             terminated_as_interrupted(),
@@ -214,11 +221,16 @@ def run(
                 settings.learning,
                 folder,
                 settings.seed,
-                progress.observer,
+                telling_events(progress.observer, nominal.space) if json else progress.observer,
                 plants.measure_spread,
                 plants.replays,
+                known,
             )
-        print(write_report(folder))
+        written = write_report(folder)
+        if json:
+            tell_event("report", path=str(written))
+        else:
+            print(written)
     except KeyboardInterrupt:
         again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
         raise KeyboardInterrupt(f"; go on with: {again}") from None
@@ -268,7 +280,7 @@ def gait(
         ) from None
     reachable = reachable_set(nominal, point.state)
     figure = gait_figure(nominal.space, point, reachable)
-    picture = out or _free_name(Path("gait.png"))
+    picture = out or free_name(Path("gait.png"))
     formats = figure.canvas.get_supported_filetypes()
     if picture.suffix[1:].lower() not in formats:
         raise _bad_input(f"{picture}: the name must end with one of .{', .'.join(formats)}")
@@ -359,7 +371,7 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     from stepgap.map_verb import outcome_rows, read_points
 
     if out:
-        _check_new(out, "--out")
+        check_new(out, "--out")
     try:
         points = read_points(rows, nominal.space)
     except ValueError as error:
@@ -369,7 +381,7 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     if out is None:
         print(text, end="")
         return
-    with _writing(out, "--out"), out.open("x", encoding="utf-8") as file:
+    with writing(out, "--out"), out.open("x", encoding="utf-8") as file:
         file.write(text)
     print(out)
 
@@ -383,11 +395,11 @@ def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
     from stepgap.map_verb import describe_table
     from stepgap.progress import shown_count
 
-    _check_new(file, "--table")
+    check_new(file, "--table")
     with shown_count("commands") as tell:
         table = build_table(nominal, points, tell)
-    file = _free_name(file)  # another process may have taken the name by now
-    with _writing(file, "--table"):
+    file = free_name(file)  # another process may have taken the name by now
+    with writing(file, "--table"):
         write_table(file, table)
     try:
         print(describe_table(table, measure_table(table, nominal, np.random.default_rng(seed))))
@@ -448,7 +460,7 @@ def fit(
         raise _bad_input("LOG: none given; give folders of runs, or CSV files and what their columns hold")
     for option, file in (("--out", out), ("--plot", plot), ("--save", save)):
         if file:
-            _check_new(file, option)
+            check_new(file, option)
     form = plot.suffix[1:].lower() if plot else ""
     if plot and form not in FORMATS:
         raise _bad_input(f"{plot}: the name must end with one of .{', .'.join(FORMATS)}")
@@ -463,35 +475,11 @@ def fit(
     show(lesson.steps.space.state, validation, sys.stdout)
     print(verdicts(lesson.steps.space.state, validation))
     if out:
-        _write_new(out, "--out", json.dumps(fit_report(log, lesson, validation), indent=1))
+        write_new(out, "--out", json.dumps(fit_report(log, lesson, validation), indent=1))
     if plot:
-        _write_new(plot, "--plot", fit_picture(lesson.steps.space.state, validation, form))
+        write_new(plot, "--plot", fit_picture(lesson.steps.space.state, validation, form))
     if save:
-        _write_new(save, "--save", json.dumps(best_residual(lesson.steps, validation).to_dict()))
-
-
-def _check_new(path: Path, option: str) -> None:
-    """Raises InputError where a file would be overwritten or cannot be written."""
-    if path.exists():
-        raise _bad_input(f"{path}: exists already; choose another {option}")
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise _bad_input(f"{path}: cannot be written: no folder to write in; choose another {option}")
-
-
-@contextmanager
-def _writing(path: Path, option: str) -> Iterator[None]:
-    """Says in one line that a file could not be written."""
-    try:
-        yield
-    except OSError as error:
-        raise _bad_input(f"{path}: cannot be written: {error.strerror}; choose another {option}") from None
-
-
-def _write_new(path: Path, option: str, content: str | bytes) -> None:
-    """Writes a file that did not exist and says its name."""
-    with _writing(path, option), path.open("xb") as file:
-        file.write(content.encode() if isinstance(content, str) else content)
-    print(path)
+        write_new(save, "--save", json.dumps(best_residual(lesson.steps, validation).to_dict()))
 
 
 bench = App(
@@ -523,12 +511,12 @@ def bench_map_(
 
     settings = read_experiment(experiment, overrides or [])
     if out:
-        _check_new(out, "--out")
+        check_new(out, "--out")
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     result = bench_map(nominal, settings.seed, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
-    file = out or _free_name(Path("bench_map.json"))
-    with _writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
+    file = out or free_name(Path("bench_map.json"))
+    with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
 
@@ -544,11 +532,11 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     from stepgap.bench_gp import bench_gp, describe_bench
 
     if out:
-        _check_new(out, "--out")
+        check_new(out, "--out")
     result = bench_gp(0, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
-    file = out or _free_name(Path("bench_gp.json"))
-    with _writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
+    file = out or free_name(Path("bench_gp.json"))
+    with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
 
@@ -619,10 +607,9 @@ def report(folder: Path, /) -> None:
     print(write_report(folder))
 
 
-def _free_name(path: Path) -> Path:
-    """The first of NAME.SUFFIX, NAME_2.SUFFIX, … that does not exist."""
-    free, number = path, 1
-    while free.exists():
-        number += 1
-        free = path.with_stem(f"{path.stem}_{number}")
-    return free
+for verb, words in {
+    "export": "Write a run for other programs: MATLAB, tables, players of tick logs, viewers of MuJoCo models.",
+    "recover": "Save what is whole of a steps.csv or a log of ticks that was cut off or damaged.",
+    "doctor": "Say what this machine has: versions, cores, graphics, rights for real time, the cache, extras.",
+}.items():
+    app.command(f"stepgap.cli_data:{verb}", name=verb, help=words)  # read when called: they import this module

@@ -16,17 +16,26 @@ from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.tick import Tick
 from stepgap.repeatability import measure_repeatability
 from stepgap.rig_verbs.check import checked
 from stepgap.rigs.entry_points import load_rig
+from stepgap.rigs.ethercat.emulator.direct_ring import DirectRing
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
 from stepgap.rigs.ethercat.emulator.ring_rig import RingRig, emulated_settings
-from stepgap.rigs.rig import RigFault
+from stepgap.rigs.ethercat.rig_settings import RigSettings
+from stepgap.rigs.rig import Rig, RigFault
 from stepgap.rigs.twin.model import GroundProfile
 from stepgap.rigs.twin.twin import Twin
-from stepgap.sim_to_real import MeasureSpread
+from stepgap.sim_to_real import MeasureSpread, deployment_generator
 from stepgap.step import Array, StepMap
+
+SIMULATED = (TWIN, EMULATED_RING)
+"""Plants of which a deployment can be made again."""
+
+RING = RingSettings(inputs_after_tick=True)
+"""How the ring of a run passes frames."""
 
 
 class Plants(NamedTuple):
@@ -55,24 +64,41 @@ def choose_plants(settings: Experiment, reference: Reference, arm: bool, folder:
     Raises:
         InputError: They cannot be had with these settings.
     """
-    simulated = settings.plant in (TWIN, EMULATED_RING)
+    simulated = settings.plant in SIMULATED
     if simulated and (arm or settings.rig):
         raise InputError(f"--arm, --rig: for rigs that can break things; plant '{settings.plant}' takes neither")
     if not simulated:
         return _of_rig(settings, arm, folder / "ticks")
-    try:
-        make_twin = partial(_twin, settings, _ground(settings))
-        twin = make_twin(np.random.default_rng(0))
-    except ValueError as error:
-        raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None
+    make_twin = partial(_twin, settings, _ground(settings))
+    twin = make_twin(np.random.default_rng(0))
 
     def measure_spread(step_map: StepMap, rng: np.random.Generator) -> Array:
         twin = make_twin(rng)
-        return measure_repeatability(_on(settings, twin), twin, step_map, reference, rng)
+        return measure_repeatability(plant_on(settings, twin), twin, step_map, reference, rng)
 
     if settings.plant == TWIN:
-        return Plants(lambda rng: _on(settings, make_twin(rng)), True, measure_spread)
-    return Plants(_ring_maker(settings, twin), True, measure_spread)
+        return Plants(lambda rng: plant_on(settings, make_twin(rng)), True, measure_spread)
+    bus = _bus(settings, twin)
+
+    def make_on_ring(rng: np.random.Generator) -> Plant:
+        return plant_on(settings, RingRig(partial(_machine, settings, rng), RING, bus, settings.robot))
+
+    return Plants(make_on_ring, True, measure_spread)
+
+
+def remade_rig(settings: Experiment, iteration: int) -> tuple[Rig, Twin]:
+    """What the plant of a recorded deployment hopped, as it was before the first hop, and the twin in it.
+
+    It does what it did in the run, tick by tick; an emulated ring is left out, and none of its faults is known.
+
+    Raises:
+        InputError: It was no simulation, or the settings make no twin.
+    """
+    if settings.plant not in SIMULATED:
+        raise InputError(f"plant '{settings.plant}': what a rig did cannot be made again; its own ticks are in ticks/")
+    twin = _twin(settings, _ground(settings), deployment_generator(settings.seed, iteration))
+    rig = twin if settings.plant == TWIN else DirectRing(twin, RING, _bus(settings, twin))
+    return rig, twin
 
 
 def _ground(settings: Experiment) -> GroundProfile:
@@ -81,11 +107,15 @@ def _ground(settings: Experiment) -> GroundProfile:
 
 def _twin(settings: Experiment, ground: GroundProfile, rng: np.random.Generator) -> Twin:
     turn = rng.uniform(0, tau)  # or every deployment would meet every target at the same place, and learn that
-    return Twin(settings.robot, settings.gap, rng, ground=ground, turn=turn)
+    try:
+        return Twin(settings.robot, settings.gap, rng, ground=ground, turn=turn)
+    except ValueError as error:
+        raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None
 
 
-def _on(settings: Experiment, rig: Twin | RingRig) -> RigPlant:
-    return RigPlant(rig, settings.robot, settings.gains, settings.command)
+def plant_on(settings: Experiment, rig: Rig, on_tick: Callable[[Tick], None] | None = None) -> RigPlant:
+    """What hops a simulated rig."""
+    return RigPlant(rig, settings.robot, settings.gains, settings.command, on_tick)
 
 
 def _machine(settings: Experiment, rng: np.random.Generator) -> TwinMachine:
@@ -93,14 +123,12 @@ def _machine(settings: Experiment, rng: np.random.Generator) -> TwinMachine:
     return TwinMachine(_twin(settings, _ground(settings), rng))
 
 
-def _ring_maker(settings: Experiment, twin: Twin) -> Callable[[np.random.Generator], Plant]:
-    gap = settings.gap
+def _bus(settings: Experiment, twin: Twin) -> RigSettings:
+    """What the master of an emulated ring is told of it."""
     for name in ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical"):
-        if not np.isfinite(getattr(gap, name)):
+        if not np.isfinite(getattr(settings.gap, name)):
             raise InputError(f"gap.{name} must be finite: a ring carries whole counts, such as {name} = 16384")
-    ring = RingSettings(inputs_after_tick=True)
-    bus = emulated_settings(twin.layout, settings.robot, ring, f"sg{os.getpid()}")  # runs may go on side by side
-    return lambda rng: _on(settings, RingRig(partial(_machine, settings, rng), ring, bus, settings.robot))
+    return emulated_settings(twin.layout, settings.robot, RING, f"sg{os.getpid()}")  # runs may go on side by side
 
 
 def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:

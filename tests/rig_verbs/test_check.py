@@ -17,7 +17,7 @@ TICK = 1e-3
 GOOD = Check(
     tick=TICK,
     late_ticks=2,
-    timing=Timing(1000, 1e-6, 2e-6, 3e-6, 4e-6, 1.0, 0, 0),
+    timing=Timing(5000, 1e-6, 2e-6, 3e-6, 4e-6, 1.0, 0, 0),
     lost_frames=0,
     refused="",
     fault="",
@@ -82,6 +82,9 @@ def test_a_check_holds_for_these_settings_on_this_machine_alone(
             patched.setattr(platform, name, lambda: "elsewhere")
             with pytest.raises(InputError, match=words):
                 checked(rig_file)
+    write_check(rig_file, fingerprint(rig_file), replace(GOOD, timing=replace(GOOD.timing, ticks=4999)))
+    with pytest.raises(InputError, match=r"measured 4\.999 s, less than 5"):
+        checked(rig_file)
     rig_file.write_text("tick = 0.002\n")
     with pytest.raises(InputError, match="have changed since"):
         checked(rig_file)

@@ -139,7 +139,7 @@ def _unit(quantity: Quantity) -> str:
 def _name(record: RunRecord, iteration: int) -> str:
     """What legends call a deployment."""
     kind = next((entry.residual for entry in record.deployments if entry.iteration == iteration), None)
-    kind = "none" if iteration == 0 else kind
+    kind = "none" if iteration == 0 and kind is None else kind
     words = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "under way"}
     return f"deployment {iteration}, {words.get(kind) or 'residual: ' + plain(str(kind))}"
 

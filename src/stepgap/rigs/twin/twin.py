@@ -43,6 +43,7 @@ class TrueState:
         held: The hip is still held.
         hip: Distance travelled along the circle and height of the hip, boom deflection included [m, m].
         hip_rate: Rate of `hip` [m/s, m/s].
+        boom: Yaw and pitch at the boom's root [rad, rad].
         leg: Angles of the top links driven by motor 1 and 2 [rad, rad].
         leg_rate: Rate of `leg` [rad/s, rad/s].
         deflection: Horizontal and vertical deflection of the boom's tip [m, m].
@@ -57,6 +58,7 @@ class TrueState:
     held: bool
     hip: NDArray[np.float64]
     hip_rate: NDArray[np.float64]
+    boom: NDArray[np.float64]
     leg: NDArray[np.float64]
     leg_rate: NDArray[np.float64]
     deflection: NDArray[np.float64]
@@ -145,6 +147,7 @@ class Twin(Rig):
     def _bind(self) -> None:
         """Views of MuJoCo's memory: reading a number through them costs 40 ns, through its interface 1 µs."""
         model, data = self._model, self._data
+        self._shown = mujoco.MjData(model)  # for `true_state`, which must not touch the motion
         self._qpos, self._qvel, self._ctrl = _view(data.qpos), _view(data.qvel), _view(data.ctrl)
         self._applied_force, self._touch = _view(data.qfrc_applied), _view(data.sensordata)
         self._foot, self._ground_position = _view(data.geom("foot").xpos), _view(data.mocap_pos[0])
@@ -248,7 +251,7 @@ class Twin(Rig):
 
     def true_state(self) -> TrueState:
         """What really goes on; for tests and viewers, never for a controller. Leaves the motion as it is."""
-        model, data = self._model, mujoco.MjData(self._model)
+        model, data = self._model, self._shown
         data.qpos[:], data.qvel[:] = self._data.qpos, self._data.qvel
         mujoco.mj_kinematics(model, data)
         elastic = self._gap.boom_stiffness < inf
@@ -268,6 +271,7 @@ class Twin(Rig):
             held=self._hold_left > 0,
             hip=hip,
             hip_rate=hip_rate,
+            boom=np.array(self._boom_angles()),
             leg=data.qpos[motors],
             leg_rate=data.qvel[motors],
             deflection=deflection,

@@ -5,6 +5,7 @@ import pytest
 
 from stepgap.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.rigs.ethercat.emulator.direct_ring import DirectRing
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
 from stepgap.rigs.ethercat.emulator.ring_rig import RingRig, emulated_settings
@@ -32,39 +33,6 @@ def machine() -> TwinMachine:
 SETTINGS = emulated_settings(twin().layout, ROBOT, RING, INTERFACE)
 
 
-class Quantised(Rig):
-    """The twin called directly, with torques and contact force in the ring's counts, and the tick without torque in
-    which its drives are enabled."""
-
-    def __init__(self) -> None:
-        self._twin, self._motor = twin(), SETTINGS.motor_1
-
-    @property
-    def layout(self):
-        return self._twin.layout
-
-    @property
-    def limits(self):
-        return SETTINGS.limits
-
-    def connect(self):
-        self._twin.connect()
-        self._twin.write(0.0, 0.0)
-
-    def read(self):
-        reading, unit = self._twin.read(), RING.force_resolution
-        return reading._replace(contact_force=unit * min(max(round(reading.contact_force / unit), -32768), 32767))
-
-    def write(self, torque_1, torque_2):
-        unit, most = self._motor.torque_unit, self._motor.most_units
-        units = [min(max(round(torque / unit), -most), most) for torque in (torque_1, torque_2)]
-        self._twin.write(*(count * RING.rated_torque * 1e-6 for count in units))
-        return units[0] * unit, units[1] * unit
-
-    def close(self):
-        self._twin.close()
-
-
 def hop(rig: Rig):
     ticks, states = [], []
     with RigPlant(rig, ROBOT, GAINS, BOUNDS, on_tick=lambda tick: ticks.append(tick.row())) as plant:
@@ -83,7 +51,7 @@ def hop(rig: Rig):
 
 def test_through_the_ring_every_tick_is_that_of_direct_calls_but_for_quantisation():
     ticks, states = hop(RingRig(machine, RING, SETTINGS, ROBOT))
-    wanted_ticks, wanted_states = hop(Quantised())
+    wanted_ticks, wanted_states = hop(DirectRing(twin(), RING, SETTINGS))
     np.testing.assert_array_equal(ticks, wanted_ticks)
     np.testing.assert_array_equal(states, wanted_states)
     _, exact = hop(twin())

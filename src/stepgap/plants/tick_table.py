@@ -1,0 +1,30 @@
+"""Ticks as an array whose columns have names and units."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from stepgap.step import Array
+
+
+@dataclass(frozen=True, eq=False)
+class TickTable:
+    """Ticks in the order in which they happened.
+
+    Attributes:
+        units: Unit of each column by its name, in their order.
+        rows: A tick a row; shape (k, columns).
+    """
+
+    units: Mapping[str, str]
+    rows: Array
+
+    def __post_init__(self) -> None:
+        if self.rows.ndim != 2 or self.rows.shape[1] != len(self.units):
+            raise ValueError(f"rows must have {len(self.units)} columns, not the shape {self.rows.shape}")
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, name: str) -> Array:
+        """One column; shape (k,)."""
+        return self.rows[:, list(self.units).index(name)]
