@@ -1,6 +1,6 @@
 """MkDocs hook: pages keep their paths of the repository, so a link that works there works on the site.
 
-A line that is a link with the title "included" is replaced by the section it leads to: each sentence stands in one place.
+A line that is a link with the title "included" gives way to the section it leads to: each sentence stands in one place.
 """
 
 import posixpath
