@@ -66,6 +66,8 @@ def section(source: str, slug: str, page: str) -> str:
     """What stands in `source` under the heading of this anchor, up to the next heading, as if it stood in `page`."""
     for part in HEADING.split((ROOT / source).read_text("utf-8")):
         if slugify(part.partition("\n")[0].lstrip("# "), "-") == slug:
+            if part.count("```") % 2:
+                raise PluginError(f"{page} includes {source}#{slug}, whose code has a line like a heading")
             return LINK.sub(lambda link: f"{link[1]}({seen_from(page, at(source, link[2]))}{link[3] or ''})", part)
     raise PluginError(f"{page} includes {source}#{slug}, which is not there")
 
