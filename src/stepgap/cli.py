@@ -183,8 +183,8 @@ def run(
     from stepgap.experiment import load_known, load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.interrupt import terminated_as_interrupted
-    from stepgap.progress import Progress, tell_event, telling_events
-    from stepgap.report import write_report
+    from stepgap.progress import Progress, shown_count, tell_event, telling_events
+    from stepgap.report_verb import report_run
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
@@ -226,7 +226,8 @@ def run(
                 plants.replays,
                 known,
             )
-        written = write_report(folder)
+        with shown_count("replay", quiet) as tell:
+            written = report_run(folder, tell)
         if json:
             tell_event("report", path=str(written))
         else:
@@ -592,19 +593,25 @@ app.command("stepgap.cli_rig:rig", name="rig", help="Bring up a robot, or try wi
 
 
 @app.command
-def report(folder: Path, /) -> None:
-    """Make the report of a run anew.
+def report(folders: list[Path], /, *, out: Path | None = None) -> None:
+    """Make the report of a run anew; of several runs, a page that compares them.
 
     Args:
-        folder: Folder of the run.
+        folders: Folder of the run, or of each run.
+        out: HTML file of a comparison; without it comparison.html beside the first run, or the next free name.
     """
-    from stepgap.report import read_run_folder, write_report
+    from stepgap.progress import shown_count
+    from stepgap.report_verb import compare_runs, report_run
 
-    try:
-        read_run_folder(folder)
-    except (ValueError, OSError) as error:
-        raise _bad_input(str(error)) from None
-    print(write_report(folder))
+    if len(folders) > 1:
+        page = out or free_name(folders[0].resolve().parent / "comparison.html")
+        compare_runs(folders, page)
+    elif out:
+        raise _bad_input("--out: goes with several runs; the report of one lies in its folder")
+    else:
+        with shown_count("replay") as tell:
+            page = report_run(folders[0], tell)
+    print(page)
 
 
 for verb, words in {
