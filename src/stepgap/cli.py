@@ -9,7 +9,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import wraps
 from math import isfinite
 from pathlib import Path
@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import cyclopts
 from cyclopts import App, Parameter, validators
+
+from stepgap.cli_view import view
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
     from stepgap.step import StepMap
@@ -144,6 +146,9 @@ def run(
     online: bool = False,
     resume: bool = False,
     quiet: bool = False,
+    view: bool = False,
+    host: str = "127.0.0.1",
+    port: int | None = None,
     overrides: Overrides = None,
 ) -> None:
     """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. Without more, on the twin.
@@ -161,6 +166,9 @@ def run(
         online: Learn from hop to hop, from the first one on.
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
+        view: Show it in the browser while it goes on, and until Ctrl-C when it is over.
+        host: Address that --view is served on; without it, only this machine sees it.
+        port: Of --view; without it the first free one from 8080 on.
     """
     from stepgap.experiment import load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
@@ -170,6 +178,7 @@ def run(
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
+    from stepgap.view.live import LiveView
 
     shorthand = [
         ("reference", _quoted(reference)),
@@ -186,26 +195,30 @@ def run(
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     targets = load_reference(settings, nominal.space)
     check_reach(nominal, targets, settings.reference)
-    plants = choose_plants(settings, targets, arm, folder)
+    live = LiveView(folder, host, port) if view else None
+    plants = choose_plants(settings, targets, arm, folder, live.on_tick if live else None)
     if not resume:
         start_folder(folder, settings, targets)
     try:
         with (
             terminated_as_interrupted(),
-            Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress,
+            live or nullcontext(),
         ):
-            run_experiment(
-                nominal,
-                plants.make,
-                targets,
-                settings.learning,
-                folder,
-                settings.seed,
-                progress.observer,
-                plants.measure_spread,
-                plants.replays,
-            )
-        print(write_report(folder))
+            with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
+                run_experiment(
+                    nominal,
+                    plants.make,
+                    targets,
+                    settings.learning,
+                    folder,
+                    settings.seed,
+                    live.observing(progress.observer) if live else progress.observer,
+                    plants.measure_spread,
+                    plants.replays,
+                )
+            print(write_report(folder), flush=True)
+            if live:
+                live.stay()
     except KeyboardInterrupt:
         again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
         raise KeyboardInterrupt(f"; go on with: {again}") from None
@@ -601,6 +614,9 @@ def report(folder: Path, /) -> None:
     except (ValueError, OSError) as error:
         raise _bad_input(str(error)) from None
     print(write_report(folder))
+
+
+app.command(view)
 
 
 def _free_name(path: Path) -> Path:
