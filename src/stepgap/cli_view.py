@@ -33,12 +33,15 @@ def view(
     from stepgap.view.watch import announce, start_server, watch
 
     parent = os.getppid()
-    source = Source(run, TickRing.attach(ring) if ring else None)
+    try:
+        source = Source(run, TickRing.attach(ring) if ring else None)
+    except FileNotFoundError:
+        raise InputError(f"--ring {ring}: no such shared memory; the run that made it is over") from None
     if deployment is not None and deployment not in source.iterations:
         known = ", ".join(map(str, source.iterations))
         raise InputError(f"--deployment {deployment}: the run has none of that number; it has {known}")
     server = start_server(host, port)
     page = Page(server, source, deployment, live=ring is not None)
-    announce(server)
     with terminated_as_interrupted():
+        announce(server)
         watch(server, page, lambda: ring is None or os.getppid() == parent)

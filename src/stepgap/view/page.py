@@ -14,7 +14,7 @@ from stepgap.step import Reason
 from stepgap.view.geometry import Pose
 from stepgap.view.learnt import curve_along
 from stepgap.view.player import Player
-from stepgap.view.plots import LearntPlot, TrackingPlot, named
+from stepgap.view.plots import BAND, BLUE, INK, VERMILLION, LearntPlot, TrackingPlot, add_legend, named
 from stepgap.view.robot_scene import Ground, RobotScene
 from stepgap.view.source import Source
 
@@ -22,7 +22,7 @@ NOTHING = "nothing"
 SPEEDS = {"¼": 0.25, "½": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "16": 16.0}
 """Times real time."""
 
-CAMERA, LOOK_AT = (0.95, -1.15, 0.25), (0.0, 0.12, -0.13)
+CAMERA, LOOK_AT = (0.62, -0.8, 0.14), (0.04, 0.1, -0.13)
 """Place of the camera and what it looks at, from 0.45 m above the floor where the robot hops [m]."""
 
 
@@ -123,16 +123,17 @@ class Page:
 
     def _build_controls(self) -> None:
         gui = self._server.gui
-        gui.configure_theme(control_layout="fixed", control_width="large", show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.set_panel_label(f"StepGap – {self._source.folder.resolve().name}")
         self._status = gui.add_markdown("")
         self._deployment = gui.add_dropdown("Deployment", [self._label(0)])
         self._overlay = gui.add_dropdown("Overlay", [NOTHING], hint="A deployment shown beside it, step for step")
         self._step = gui.add_slider("Step", 0, 1, 1, 0, hint="0: the hop with which the robot is let go")
-        self._buttons = gui.add_button_group("Play", ("Pause", "One step", "Newest"))
+        self._buttons = gui.add_button_group("Play", ("Pause / play", "One step", "Newest"))
         self._speed = gui.add_dropdown("Speed", list(SPEEDS), initial_value="1", hint="Times real time")
         self._ride = gui.add_checkbox("Ride along", True, hint="The robot stays in view, the floor turns under it")
-        does = {"Pause": self.toggle, "One step": self.one_step, "Newest": self.follow}
+        does = {"Pause / play": self.toggle, "One step": self.one_step, "Newest": self.follow}
         self._buttons.on_click(lambda event: self._pressed.put(does[event.target.value]))
         self._when_changed(self._deployment, lambda label: self.choose(_number(label)))
         self._when_changed(self._overlay, lambda label: self.overlay(None if label == NOTHING else _number(label)))
@@ -157,6 +158,7 @@ class Page:
         gui, space = self._server.gui, self._source.space
         tabs = gui.add_tab_group()
         with tabs.add_tab("Tracking"):
+            add_legend(gui, [("┅", INK, "target"), ("━", BLUE, "apex"), ("┉", VERMILLION, "apex overlaid")])
             self._tracking = [TrackingPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
         with tabs.add_tab("What was learnt"):
             names = [*space.state_names, *space.command_names]
@@ -164,6 +166,7 @@ class Page:
                 "Along", names, initial_value=names[0], hint="The other inputs are those of the step shown"
             )
             self._said = gui.add_markdown("")
+            add_legend(gui, [("━", BLUE, "mean"), ("▇", BAND, "95 % of steps"), ("●", VERMILLION, "this step")])
             self._learnt = [LearntPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
 
     def _find_deployments(self) -> None:
@@ -173,7 +176,9 @@ class Page:
                 control.options = options
 
     def _label(self, iteration: int) -> str:
-        return f"{iteration}: no correction yet" if iteration == 0 else f"{iteration}: corrected"
+        if iteration > 0:
+            return f"{iteration}: corrected map"
+        return "0: learning from the start" if self._source.settings.learning.lessons(0) else "0: uncorrected map"
 
     def _show_motion(self) -> None:
         source, player = self._source, self.player
@@ -247,12 +252,12 @@ def _step_table(logged: LoggedStep, source: Source) -> str:
     head = f"**Step {logged.step}**"
     if record.reason != Reason.OK:
         head += f": {record.reason.status}"
-    rows = ["| | target | predicted | apex |", "|---|---|---|---|"]
+    rows = ["| | target | predicted | apex |", "|---|---:|---:|---:|"]
     for index, quantity in enumerate(space.state):
         values = (logged.target[index], logged.predicted[index], record.next_state[index])
         rows.append(f"| {named(quantity)} | {' | '.join(f'{value:.3f}' for value in values)} |")
     asked = ", ".join(
-        f"{quantity.name} {value:.1f} {quantity.unit}"
+        f"{quantity.name} {value:.1f} {quantity.unit}".replace("-", "−")
         for quantity, value in zip(space.command, record.command, strict=True)
     )
     return "\n".join([head, "", *rows, "", f"Command: {asked}"])

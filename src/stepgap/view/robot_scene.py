@@ -10,7 +10,7 @@ from stepgap.view.geometry import Joints, Pose, joints_at, turned_to
 
 Colour = tuple[int, int, int]
 
-DARK, BLUE, ORANGE, GREY = (60, 62, 70), (0, 114, 178), (213, 94, 0), (225, 227, 230)
+DARK, BLUE, SKY, VERMILLION, GREY = (60, 62, 70), (0, 114, 178), (86, 180, 233), (213, 94, 0), (225, 227, 230)
 
 RADII: Mapping[str, float] = {
     "boom": 0.014,
@@ -42,17 +42,17 @@ class RobotScene:
     def __init__(self, scene: SceneApi, name: str, robot: RobotParameters, pivot_height: float, ghost: bool = False):
         self._robot, self._pivot_height = robot, pivot_height
         self._root = scene.add_frame(name, show_axes=False)
-        colours = {"boom": DARK, "front_top": BLUE, "rear_top": ORANGE, "front_bottom": BLUE, "rear_bottom": ORANGE}
-        look = {"opacity": 0.3, "cast_shadow": False, "receive_shadow": False} if ghost else {}
+        colours = {"boom": DARK, "front_top": BLUE, "rear_top": SKY, "front_bottom": BLUE, "rear_bottom": SKY}
+        look = {"opacity": 0.35, "cast_shadow": False, "receive_shadow": False} if ghost else {}
         ends = joints_at(robot, pivot_height, Pose(0.0, 0.0, 0.0, 0.5)).links
         lengths = {link: float(np.linalg.norm(end - start)) for link, (start, end) in ends.items()}
         self._links: dict[str, CylinderHandle] = {
             link: scene.add_cylinder(
-                f"{name}/{link}", radius, lengths[link], (120, 120, 125) if ghost else colours[link], **look
+                f"{name}/{link}", radius, lengths[link], VERMILLION if ghost else colours[link], **look
             )
             for link, radius in RADII.items()
         }
-        dark = (120, 120, 125) if ghost else DARK
+        dark = VERMILLION if ghost else DARK
         self._body = scene.add_cylinder(f"{name}/body", BODY_RADIUS, BODY_WIDTH, dark, **look)
         self._joints: dict[str, IcosphereHandle] = {
             joint: scene.add_icosphere(f"{name}/{joint}", radius, dark, **look) for joint, radius in JOINT_RADII.items()

@@ -45,7 +45,7 @@ class Source:
         layout: How to read the rig's counts; None where the rig is not known here.
 
     Raises:
-        InputError: It is no run folder, or has no step yet and nobody is making one.
+        InputError: It is no run folder, a model in it is none, or it has no step yet and nobody is making one.
         RecordError: Its steps cannot be read.
     """
 
@@ -60,12 +60,14 @@ class Source:
         self._size, self._log = -1, StepLog(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
         self._motion: dict[int, list[Hop | None]] = {}
-        self._making: set[int] = set()
+        self._finders: dict[int, Thread] = {}
         self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
         self._models: dict[int, Residual | None] = {}
         self.poll()
         if not self._steps and ring is None:
             raise InputError(f"{folder / 'steps.csv'}: no step yet; look again when there are some")
+        for iteration in self._steps:
+            self._model(iteration)
 
     @property
     def pivot_height(self) -> float:
@@ -95,7 +97,7 @@ class Source:
         hops, steps = self._motion.get(iteration, []), self.steps(iteration)
         if number < len(hops) and (hop := hops[number]):
             return hop
-        if iteration in self._making or not steps:
+        if self._is_sought(iteration) or not steps:
             return None
         state = steps[min(number, len(steps)) - 1].record.next_state if number else steps[0].record.state
         known = state if np.isfinite(state).all() else steps[min(number, len(steps)) - 1].record.state
@@ -107,15 +109,18 @@ class Source:
         if iteration in self._motion or coming:
             return
         self._motion[iteration] = []
-        self._making.add(iteration)
-        simulated = self.settings.plant in SIMULATED
-        Thread(target=self._find, args=(iteration, self._remake if simulated else self._load), daemon=True).start()
+        find = self._remake if self.settings.plant in SIMULATED else self._load
+        self._finders[iteration] = Thread(target=self._find, args=(iteration, find), daemon=True)
+        self._finders[iteration].start()
+
+    def await_motion(self, iteration: int) -> None:
+        """Waits until all motion of a deployment that is to be found is."""
+        if iteration in self._finders:
+            self._finders[iteration].join()
 
     def residual(self, iteration: int, number: int) -> Residual | None:
         """What the deployment's controller had learnt before it began, for a step of it; None without a model."""
-        if iteration not in self._models:
-            self._models[iteration] = _read_model(self.folder / "models" / f"iteration_{iteration}.json")
-        residual, steps = self._models[iteration], self.steps(iteration)
+        residual, steps = self._model(iteration), self.steps(iteration)
         if residual is None or not 0 < number <= len(steps):
             return None
         before = []
@@ -131,6 +136,15 @@ class Source:
         if self._ring:
             self._drain(self._ring)
         return grown
+
+    def _model(self, iteration: int) -> Residual | None:
+        if iteration not in self._models:
+            path = self.folder / "models" / f"iteration_{iteration}.json"
+            model, sizes = _read_model(path), (len(self.space.state), len(self.space.command))
+            if model and model.sizes != sizes:
+                raise InputError(f"{path}: a model of {model.sizes} coordinates, but the run's steps have {sizes}")
+            self._models[iteration] = model
+        return self._models[iteration]
 
     def _find_layout(self) -> RigLayout | None:
         settings = self.settings
@@ -171,14 +185,15 @@ class Source:
                 hops.extend([None] * (number + 1 - len(hops)))
                 hops[number] = sensed_hop(ticks, self.layout) if self.layout else None
 
+    def _is_sought(self, iteration: int) -> bool:
+        return iteration in self._finders and self._finders[iteration].is_alive()
+
     def _find(self, iteration: int, find: Callable[[int, list[Hop | None]], None]) -> None:
         """Fills in the motion, hop by hop; whatever goes wrong is said on the page."""
         try:
             find(iteration, self._motion[iteration])
         except (ValueError, OSError, RecordError, TickLogError) as error:
             self._words = str(error)
-        finally:
-            self._making.discard(iteration)
 
     def _remake(self, iteration: int, hops: list[Hop | None]) -> None:
         assert self.layout

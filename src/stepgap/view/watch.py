@@ -36,7 +36,8 @@ def start_server(host: str, port: int | None) -> ViserServer:
         raise InputError(f"--port {port}: it must lie between 1 and 65535")
     for wanted in [port] if port else range(FIRST_PORT, FIRST_PORT + PORTS):
         if _is_free(host, wanted):
-            return ViserServer(host, wanted, label="StepGap", verbose=False)
+            with redirect_stdout(io.StringIO()):  # what is to be said `announce` says
+                return ViserServer(host, wanted, label="StepGap", verbose=False)
     tried = f"--port {port}: it is taken" if port else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are taken"
     raise InputError(f"{tried}; choose another --port")
 
