@@ -48,7 +48,7 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     page.get_by_text("What was learnt").click()
     expect(body).to_contain_text("as deployment 1 began (gp)")
     choose(watched_page, "Along", "fx")
-    expect(page.locator(".uplot").first).to_be_visible()
+    expect(page.locator(".uplot:visible").first).to_be_visible()
     page.wait_for_timeout(500)
     watched_page.keep_screenshot("view_learnt")
 

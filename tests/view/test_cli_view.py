@@ -14,7 +14,10 @@ import pytest
 from tests.command_line import Command, refused
 from tests.view.conftest import run_into
 
-PROGRAM = [sys.executable, "-c", "from stepgap.cli import main; main()"]
+SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+"""Where the tests run in the background, Ctrl-C is ignored."""
+
+PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; from stepgap.cli import main; main()"]
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
@@ -24,7 +27,6 @@ def started(*arguments: object) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
 
 

@@ -70,7 +70,8 @@ def test_every_joint_is_where_mujoco_has_it(stiffness: float) -> None:
         nonlocal compared
         true, layout = twin.true_state(), twin.layout
         front, rear = true.leg
-        pose = Pose(*true.boom, (front + rear) / 2, (front - rear) / 2, *true.deflection)
+        (yaw, pitch), (along, up) = true.boom, true.deflection
+        pose = Pose(yaw, pitch, (front + rear) / 2, (front - rear) / 2, along, up)
         joints = joints_at(ROBOT, layout.pivot_height, pose)
         near = {"rtol": 0, "atol": max(1e-6, 5 * true.closure_error)}
         np.testing.assert_allclose(joints.hip, data.body("front_top").xpos, rtol=0, atol=1e-9)
