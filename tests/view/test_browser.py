@@ -23,13 +23,15 @@ PATIENCE = 30_000
 def served(run_folder: Path) -> Iterator[str]:
     """Address of the page of a run."""
     server, over = start_server(HERE, None), Event()
-    page = Page(server, Source(run_folder))
+    source = Source(run_folder)
+    page = Page(server, source)
     page.player.playing = False
     thread = Thread(target=watch, args=(server, page, lambda: not over.is_set()))
     thread.start()
     yield f"http://{HERE}:{server.get_port()}"
     over.set()
     thread.join()
+    source.close()
 
 
 def test_the_page(served: str, watched_page: Watched) -> None:

@@ -1,18 +1,20 @@
 """`stepgap view` and `run --view` as the shell sees them."""
 
-import contextlib
-import os
 import shutil
 import signal
 import subprocess
 import sys
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from stepgap.learning.step_log import LoggedStep
+from stepgap.sim_to_real import Observer
+from stepgap.view.live import LiveView
 from tests.command_line import Command, refused
-from tests.view.conftest import run_into
+from tests.view.conftest import TARGETS
 
 SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
 """Where the tests run in the background, Ctrl-C is ignored."""
@@ -78,27 +80,27 @@ def test_broken_files_are_one_line(
     refused(stepgap("view", copy), name)
 
 
-def test_a_run_is_the_same_with_a_page_that_dies(run_folder: Path, tmp_path: Path) -> None:
-    """The page is killed while the run goes on; every recorded byte is that of a run without a page."""
-    run_into(tmp_path / "first", "--quiet")
+def test_a_run_is_the_same_with_a_page_that_dies(
+    stepgap: Command, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page is killed after the first step; every recorded byte is that of a run without a page."""
+    observing = LiveView.observing
+
+    def killing(live: LiveView, observer: Observer) -> Observer:
+        observed = observing(live, observer)
+
+        def on_step(logged: LoggedStep) -> None:
+            live._process.kill()
+            observed.on_step(logged)
+
+        return replace(observed, on_step=on_step)
+
+    monkeypatch.setattr(LiveView, "observing", killing)
+    (tmp_path / "targets.csv").write_text(TARGETS)
     arguments = ["--reference", tmp_path / "targets.csv", "--out", tmp_path / "run", "--seed", "5"]
-    with started("run", *arguments, "--iterations", "1", "--quiet", "--view") as process:
-        pages = lambda: [int(pid) for pid in children(process.pid)]  # noqa: E731
-        while process.poll() is None and not pages():
-            pass
-        for pid in pages():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        out, _ = process.communicate()
-    assert process.returncode == 0
-    assert out.strip().endswith("report.html")
+    said = stepgap("run", *arguments, "--iterations", "1", "--quiet", "--view")
+    assert (said.code, said.out.strip()) == (0, str(tmp_path / "run" / "report.html"))
     assert (tmp_path / "run" / "steps.csv").read_bytes() == (run_folder / "steps.csv").read_bytes()
-
-
-def children(parent: int) -> list[str]:
-    """Processes that a process has started to view."""
-    listed = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True).stdout
-    return [line.split()[0] for line in listed.splitlines() if " view " in line]
 
 
 def test_a_run_shows_its_page_and_ctrl_c_ends_both_when_it_is_over(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ def page(run_folder: Path) -> Iterator[Page]:
         source.await_motion(iteration)
     yield page
     stop_server(server)
+    source.close()
 
 
 def test_only_this_machine_reaches_it(page: Page) -> None:
@@ -126,9 +127,11 @@ def test_riding_along_the_robot_stays_in_view(page: Page) -> None:
 
 def test_watching_ends_when_nothing_goes_on_and_frees_the_port(run_folder: Path) -> None:
     server = start_server(HERE, None)
-    port, page = server.get_port(), Page(server, Source(run_folder))
+    port, source = server.get_port(), Source(run_folder)
+    page = Page(server, source)
     left = iter([True, True, False])
     watch(server, page, lambda: next(left))
+    source.close()
     again = start_server(HERE, port)
     assert again.get_port() == port
     stop_server(again)

@@ -8,7 +8,7 @@ import json
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 
 import numpy as np
 
@@ -61,6 +61,7 @@ class Source:
         self._steps: dict[int, list[LoggedStep]] = {}
         self._motion: dict[int, list[Hop | None]] = {}
         self._finders: dict[int, Thread] = {}
+        self._closed = Event()
         self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
         self._models: dict[int, Residual | None] = {}
         self.poll()
@@ -117,6 +118,12 @@ class Source:
         """Waits until all motion of a deployment that is to be found is."""
         if iteration in self._finders:
             self._finders[iteration].join()
+
+    def close(self) -> None:
+        """Ends the search for motion; a program that ends in the middle of it would crash."""
+        self._closed.set()
+        for finder in self._finders.values():
+            finder.join()
 
     def residual(self, iteration: int, number: int) -> Residual | None:
         """What the deployment's controller had learnt before it began, for a step of it; None without a model."""
@@ -199,6 +206,8 @@ class Source:
         assert self.layout
         for table in replayed_hops(self.folder, iteration, EVERY):
             hops.append(true_hop(table, self.layout))
+            if self._closed.is_set():
+                return
 
     def _load(self, iteration: int, hops: list[Hop | None]) -> None:
         path = self.folder / "ticks" / f"ticks-{iteration}.mcap"
