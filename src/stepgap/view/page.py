@@ -51,6 +51,7 @@ class Page:
         self.choose(iteration if iteration is not None else max(known, default=0))
         self.overlay(0 if self.iteration else None)
         self.player.follow = live
+        self.update(0.0)
 
     def choose(self, iteration: int) -> None:
         """Shows a deployment from its start."""
@@ -137,8 +138,14 @@ class Page:
         self._buttons.on_click(lambda event: self._pressed.put(does[event.target.value]))
         self._when_changed(self._deployment, lambda label: self.choose(_number(label)))
         self._when_changed(self._overlay, lambda label: self.overlay(None if label == NOTHING else _number(label)))
-        self._when_changed(self._step, self.player.show)
+        self._when_changed(self._step, self._show_from)
         self._when_changed(self._speed, self.set_speed)
+
+    def _show_from(self, number: int) -> None:
+        """Shows a hop from its start; the slider is told again, since a move of time may have crossed with its own."""
+        self.player.show(number)
+        self._step.value = number + 1 if number < self._step.max else number - 1
+        self._drawn = ()
 
     def set_speed(self, label: str) -> None:
         """Sets how fast time goes, one of `SPEEDS`."""
