@@ -5,8 +5,8 @@ control loop does, for as long as a hop lasts, so that a fit in the background h
 
     ./go python benchmarks/online_step.py --known 500
 
-Where other programs want the cores, too, the scheduler takes one away for some 4 ms now and then, in whatever is running.
-A control loop therefore has real-time priority, and to measure what it would see: `chrt -f 10 ./go python …`.
+Where other programs want the cores, too, the scheduler takes one away for some 4 ms now and then, in whatever is
+running. A control loop therefore has real-time priority, and to measure what it would see: `chrt -f 10 ./go python …`.
 """
 
 import argparse

@@ -57,10 +57,11 @@ def copied(folder: Path, target: Path) -> Path:
 
 def test_a_run_folder_is_complete(finished: Path) -> None:
     names = set(contents(finished / "run"))
-    figures = {name for name in names if re.fullmatch(r"figures/[a-z_]+\.png", name)}
+    figures = {name for name in names if re.fullmatch(r"figures/[a-z_]+\.(pdf|png)", name)}
     assert figures
     assert names - figures == {
-        "experiment.toml", "reference.csv", "steps.csv", "models/iteration_1.json", "summary.json", "report.html"
+        "experiment.toml", "reference.csv", "steps.csv", "models/iteration_1.json", "summary.json", "report.html",
+        "replay/deployment_0.npz", "replay/deployment_1.npz",
     }  # fmt: skip
     summary = json.loads((finished / "run" / "summary.json").read_text())
     assert [entry["steps"] for entry in summary["iterations"]] == [3, 3]

@@ -11,6 +11,8 @@ import stepgap
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted(ROOT.glob("*.md"))
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+PAGES = [ROOT / "docs" / name for name in ("gym.md", "own_map.md")]
+"""Pages whose blocks go on from each other."""
 
 
 PYTHON_BLOCKS = [
@@ -23,6 +25,14 @@ PYTHON_BLOCKS = [
 @pytest.mark.parametrize("block", PYTHON_BLOCKS)
 def test_python_blocks_run(block):
     exec(compile(block, "document", "exec"), {})  # noqa: S102  (our own documents)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_pages_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": "page"}
+    for block in re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL):
+        exec(compile(block, page.name, "exec"), names)  # noqa: S102  (our own documents)
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.name)
@@ -39,11 +49,11 @@ def test_learning_helps_in_the_example(capsys):
     assert float(with_gp[1]) < 0.5 * float(without[1])
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", [*DOCUMENTS, *PAGES], ids=lambda path: path.name)
 def test_links_lead_somewhere(document):
     for target in re.findall(r"\]\(([^)#]+)\)", document.read_text("utf-8")):
         if "://" not in target:
-            assert (ROOT / target).exists(), target
+            assert (document.parent / target).exists(), target
 
 
 def test_files_named_in_the_architecture_exist():

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from stepgap.cli import main
-from stepgap.experiment import InputError
+from stepgap.experiment import InputError, read_experiment
 from stepgap.hopper.dynamics import masses_of
 from stepgap.hopper.leg import foot, four_bar
 from stepgap.hopper.parameters import CommandBounds, RobotParameters
-from stepgap.learning.step_log import RecordError, read_step_log
+from stepgap.learning.step_log import LoggedStep, RecordError, StepWriter, read_step_log
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.tick_table import TickTable
 from stepgap.replay import REPLAY_UNITS, replay, replayed_hops
 from stepgap.rigs.rig import RigFault
+from stepgap.run_plants import plant_on, remade_rig
+from stepgap.step import Reason
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
@@ -105,6 +107,21 @@ def test_apexes_lie_where_the_steps_say(run_folder: Path, replayed: TickTable) -
     for logged in log.of_iteration(1):
         heights = replayed["hip_height"][replayed["step"] == logged.step]
         assert heights.max() == pytest.approx(max(logged.record.state[1], logged.record.next_state[1]), abs=0.03)
+
+
+def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
+    (tmp_path / "experiment.toml").write_text("seed = 4\n")
+    settings, none = read_experiment(tmp_path / "experiment.toml"), np.zeros(2)
+    rig, _ = remade_rig(settings, 0)
+    with StepWriter(tmp_path / "steps.csv", settings.command.space()) as writer, plant_on(settings, rig) as plant:
+        plant.start()
+        reason, step = Reason.OK, 0
+        while reason == Reason.OK and step < 20:
+            record, step = plant.take_step(np.array([-30.0, -20.0])), step + 1
+            writer.append(LoggedStep(0, step, none, none, none, record))
+            reason = record.reason
+    assert reason != Reason.OK
+    assert np.isfinite(replay(tmp_path, 0, every=10).rows).all()
 
 
 def test_a_run_on_the_ring_is_made_again_without_the_ring(tmp_path: Path) -> None:

@@ -56,9 +56,10 @@ def run_in(
     seed: int = 3,
     observer: Observer = Observer(),  # noqa: B008  (frozen)
     replays: bool = True,
+    known: StepLog | None = None,
 ) -> list[Deployment]:
     folder.mkdir(exist_ok=True)
-    return run(nominal, make_plant, REFERENCE, learning, folder, seed, observer, replays=replays)
+    return run(nominal, make_plant, REFERENCE, learning, folder, seed, observer, replays=replays, known=known)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -293,6 +294,46 @@ def test_a_file_is_written_whole(tmp_path: Path) -> None:
     (tmp_path / "a.json.partial").write_text("left over, and longer than what comes")
     write_whole(tmp_path / "a.json", "new")
     assert contents(tmp_path) == {"a.json": b"new"}
+
+
+# Steps known before
+
+
+def test_what_is_known_before_is_used_from_the_first_deployment_on(unbroken: Path, tmp_path: Path) -> None:
+    known = read_step_log(unbroken / "steps.csv", NOMINAL.space)
+    cold = json.loads((unbroken / "summary.json").read_text())["iterations"]
+    done = run_in(tmp_path / "warm", known=known, seed=7)
+    assert [entry["residual"] for entry in cold] == ["none", "gp", "gp"]
+    assert [deployment.residual for deployment in done] == ["gp", "gp", "gp"]
+    assert (done[0].rmse < 0.4 * np.array(list(cold[0]["rmse"].values()))).all(), "the noise is left"
+    log = read_step_log(tmp_path / "warm" / "steps.csv", NOMINAL.space)
+    assert log.iterations == [0, 1, 2], "what was known is not this run's"
+    summary = json.loads((tmp_path / "warm" / "summary.json").read_text())
+    assert summary["warm_start"]["steps"] == 48
+
+
+def test_what_is_known_is_held_against_this_nominal_map(unbroken: Path, tmp_path: Path) -> None:
+    known, other = read_step_log(unbroken / "steps.csv", NOMINAL.space), LossyHopper(loss=0.3, drift=-0.05)
+    done = run_in(tmp_path / "warm", known=known, nominal=other)
+    cold = run_in(tmp_path / "cold", nominal=other)
+    assert (done[0].rmse < 0.25 * cold[0].rmse).all()
+    model = residual_from_dict(json.loads((tmp_path / "warm" / "models" / "iteration_0.json").read_text()))
+    point = np.array([0.15, 0.57, 1.0, 2.0])
+    truth = REALITY.evaluate(point[:2], point[2:]).next_state - other.evaluate(point[:2], point[2:]).next_state
+    assert model.mean(point) == pytest.approx(truth, abs=0.01)
+
+
+def test_with_what_was_known_it_is_resumed(unbroken: Path, tmp_path: Path) -> None:
+    known = read_step_log(unbroken / "steps.csv", NOMINAL.space)
+    run_in(tmp_path / "warm", known=known, seed=7)
+    whole = contents(tmp_path / "warm")
+    for rows in (5, 20):
+        rows_kept(tmp_path / "warm", rows)
+        run_in(tmp_path / "warm", known=known, seed=7)
+        assert contents(tmp_path / "warm") == whole
+    for other in (None, known.of_iteration(0)):
+        with pytest.raises(RecordError, match="settings"):
+            run_in(tmp_path / "warm", known=other, seed=7)
 
 
 # Falls

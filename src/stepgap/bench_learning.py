@@ -31,7 +31,8 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings, ResidualKind
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant, Tick
-from stepgap.report.learning import UNCORRECTED, Row, hops_to_band
+from stepgap.report.bands import hops_to_band
+from stepgap.report.learning import UNCORRECTED, Row
 from stepgap.rigs.rig import RigFault
 from stepgap.rigs.twin.family import random_gap
 from stepgap.rigs.twin.model import GroundProfile

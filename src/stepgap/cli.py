@@ -8,8 +8,8 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import wraps
 from math import isfinite
 from pathlib import Path
@@ -18,13 +18,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import cyclopts
 from cyclopts import App, Parameter, validators
 
-from stepgap.cli_view import view
+from stepgap.new_files import check_new, free_name, write_new, writing
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
     from stepgap.step import StepMap
 
 Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
 """Settings given as `--table.key value`."""
+
+Program = Annotated[list[str] | None, Parameter(parse=False)]
+"""A command line given after `--`."""
 
 OVERRIDE = re.compile(r"--([a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
@@ -49,7 +52,7 @@ app = App(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command and exits with its code."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    arguments, program = split_program(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     try:
         tokens, overrides = split_overrides([argument for argument in arguments if argument != "--debug"])
@@ -58,6 +61,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             bound.arguments["overrides"] = overrides
         elif overrides:
             raise _bad_input(f"--{overrides[0][0]}: this verb takes no settings")
+        if "program" in ignored:
+            bound.arguments["program"] = program
+        elif program:
+            raise _bad_input(f"-- {program[0]}: this verb runs no other command")
         command(*bound.args, **bound.kwargs)
     except KeyboardInterrupt as interrupt:
         _say(f"stopped{interrupt}")
@@ -89,6 +96,12 @@ def _is_bad_input(error: Exception) -> bool:
     from stepgap.learning.step_log import RecordError
 
     return isinstance(error, InputError | RecordError)
+
+
+def split_program(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Parts a command line given after `--` from the arguments before it."""
+    end = list(arguments).index("--") if "--" in arguments else len(arguments)
+    return list(arguments[:end]), list(arguments[end + 1 :])
 
 
 def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str, str]]]:
@@ -144,11 +157,13 @@ def run(
     iterations: str | None = None,
     calibrate: str | None = None,
     online: bool = False,
+    warm_start: str | None = None,
     resume: bool = False,
     quiet: bool = False,
     view: bool = False,
     host: str = "127.0.0.1",
     port: int | None = None,
+    json: bool = False,
     overrides: Overrides = None,
 ) -> None:
     """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. Without more, on the twin.
@@ -164,17 +179,19 @@ def run(
         iterations: Redeployments at most.
         calibrate: Hops before the first deployment whose commands are chosen for what they teach.
         online: Learn from hop to hop, from the first one on.
+        warm_start: Folder of a run whose steps are learnt from before the first deployment.
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
         view: Show it in the browser while it goes on, and until Ctrl-C when it is over.
         host: Address that --view is served on; without it, only this machine sees it.
         port: Of --view; without it the first free one from 8080 on.
+        json: Print lines of JSON on stdout, for programs: one for every step and deployment, the report's path at last.
     """
-    from stepgap.experiment import load_reference, read_experiment
+    from stepgap.experiment import load_known, load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.interrupt import terminated_as_interrupted
-    from stepgap.progress import Progress
-    from stepgap.report import write_report
+    from stepgap.progress import Progress, shown_count, tell_event, telling_events
+    from stepgap.report_verb import report_run
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
@@ -184,27 +201,30 @@ def run(
         ("reference", _quoted(reference)),
         ("plant", _quoted(plant)),
         ("rig", _quoted(rig)),
+        ("warm_start", _quoted(warm_start)),
         ("seed", seed),
         ("learning.iterations", iterations),
         ("learning.calibration", calibrate),
         ("learning.online", "true" if online else None),
     ]
     changes = [*(overrides or []), *((name, value) for name, value in shorthand if value is not None)]
-    folder = folder_to_resume(experiment, out, changes) if resume else out or _free_name(dated_folder())
+    folder = folder_to_resume(experiment, out, changes) if resume else out or free_name(dated_folder())
     settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     targets = load_reference(settings, nominal.space)
     check_reach(nominal, targets, settings.reference)
+    known = load_known(settings, nominal.space)
     live = LiveView(folder, host, port) if view else None
     plants = choose_plants(settings, targets, arm, folder, live.on_tick if live else None)
     if not resume:
-        start_folder(folder, settings, targets)
+        start_folder(folder, settings, targets, known)
     try:
         with (
             terminated_as_interrupted(),
             live or nullcontext(),
         ):
             with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
+                observer = telling_events(progress.observer, nominal.space) if json else progress.observer
                 run_experiment(
                     nominal,
                     plants.make,
@@ -212,11 +232,17 @@ def run(
                     settings.learning,
                     folder,
                     settings.seed,
-                    live.observing(progress.observer) if live else progress.observer,
+                    live.observing(observer) if live else observer,
                     plants.measure_spread,
                     plants.replays,
+                    known,
                 )
-            print(write_report(folder), flush=True)
+            with shown_count("replay", quiet) as tell:
+                written = report_run(folder, tell)
+            if json:
+                tell_event("report", path=str(written))
+            else:
+                print(written, flush=True)
             if live:
                 live.stay()
     except KeyboardInterrupt:
@@ -268,7 +294,7 @@ def gait(
         ) from None
     reachable = reachable_set(nominal, point.state)
     figure = gait_figure(nominal.space, point, reachable)
-    picture = out or _free_name(Path("gait.png"))
+    picture = out or free_name(Path("gait.png"))
     formats = figure.canvas.get_supported_filetypes()
     if picture.suffix[1:].lower() not in formats:
         raise _bad_input(f"{picture}: the name must end with one of .{', .'.join(formats)}")
@@ -359,7 +385,7 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     from stepgap.map_verb import outcome_rows, read_points
 
     if out:
-        _check_new(out, "--out")
+        check_new(out, "--out")
     try:
         points = read_points(rows, nominal.space)
     except ValueError as error:
@@ -369,7 +395,7 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     if out is None:
         print(text, end="")
         return
-    with _writing(out, "--out"), out.open("x", encoding="utf-8") as file:
+    with writing(out, "--out"), out.open("x", encoding="utf-8") as file:
         file.write(text)
     print(out)
 
@@ -383,11 +409,11 @@ def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
     from stepgap.map_verb import describe_table
     from stepgap.progress import shown_count
 
-    _check_new(file, "--table")
+    check_new(file, "--table")
     with shown_count("commands") as tell:
         table = build_table(nominal, points, tell)
-    file = _free_name(file)  # another process may have taken the name by now
-    with _writing(file, "--table"):
+    file = free_name(file)  # another process may have taken the name by now
+    with writing(file, "--table"):
         write_table(file, table)
     try:
         print(describe_table(table, measure_table(table, nominal, np.random.default_rng(seed))))
@@ -448,7 +474,7 @@ def fit(
         raise _bad_input("LOG: none given; give folders of runs, or CSV files and what their columns hold")
     for option, file in (("--out", out), ("--plot", plot), ("--save", save)):
         if file:
-            _check_new(file, option)
+            check_new(file, option)
     form = plot.suffix[1:].lower() if plot else ""
     if plot and form not in FORMATS:
         raise _bad_input(f"{plot}: the name must end with one of .{', .'.join(FORMATS)}")
@@ -463,35 +489,11 @@ def fit(
     show(lesson.steps.space.state, validation, sys.stdout)
     print(verdicts(lesson.steps.space.state, validation))
     if out:
-        _write_new(out, "--out", json.dumps(fit_report(log, lesson, validation), indent=1))
+        write_new(out, "--out", json.dumps(fit_report(log, lesson, validation), indent=1))
     if plot:
-        _write_new(plot, "--plot", fit_picture(lesson.steps.space.state, validation, form))
+        write_new(plot, "--plot", fit_picture(lesson.steps.space.state, validation, form))
     if save:
-        _write_new(save, "--save", json.dumps(best_residual(lesson.steps, validation).to_dict()))
-
-
-def _check_new(path: Path, option: str) -> None:
-    """Raises InputError where a file would be overwritten or cannot be written."""
-    if path.exists():
-        raise _bad_input(f"{path}: exists already; choose another {option}")
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise _bad_input(f"{path}: cannot be written: no folder to write in; choose another {option}")
-
-
-@contextmanager
-def _writing(path: Path, option: str) -> Iterator[None]:
-    """Says in one line that a file could not be written."""
-    try:
-        yield
-    except OSError as error:
-        raise _bad_input(f"{path}: cannot be written: {error.strerror}; choose another {option}") from None
-
-
-def _write_new(path: Path, option: str, content: str | bytes) -> None:
-    """Writes a file that did not exist and says its name."""
-    with _writing(path, option), path.open("xb") as file:
-        file.write(content.encode() if isinstance(content, str) else content)
-    print(path)
+        write_new(save, "--save", json.dumps(best_residual(lesson.steps, validation).to_dict()))
 
 
 bench = App(
@@ -523,12 +525,12 @@ def bench_map_(
 
     settings = read_experiment(experiment, overrides or [])
     if out:
-        _check_new(out, "--out")
+        check_new(out, "--out")
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     result = bench_map(nominal, settings.seed, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
-    file = out or _free_name(Path("bench_map.json"))
-    with _writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
+    file = out or free_name(Path("bench_map.json"))
+    with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
 
@@ -544,11 +546,11 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     from stepgap.bench_gp import bench_gp, describe_bench
 
     if out:
-        _check_new(out, "--out")
+        check_new(out, "--out")
     result = bench_gp(0, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
-    file = out or _free_name(Path("bench_gp.json"))
-    with _writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
+    file = out or free_name(Path("bench_gp.json"))
+    with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
 
@@ -600,29 +602,35 @@ def bench_learning_(
         print(file)
 
 
+app.command("stepgap.cli_rig:rig", name="rig")
+
+
 @app.command
-def report(folder: Path, /) -> None:
-    """Make the report of a run anew.
+def report(folders: list[Path], /, *, out: Path | None = None) -> None:
+    """Make the report of a run anew; of several runs, a page that compares them.
 
     Args:
-        folder: Folder of the run.
+        folders: Folder of the run, or of each run.
+        out: HTML file of a comparison; without it comparison.html beside the first run, or the next free name.
     """
-    from stepgap.report import read_run_folder, write_report
+    from stepgap.progress import shown_count
+    from stepgap.report_verb import compare_runs, report_run
 
-    try:
-        read_run_folder(folder)
-    except (ValueError, OSError) as error:
-        raise _bad_input(str(error)) from None
-    print(write_report(folder))
+    if len(folders) > 1:
+        page = out or free_name(folders[0].resolve().parent / "comparison.html")
+        compare_runs(folders, page)
+    elif out:
+        raise _bad_input("--out: goes with several runs; the report of one lies in its folder")
+    else:
+        with shown_count("replay") as tell:
+            page = report_run(folders[0], tell)
+    print(page)
 
 
-app.command(view)
-
-
-def _free_name(path: Path) -> Path:
-    """The first of NAME.SUFFIX, NAME_2.SUFFIX, … that does not exist."""
-    free, number = path, 1
-    while free.exists():
-        number += 1
-        free = path.with_stem(f"{path.stem}_{number}")
-    return free
+for verb, words in {
+    "export": "Write a run for other programs: MATLAB, tables, players of tick logs, viewers of MuJoCo models.",
+    "recover": "Save what is whole of a steps.csv or a log of ticks that was cut off or damaged.",
+    "doctor": "Say what this machine has: versions, cores, graphics, rights for real time, the cache, extras.",
+}.items():
+    app.command(f"stepgap.cli_data:{verb}", name=verb, help=words)  # read when called: they import this module
+app.command("stepgap.cli_view:view", name="view", help="Show a run in the browser, also one that goes on.")

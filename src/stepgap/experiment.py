@@ -3,10 +3,10 @@
 import csv
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import tomli_w
 
@@ -14,9 +14,20 @@ from stepgap.control.reference import Reference, paper_reference, read_reference
 from stepgap.files import write_whole
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log, text_of
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.step import StepSpace
-from stepgap.strict_toml import LARGEST_FILE, InputError, Place, located, merge, read_toml, shown, with_table
+from stepgap.strict_toml import (
+    LARGEST_FILE,
+    InputError,
+    Place,
+    located,
+    merge,
+    read_toml,
+    shown,
+    to_table,
+    with_table,
+)
 
 PAPER = "paper"
 """Name of the built-in reference."""
@@ -24,10 +35,18 @@ PAPER = "paper"
 TWIN, EMULATED_RING = "twin", "emulated-ring"
 """Plants that are simulated; all others are rigs by their name."""
 
+WARM_START = "warm_start.csv"
+"""In a run's folder, the steps that were known before its first deployment."""
+
 PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": RealityGap.none}
 """What `[gap] preset` may name; a preset sets every difference before single keys change some."""
 
-SHORT_OPTIONS = {"learning.iterations": "iterations", "learning.calibration": "calibrate", "learning.online": "online"}
+SHORT_OPTIONS = {
+    "learning.iterations": "iterations",
+    "learning.calibration": "calibrate",
+    "learning.online": "online",
+    "warm_start": "warm-start",
+}
 """Options of the command line whose name is not that of the setting."""
 
 
@@ -40,6 +59,8 @@ class Experiment:
         reference: `paper`, or a CSV file of targets, relative to the experiment's file.
         plant: `twin`, `emulated-ring` (the twin on an EtherCAT bus in software), or the name of a rig.
         rig: File that describes that rig, relative to the experiment's file.
+        warm_start: Folder of a run whose steps are known before the first deployment, or a `steps.csv`, relative to the
+            experiment's file; empty: nothing is known.
         robot: The robot as the physics model takes it.
         gains: Joint controller.
         command: Bounds of the step command.
@@ -51,6 +72,7 @@ class Experiment:
     reference: str = PAPER
     plant: str = TWIN
     rig: str = ""
+    warm_start: str = ""
     robot: RobotParameters = field(default_factory=RobotParameters)
     gains: Gains = field(default_factory=Gains)
     command: CommandBounds = field(default_factory=CommandBounds)
@@ -79,6 +101,8 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
             experiment = replace(experiment, reference=str(path.parent / experiment.reference))
         if experiment.rig:
             experiment = replace(experiment, rig=str(path.parent / experiment.rig))
+        if experiment.warm_start:
+            experiment = replace(experiment, warm_start=str(path.parent / experiment.warm_start))
     table: dict[str, Any] = {}
     for name, value in overrides:
         _set(table, name.replace("-", "_").split("."), _parse_value(value))
@@ -106,11 +130,33 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
         raise InputError(str(error)) from None
 
 
-def write_experiment(folder: Path, experiment: Experiment, reference: Reference) -> None:
+def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
+    """The steps known before the first deployment: those of the run to start from, after those it started from itself.
+
+    Raises:
+        InputError: It is no run, one of another state and command, or one without a step.
+    """
+    if not experiment.warm_start:
+        return StepLog(space)
+    path, wanted = Path(experiment.warm_start), "a warm start needs the folder of a run, or its steps.csv"
+    earlier = [path / WARM_START] if (path / WARM_START).is_file() else []
+    files = [*earlier, path / "steps.csv"] if path.is_dir() else [path]
+    try:
+        known = joined([read_step_log(file, space) for file in files])
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror}; {wanted}") from None
+    except RecordError as error:
+        raise InputError(f"{error}; {wanted}, of the same state and command") from None
+    if not len(known):
+        raise InputError(f"{files[-1]}: no step yet; {wanted} with at least one step")
+    return known
+
+
+def write_experiment(folder: Path, experiment: Experiment, reference: Reference, known: StepLog | None = None) -> None:
     """Writes every setting to `experiment.toml`, so that the file reruns the experiment.
 
-    A reference from a file is copied into the folder, so that the folder is complete. A rig's file is not: it belongs
-    to the machine on which it was checked.
+    A reference from a file, and steps known before, are copied into the folder, so that the folder is complete. A rig's
+    file is not: it belongs to the machine on which it was checked.
     """
     if experiment.rig:
         experiment = replace(experiment, rig=str(Path(experiment.rig).resolve()))
@@ -118,16 +164,10 @@ def write_experiment(folder: Path, experiment: Experiment, reference: Reference)
         rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
         write_whole(folder / "reference.csv", "\n".join(rows) + "\n")
         experiment = replace(experiment, reference="reference.csv")
-    write_whole(folder / "experiment.toml", tomli_w.dumps(_to_table(experiment)))
-
-
-def _to_table(settings: Any) -> dict[str, Any]:
-    """The TOML table of a dataclass; a number is written as one even where a whole number stands for it."""
-    table: dict[str, Any] = {}
-    for name, wanted in get_type_hints(type(settings)).items():
-        value = getattr(settings, name)
-        table[name] = _to_table(value) if is_dataclass(value) else float(value) if wanted is float else value
-    return table
+    if known:
+        write_whole(folder / WARM_START, text_of(known))
+        experiment = replace(experiment, warm_start=WARM_START)
+    write_whole(folder / "experiment.toml", tomli_w.dumps(to_table(experiment)))
 
 
 def _parse_value(text: str) -> Any:

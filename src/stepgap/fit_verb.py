@@ -17,7 +17,7 @@ from stepgap.learning.columns import Columns
 from stepgap.learning.foreign_log import read_foreign_logs
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import ResidualKind
-from stepgap.learning.step_log import RecordError, StepLog, read_step_log
+from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
 from stepgap.learning.validation import (
     FOLDS,
@@ -119,20 +119,17 @@ def _common_experiment(logs: Sequence[Path]) -> Path | None:
 
 def _read_runs(logs: Sequence[Path], space: StepSpace) -> StepTable:
     """The steps of our own logs, whose deployments are numbered through."""
-    joined = StepLog(space)
+    found: list[StepLog] = []
     for path in logs:
-        first = max(joined.iterations, default=-1) + 1
         try:
-            log = read_step_log(path, space)
+            found.append(read_step_log(path, space))
         except OSError as error:
             raise InputError(
                 f"{path}: {error.strerror}; give the folder of a run, its steps.csv, or a CSV file"
             ) from None
         except RecordError as error:
             raise InputError(f"{error}; for another log say what its columns hold, see --help") from None
-        for logged in log:
-            joined.append(replace(logged, iteration=logged.iteration + first))
-    return tabulate(joined)
+    return tabulate(joined(found))
 
 
 def _nominal_of(steps: StepTable, hopper: StepSpace) -> str:

@@ -1,16 +1,18 @@
-"""What a run shows on the terminal while it goes on."""
+"""What a run shows on the terminal while it goes on, to people or to programs."""
 
+import json
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
-from stepgap.learning.step_log import LoggedStep
-from stepgap.sim_to_real import Deployment, Observer
+from stepgap.learning.step_log import LoggedStep, values_of
+from stepgap.sim_to_real import Deployment, Observer, summary_entry
 from stepgap.step import Reason, StepSpace
 
 
@@ -98,3 +100,29 @@ class Progress:
             f"{quantity.name} {value:.4f} {quantity.unit}"
             for quantity, value in zip(self._space.state, rmse, strict=True)
         )
+
+
+def tell_event(event: str, **what: Any) -> None:
+    """Prints one JSON object as a line, at once; a number that is not finite becomes null."""
+    known = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in what.items()
+    }
+    print(json.dumps({"event": event, **known}, allow_nan=False), flush=True)
+
+
+def telling_events(observer: Observer, space: StepSpace) -> Observer:
+    """An observer that also prints a line of JSON for every step, deployment and fault, for programs."""
+
+    def on_step(logged: LoggedStep) -> None:
+        tell_event("step", **values_of(logged, space))
+        observer.on_step(logged)
+
+    def on_deployment(deployment: Deployment) -> None:
+        tell_event("deployment", **summary_entry(deployment, space.state_names))
+        observer.on_deployment(deployment)
+
+    def on_fault(words: str) -> None:
+        tell_event("fault", words=words)
+        observer.on_fault(words)
+
+    return Observer(on_step, on_deployment, on_fault)

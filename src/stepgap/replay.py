@@ -47,7 +47,7 @@ def replay(
     Args:
         folder: The run folder.
         iteration: Number of the deployment.
-        every: One of so many ticks is kept.
+        every: One of so many ticks is kept, from 1 on.
         tell: Is told how many steps of how many are done.
 
     Raises:

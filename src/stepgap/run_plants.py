@@ -18,6 +18,7 @@ from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick import Tick
 from stepgap.repeatability import measure_repeatability
+from stepgap.rig_verbs.check import checked
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.ethercat.emulator.direct_ring import DirectRing
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
@@ -146,6 +147,7 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
         raise InputError(
             f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` does everything but torque"
         )
+    checked(Path(settings.rig))
     setup = RealtimeSetup(make_rig, settings.robot, settings.gains, settings.command)
     return Plants(lambda rng: RealtimePlant(setup, logs, ask_to_hold), replays=False)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.experiment import Experiment, InputError, write_experiment
+from stepgap.learning.step_log import StepLog
 from stepgap.step import StepFailed, StepMap
 
 
@@ -18,14 +19,14 @@ def dated_folder() -> Path:
     return Path("runs") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
 
 
-def start_folder(folder: Path, settings: Experiment, reference: Reference) -> None:
+def start_folder(folder: Path, settings: Experiment, reference: Reference, known: StepLog) -> None:
     """Makes the run's folder with its resolved settings; never takes one that holds a run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder):
             if any((folder / name).exists() for name in ("experiment.toml", "steps.csv", "summary.json", "models")):
                 raise InputError(f"{folder}: holds a run already; go on with it by --resume, or choose another --out")
-            write_experiment(folder, settings, reference)
+            write_experiment(folder, settings, reference, known)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another --out") from None
     latest = folder.parent / "latest"

@@ -8,7 +8,7 @@ import platform
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -28,6 +28,9 @@ from stepgap.step import Array, StepMap
 
 SCHEMA = 1
 """Version of `summary.json`."""
+
+MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
+"""Tracking errors of a deployment in `summary.json`."""
 
 RECORDED_VERSIONS = ("stepgap", "numpy", "scipy", "numba", "mujoco")
 """Packages whose versions `summary.json` names: with others the same seed may give other last digits."""
@@ -92,6 +95,7 @@ def run(
     observer: Observer = Observer(),
     measure_spread: MeasureSpread | None = None,
     replays: bool = True,
+    known: StepLog | None = None,
 ) -> list[Deployment]:
     """Runs the experiment, or goes on with one that was broken off, and keeps its record in `folder`.
 
@@ -112,6 +116,8 @@ def run(
             after deployment K. Without it, it is estimated from the steady steps.
         replays: Plants made from the same generator take the same steps again. Where they do not, as on hardware, the
             steps of a deployment that was broken off stay as they are, and the next deployment starts.
+        known: Steps of the same state and command, recorded earlier, that are learnt from before the first deployment;
+            where they are those of another robot or map, the errors of this nominal map are what is learnt.
 
     Raises:
         ValueError: The reference is not one for this map.
@@ -119,13 +125,14 @@ def run(
     """
     reference.check(nominal.space)
     path, log, deployments, learner = folder / "steps.csv", StepLog(nominal.space), [], None
+    past = _as_past(known or StepLog(nominal.space))
     with StepWriter(path, nominal.space) as writer, threadpool_limits(limits=1, user_api="blas"):  # same bytes anywhere
         recorded = deque(writer.recorded)
         former = _read_summary(folder / "summary.json")
-        vouched = _vouched_deployments(former, writer.recorded, seed)
+        vouched = _vouched_deployments(former, writer.recorded, seed, past)
         for iteration in range(learning.iterations + 1):
-            learner = Learner(nominal, log, learning, iteration)
-            if iteration > 0:
+            learner = Learner(nominal, StepLog(nominal.space, [*past, *log]), learning, iteration)
+            if iteration > 0 or len(past):
                 write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(learner.residual.to_dict()))
             kept, plant = not replays and bool(recorded) and recorded[0].iteration == iteration, None
             if iteration < vouched or kept:
@@ -143,7 +150,9 @@ def run(
             kind = learning.residual if learning.lessons(iteration) else learner.residual.name
             deployments.append(summarise(log.of_iteration(iteration), reference, kind))
             if not recorded:
-                write_whole(folder / "summary.json", json.dumps(_summary(deployments, log, reference, seed), indent=1))
+                write_whole(
+                    folder / "summary.json", json.dumps(_summary(deployments, log, reference, seed, past), indent=1)
+                )
             observer.on_deployment(deployments[-1])
             if not _worth_going_on(deployments, nominal.space.state_scale, learning.least_gain):
                 break
@@ -151,7 +160,7 @@ def run(
             spread = _measured_spread(former, nominal.space.state_names) if vouched == len(deployments) else None
             if spread is None:
                 spread = measure_spread(learner.step_map(), np.random.default_rng([seed, deployments[-1].iteration, 1]))
-            summary = _summary(deployments, log, reference, seed, spread)
+            summary = _summary(deployments, log, reference, seed, past, spread)
             write_whole(folder / "summary.json", json.dumps(summary, indent=1))
     if recorded:
         raise RecordError(f"{path}: it has steps after the last deployment of this experiment; {SAME_AGAIN}")
@@ -166,14 +175,27 @@ def _read_summary(path: Path) -> Any:
         return None
 
 
-def _vouched_deployments(summary: Any, recorded: StepLog, seed: int) -> int:
+def _as_past(known: StepLog) -> StepLog:
+    """The steps as those of deployments before number 0."""
+    count = max(known.iterations, default=-1) + 1
+    return StepLog(known.space, (replace(logged, iteration=logged.iteration - count) for logged in known))
+
+
+def _warm_start(past: StepLog) -> dict[str, Any]:
+    """What `summary.json` says of the steps known before; nothing where there were none."""
+    return {"warm_start": {"steps": len(past), "steps_sha256": digest(past)}} if len(past) else {}
+
+
+def _vouched_deployments(summary: Any, recorded: StepLog, seed: int, past: StepLog) -> int:
     """How many whole deployments of the record are what they were when `summary.json` was written."""
     try:
         count, wanted = len(summary["iterations"]), (summary["seed"], summary["steps_sha256"])
     except (KeyError, TypeError):
         return 0  # none, or not ours: it will be written anew
-    known = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < count))
-    return count if (seed, digest(known)) == wanted else 0
+    done = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < count))
+    if _warm_start(past).get("warm_start") != summary.get("warm_start"):
+        return 0
+    return count if (seed, digest(done)) == wanted else 0
 
 
 def _measured_spread(summary: Any, names: Sequence[str]) -> Array | None:
@@ -218,31 +240,38 @@ def _worth_going_on(deployments: Sequence[Deployment], scale: Array, least_gain:
 
 
 def _summary(
-    deployments: Sequence[Deployment], log: StepLog, reference: Reference, seed: int, measured: Array | None = None
+    deployments: Sequence[Deployment],
+    log: StepLog,
+    reference: Reference,
+    seed: int,
+    past: StepLog,
+    measured: Array | None = None,
 ) -> dict[str, Any]:
     """The content of `summary.json`; NaN becomes null. Its digest vouches for `steps.csv` as it stood then."""
     last = log.of_iteration(deployments[-1].iteration)
     names = log.space.state_names
-
-    def named(values: Array) -> dict[str, float | None]:
-        return {name: float(value) if np.isfinite(value) else None for name, value in zip(names, values, strict=True)}
-
-    measures = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
     return {
         "schema": SCHEMA,
         "seed": seed,
-        "iterations": [
-            {
-                "iteration": deployment.iteration,
-                "residual": deployment.residual,
-                "steps": deployment.steps,
-                "falls": deployment.falls,
-                **{measure: named(getattr(deployment, measure)) for measure in measures},
-            }
-            for deployment in deployments
-        ],
-        "repeatability": named(repeatability(last, reference) if measured is None else measured),
+        "iterations": [summary_entry(deployment, names) for deployment in deployments],
+        "repeatability": _named(names, repeatability(last, reference) if measured is None else measured),
         "repeatability_measured": measured is not None,
         "steps_sha256": digest(log),
+        **_warm_start(past),
         "versions": versions_here(),
     }
+
+
+def summary_entry(deployment: Deployment, names: Sequence[str]) -> dict[str, Any]:
+    """What `summary.json` says of a deployment; `names` are those of the state. NaN becomes null."""
+    return {
+        "iteration": deployment.iteration,
+        "residual": deployment.residual,
+        "steps": deployment.steps,
+        "falls": deployment.falls,
+        **{measure: _named(names, getattr(deployment, measure)) for measure in MEASURES},
+    }
+
+
+def _named(names: Sequence[str], values: Array) -> dict[str, float | None]:
+    return {name: float(value) if np.isfinite(value) else None for name, value in zip(names, values, strict=True)}

@@ -1,4 +1,4 @@
-"""Settings from TOML, read strictly: unknown keys, wrong types and values are refused with what would be right."""
+"""Settings from TOML and back; unknown keys, wrong types and values are refused with what would be right."""
 
 import tomllib
 from collections.abc import Callable, Collection, Mapping
@@ -86,6 +86,20 @@ def build(kind: type[Any], table: Mapping[str, Any], place: Place, prefix: str =
         return kind(**values)
     except ValueError as error:
         raise located(error, place, prefix) from None
+
+
+def to_table(settings: Any) -> dict[str, Any]:
+    """The TOML table of a dataclass, which `build` reads; a number is written as one even where it is whole."""
+    types = get_type_hints(type(settings))
+    return {entry.name: _to_value(getattr(settings, entry.name), types[entry.name]) for entry in fields(settings)}
+
+
+def _to_value(value: Any, wanted: Any) -> Any:
+    if is_dataclass(value):
+        return to_table(value)
+    if isinstance(value, tuple):
+        return [_to_value(each, get_args(wanted)[0]) for each in value]
+    return float(value) if wanted is float else value
 
 
 def _values(

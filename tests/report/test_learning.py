@@ -3,25 +3,18 @@
 import numpy as np
 import pytest
 
-from stepgap.report.learning import (
-    BAND,
-    BEYOND_NOISE,
-    Row,
-    describe_learning,
-    hops_to_band,
-    learning_picture,
-    summarise_learning,
-)
+from stepgap.report.bands import PAPER_BAND, hops_to_band
+from stepgap.report.learning import BEYOND_NOISE, Row, describe_learning, learning_picture, summarise_learning
 
 
 def test_the_band_is_reached_when_no_later_window_leaves_it() -> None:
     errors = np.zeros((60, 2))
     assert hops_to_band(errors) == 20
-    errors[:10] = 10 * BAND
+    errors[:10] = 10 * PAPER_BAND
     assert hops_to_band(errors) == 30, "the last bad step must have left the window"
-    errors[45] = 10 * BAND
+    errors[45] = 10 * PAPER_BAND
     assert hops_to_band(errors) is None, "the last window is not in the band"
-    errors[45] = [0.0, 4 * BAND[1]]  # 4 bands once in 20 are 0.9 bands on average
+    errors[45] = [0.0, 4 * PAPER_BAND[1]]  # 4 bands once in 20 are 0.9 bands on average
     assert hops_to_band(errors) == 30
     assert hops_to_band(np.zeros((19, 2))) is None
 

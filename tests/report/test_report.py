@@ -1,89 +1,24 @@
 import json
 import re
 import shutil
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from stepgap.control.reference import paper_reference
-from stepgap.report import paper, read_run_folder, write_report
-from stepgap.report.figures import coverage, tracking_figure
+from stepgap.report import Background, paper, read_run_folder, write_report
+from stepgap.report.bands import coverage
+from stepgap.report.figures import tracking_figure
 from stepgap.report.summary import MEASURES
 from stepgap.report.words import decimal
 from stepgap.step import Quantity, StepSpace
+from tests.report.pages import Page, check_alone
 from tests.report.runs import make_run, write_run, write_summary
 
-VOID = {"meta", "br", "hr"}
-SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
 HOSTILE = "<img src=http://evil/?x='1' onerror=alert(1)>&\"--></svg></pre><script>alert(2)</script>$\\frac{"
-
-
-class Page(HTMLParser):
-    """Tags and text of a page; an element that is not closed in its turn is an error."""
-
-    def __init__(self, path: Path):
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str]]] = []
-        self.text = ""
-        self.cells: list[list[tuple[str, float | None]]] = []
-        self._open: list[str] = []
-        self.source = path.read_text(encoding="utf-8")
-        self.feed(SVG.sub("", self.source))
-        self.close()
-        assert self._open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = {name: value or "" for name, value in attrs}
-        self.tags.append((tag, given))
-        if tag not in VOID:
-            self._open.append(tag)
-        if tag == "tr":
-            self.cells.append([])
-        elif tag == "td":
-            self.cells[-1].append((given.get("class", ""), None))
-        elif tag == "data":
-            self.cells[-1][-1] = (self.cells[-1][-1][0], float(given["value"]))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if "style" not in self._open:
-            self.text += data
-
-
-def check_alone(page: Page) -> None:
-    """The page fetches nothing and runs nothing, its graphics are sound and its identifiers unique."""
-    policy = [given["content"] for tag, given in page.tags if given.get("http-equiv") == "Content-Security-Policy"]
-    assert policy == ["default-src 'none'; style-src 'unsafe-inline'; img-src data:"]
-    assert not {tag for tag, _ in page.tags} & {
-        "script",
-        "img",
-        "link",
-        "iframe",
-        "object",
-        "embed",
-        "base",
-        "form",
-        "a",
-    }
-    assert not {name for _, given in page.tags for name in given if name in ("src", "href") or name.startswith("on")}
-    pictures = [ElementTree.fromstring(text) for text in SVG.findall(page.source)]
-    assert len(pictures) >= 3
-    for element in (element for picture in pictures for element in picture.iter()):
-        assert element.tag.rpartition("}")[2] not in ("script", "a", "foreignObject", "image")
-        for name, value in element.attrib.items():
-            assert not name.startswith("on")
-            assert "//" not in value
-            assert not name.endswith("href") or value.startswith("#")
-    names = re.findall(r'\sid="([^"]+)"', page.source)
-    assert len(names) == len(set(names))
-    assert set(re.findall(r'(?:href="|url\()#([^")]+)', page.source)) <= set(names)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +49,7 @@ def test_page_stands_alone(page: Page) -> None:
 
 
 def test_numbers_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -> None:
-    rows = [row for row in page.cells if row]
+    rows = [row for row in page.cells if any(kind.startswith("run") for kind, _ in row)]
     assert len(rows) == 2 * 5
     for name, table in (("speed", rows[:5]), ("height", rows[5:])):
         for iteration, row in enumerate(table):
@@ -145,10 +80,12 @@ def test_only_the_paper_has_hardware(page: Page) -> None:
 
 def test_pictures_are_pictures(written: Path) -> None:
     names = sorted(path.name for path in (written / "figures").iterdir())
-    assert names == ["errors.png", "map_height.png", "map_speed.png", "tracking.png"]
-    for name in names:
+    kinds = ["errors", "left_out", "map_height", "map_speed", "tracking"]
+    assert names == [f"{kind}.{form}" for kind in kinds for form in ("pdf", "png")]
+    for name in names[1::2]:
+        assert (written / "figures" / name).with_suffix(".pdf").read_bytes().startswith(b"%PDF")
         picture = imread(written / "figures" / name)
-        assert picture.shape == (900, 1350, 4)
+        assert picture.shape[1:] == (1350, 4)
         assert 0.01 < np.mean(picture[..., :3].min(axis=-1) < 0.9) < 0.5
 
 
@@ -216,24 +153,24 @@ def test_hostile_words_stay_words(tmp_path: Path) -> None:
     (folder / "experiment.toml").write_text(f"robot = '''{HOSTILE}'''\n")
     (tmp_path / "precious").write_text("precious")
     (folder / "report.html.partial").symlink_to(tmp_path / "precious")
-    page = Page(write_report(folder, plant=HOSTILE))
+    page = Page(write_report(folder, background=Background(HOSTILE)))
     check_alone(page)
     assert page.text.count(HOSTILE) >= 6
     assert (tmp_path / "precious").read_text() == "precious"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["precious", "run"]
     for path in (folder / "figures").iterdir():
-        assert re.fullmatch(r"[a-z0-9_-]+\.png", path.name)
+        assert re.fullmatch(r"[a-z0-9_-]+\.(pdf|png)", path.name)
 
 
 def test_equal_file_names_are_kept_apart(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("a b", "A_b"), steps=2, iterations=1)
     write_report(folder)
-    assert len(list((folder / "figures").iterdir())) == 4
+    assert len(list((folder / "figures").glob("*.png"))) == 4
 
 
 def test_units_of_a_given_space(tmp_path: Path) -> None:
     space = StepSpace((Quantity("tilt", "rad", -1, 1),), (Quantity("push", "N", -1, 1),))
-    page = Page(write_report(write_run(tmp_path / "run", ("tilt",), steps=2), space, plant="hardware of ours"))
+    page = Page(write_report(write_run(tmp_path / "run", ("tilt",), steps=2), space, Background("hardware of ours")))
     assert "Error of tilt [rad]" in page.text
     assert "this run: hardware of ours" in page.text
 

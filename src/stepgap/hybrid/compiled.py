@@ -50,7 +50,7 @@ def _digest(package: Path) -> str:
 
 
 @lru_cache
-def _cache_folder() -> Path | None:
+def cache_folder() -> Path | None:
     """First folder for compiled code that can be written, or None."""
     folders = [Path(tempfile.gettempdir()) / "stepgap-cache"]
     with suppress(RuntimeError):  # there may be no home
@@ -88,7 +88,7 @@ def compiled(function: Callable[..., Any], *, forceinline: bool = False) -> Call
 
     Functions compiled with it may call each other and take each other as arguments.
     """
-    file, cache = Path(function.__code__.co_filename).resolve(), _cache_folder()
+    file, cache = Path(function.__code__.co_filename).resolve(), cache_folder()
     if cache is None or not file.is_file():
         return generic(function)
     previous = config.CACHE_DIR

@@ -24,7 +24,8 @@ class LearningSettings:
 
     Attributes:
         residual: Model of the map's error from the first redeployment on.
-        iterations: Redeployments at most; the first deployment, number 0, uses the nominal map.
+        iterations: Redeployments at most; the first deployment, number 0, uses the nominal map, unless
+            steps were known before.
         least_gain: Redeploying stops when the tracking error has not fallen by this fraction of the
             best so far; judged from the second redeployment on.
         features: What of the step before the model takes as inputs, too; `auto`: what predicts best.

@@ -4,8 +4,8 @@ import errno
 import fcntl
 import hashlib
 import os
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -57,13 +57,22 @@ def column_names(space: StepSpace) -> list[str]:
     ]
 
 
+def values_of(logged: LoggedStep, space: StepSpace) -> dict[str, int | float | str]:
+    """What a row of `steps.csv` holds, by column."""
+    return dict(zip(column_names(space), _values(logged), strict=True))
+
+
 def row_of(logged: LoggedStep) -> str:
     """The line of `steps.csv`, without its end; every number is written so that it is read back to the last bit."""
+    return ",".join(map(str, _values(logged)))
+
+
+def _values(logged: LoggedStep) -> list[int | float | str]:
     record = logged.record
     before = (record.state, logged.target, record.command, record.applied)
     after = (record.next_state, logged.predicted, logged.std)
-    numbers = [repr(float(number)) for group in before + after for number in group]
-    return ",".join([str(logged.iteration), str(logged.step), *numbers, record.reason.status])
+    numbers = np.concatenate(before + after).tolist()
+    return [logged.iteration, logged.step, *numbers, record.reason.status]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -173,10 +182,25 @@ class StepLog:
         return np.array(rows, float).reshape(len(rows), width)
 
 
+def joined(logs: Sequence[StepLog]) -> StepLog:
+    """The steps of one or more logs, one after the other, their deployments numbered through."""
+    whole = StepLog(logs[0].space)
+    for log in logs:
+        first = max(whole.iterations, default=-1) + 1
+        for logged in log:
+            whole.append(replace(logged, iteration=logged.iteration + first))
+    return whole
+
+
+def text_of(log: StepLog) -> str:
+    """The content of the `steps.csv` that holds these steps."""
+    lines = [",".join(column_names(log.space)), *map(row_of, log)]
+    return "".join(f"{line}\n" for line in lines)
+
+
 def digest(log: StepLog) -> str:
     """SHA-256 of the `steps.csv` that holds these steps."""
-    lines = [",".join(column_names(log.space)), *map(row_of, log)]
-    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
+    return hashlib.sha256(text_of(log).encode()).hexdigest()
 
 
 def read_step_log(path: Path, space: StepSpace) -> StepLog:
@@ -191,27 +215,64 @@ def read_step_log(path: Path, space: StepSpace) -> StepLog:
     return _parse(content, path, space)
 
 
+def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
+    """The steps of a broken `steps.csv` up to the first that is not whole, and what is wrong there; empty: nothing.
+
+    Raises:
+        RecordError: It is not a step log of this space at all.
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        content = file.read(LARGEST_FILE + 1)
+    steps, readable = StepLog(space), _readable(content)
+    try:
+        for logged in _steps_in(content[:readable], path, space):
+            steps.append(logged)
+    except RecordError as error:
+        if not len(steps):
+            raise
+        return steps, str(error)
+    if readable < len(content):
+        return steps, f"{path}: no text from byte {readable} on"
+    cut = content[content.rfind(b"\n") + 1 :]
+    return steps, f"{path}: the last line breaks off after {len(cut)} bytes" if cut else ""
+
+
+def _readable(content: bytes) -> int:
+    """Number of bytes that are text."""
+    try:
+        content.decode()
+    except UnicodeDecodeError as error:
+        return error.start
+    return len(content)
+
+
 def _parse(content: bytes, path: Path, space: StepSpace) -> StepLog:
+    return StepLog(space, _steps_in(content, path, space))
+
+
+def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedStep]:
+    """The steps of the whole lines, up to the first that holds none, which raises RecordError."""
     if len(content) > LARGEST_FILE:
         raise RecordError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not read")
     header = ",".join(column_names(space))
     if header.encode().startswith(content):
-        return StepLog(space)  # broken off before the first line was whole
+        return  # broken off before the first line was whole
     try:
         lines = content[: content.rfind(b"\n") + 1].decode().replace("\r\n", "\n").split("\n")[:-1]
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: not a text file in UTF-8 ({error.reason})") from None
     if lines[:1] != [header]:
         raise RecordError(f"{path}, line 1: the columns must be {header}")
-    steps: list[LoggedStep] = []
+    last = None
     for number, line in enumerate(lines[1:], start=2):
         try:
             logged = _step_of(line, space)
-            _check_order(steps[-1] if steps else None, logged)
+            _check_order(last, logged)
         except ValueError as error:
             raise RecordError(f"{path}, line {number}: not the next step ({error!s:.200})") from None
-        steps.append(logged)
-    return StepLog(space, steps)
+        yield logged
+        last = logged
 
 
 class StepWriter:

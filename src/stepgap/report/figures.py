@@ -4,6 +4,7 @@ They are drawn without `pyplot`, so that nothing global changes and many may be 
 colour: by line style and marker.
 """
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,14 +15,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from stepgap.learning.step_log import StepLog
 from stepgap.report import paper
+from stepgap.report.bands import INTERVAL
 from stepgap.report.run_folder import RunRecord
 from stepgap.step import Array, Quantity, Reason
 
 WIDTH: Final = 9.0
 """Of every figure [inches]."""
-
-BAND: Final = 1.96
-"""Standard deviations on either side that hold 95 % of a normal distribution."""
 
 MOST_VECTORS: Final = 2000
 """Steps beyond which curves are drawn as pixels inside the vector graphic, so that it stays small."""
@@ -34,6 +33,9 @@ LONGEST_NAME: Final = 26
 
 # Colours after Okabe and Ito, told apart by colour-blind readers; dark ones in front of light ones.
 BLACK, BLUE, VERMILLION, SKY, GREY = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676"
+RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
+RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
+RUN_LINES: Final = ("-", "--", "-.", ":")
 FIRST: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.3}
 LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "marker": ".", "markersize": 4}
 
@@ -82,6 +84,29 @@ def error_figure(record: RunRecord) -> Figure:
     return figure
 
 
+def comparison_figure(records: Sequence[RunRecord], names: Sequence[str]) -> Figure:
+    """RMSE of every state coordinate by deployment, a curve for each run."""
+    state = records[0].space.state
+    figure, panels = _panels(len(state))
+    for row, (record, name) in enumerate(zip(records, names, strict=True)):
+        numbers = [deployment.iteration for deployment in record.deployments]
+        look: dict[str, Any] = {
+            "color": RUN_COLOURS[row % len(RUN_COLOURS)],
+            "marker": RUN_MARKERS[row % len(RUN_MARKERS)],
+        }
+        for index, panel in enumerate(panels):
+            values = [deployment.errors["rmse"][index] for deployment in record.deployments]
+            if np.isfinite(values).any():
+                panel.plot(numbers, values, **look, linestyle=RUN_LINES[row % len(RUN_LINES)], label=plain(name))
+    for panel, quantity in zip(panels, state, strict=True):
+        panel.set_ylabel(f"RMSE of\n{axis_label(quantity, capital=False)}")
+        _log_scale(panel)
+        if not panel.lines:
+            _note(panel, "No error is known yet.")
+    _finish(figure, panels, "Deployment")
+    return figure
+
+
 def map_figure(record: RunRecord, index: int) -> Figure:
     """Next state as the map predicted it and as it was, and how sure the map was (Figs. 6 and 7).
 
@@ -112,14 +137,6 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     return figure
 
 
-def coverage(steps: StepLog, index: int) -> tuple[int, int]:
-    """How many next states lie within the 95 % band of their prediction, and of how many with a band."""
-    known = steps.completed()
-    error, std = np.abs(known.next_state - known.predicted)[:, index], known.std[:, index]
-    banded = np.isfinite(error) & (std > 0)
-    return int(np.count_nonzero(error[banded] <= BAND * std[banded])), int(np.count_nonzero(banded))
-
-
 def axis_label(quantity: Quantity, capital: bool = True) -> str:
     """Name of a coordinate with its unit, if that is known."""
     name = plain(quantity.name.replace("_", " "))
@@ -139,7 +156,7 @@ def _unit(quantity: Quantity) -> str:
 def _name(record: RunRecord, iteration: int) -> str:
     """What legends call a deployment."""
     kind = next((entry.residual for entry in record.deployments if entry.iteration == iteration), None)
-    kind = "none" if iteration == 0 else kind
+    kind = "none" if iteration == 0 and kind is None else kind
     words = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "under way"}
     return f"deployment {iteration}, {words.get(kind) or 'residual: ' + plain(str(kind))}"
 
@@ -183,7 +200,7 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
     fast = _pixels(steps)
     if std.any():
         band = {"color": SKY, "alpha": 0.5, "linewidth": 0, "label": "95 % band"}
-        panel.fill_between(numbers, mean - BAND * std, mean + BAND * std, **band, **fast)
+        panel.fill_between(numbers, mean - INTERVAL * std, mean + INTERVAL * std, **band, **fast)
     panel.plot(numbers, mean, color=BLUE, linewidth=1.2, label="predicted mean", **fast)
     measured = {"color": BLACK, "linestyle": "", "marker": "o", "markersize": 2, "label": "measured"}
     panel.plot(numbers, reached, **measured, **fast)

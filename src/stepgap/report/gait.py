@@ -1,9 +1,13 @@
-"""A limit cycle and what one step can reach from it: in words and as a picture."""
+"""Limit cycles and what one step can reach: in words and as pictures."""
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet
+from stepgap.report.figures import BLACK, BLUE, GREY, VERMILLION, axis_label
+from stepgap.report.reference_gait import ReferenceGait
 from stepgap.step import Array, Reason, StepSpace
 
 
@@ -63,6 +67,43 @@ def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) ->
     circle.plot(point.multipliers.real, point.multipliers.imag, "s", ms=7, color="#0072B2")
     verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
     circle.set(aspect="equal", xlabel="real part", ylabel="imaginary part", title=f"Multipliers ({verdict})")
+    return figure
+
+
+def reference_gait_figure(gait: ReferenceGait) -> Figure:
+    """What one step reaches from the middle of the targets, and the multipliers at all of them, map by map.
+
+    For two state coordinates and two commands.
+    """
+    figure = Figure(figsize=(9, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    plane, circle = figure.subplots(1, 2, width_ratios=[1.5, 1])
+    angle = np.linspace(0, 2 * np.pi, 200)
+    circle.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=1)
+    circle.axhline(0, color="0.85", lw=0.8, zorder=0)
+    circle.axvline(0, color="0.85", lw=0.8, zorder=0)
+    looks = ({"color": VERMILLION, "linestyle": "-.", "marker": "x"}, {"color": BLUE, "linestyle": "-", "marker": "o"})
+    for each, look in zip(gait.maps, looks, strict=False):
+        border, line = each.reachable.boundary, {name: look[name] for name in ("color", "linestyle")}
+        plane.plot(
+            *np.vstack([border, border[:1]]).T,
+            **line,
+            linewidth=1.3,
+            label=f"border of what the {each.name} map reaches",
+        )
+        values: NDArray[np.complex128] = np.array(
+            [value for point in each.points if point is not None for value in point.multipliers]
+        )
+        mark = {"color": look["color"], "marker": look["marker"], "markerfacecolor": "none", "linestyle": ""}
+        circle.plot(values.real, values.imag, **mark, label=f"multipliers, {each.name} map")
+    plane.plot(*gait.targets.T, ".", color=BLACK, label="targets")
+    plane.plot(*gait.centre, "s", markersize=9, markerfacecolor="none", color=BLACK, label="where the step starts")
+    first, second = gait.space.state
+    plane.set(xlabel=f"Next {axis_label(first, capital=False)}", ylabel=f"Next {axis_label(second, capital=False)}")
+    plane.set_title("(a) What one step can reach", loc="left", fontsize="medium")
+    circle.set(aspect="equal", xlabel="Real part", ylabel="Imaginary part")
+    circle.set_title("(b) Multipliers λ", loc="left", fontsize="medium")
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize="small")
     return figure
 
 

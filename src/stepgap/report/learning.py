@@ -9,9 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from stepgap.report.bands import PAPER_BAND, WINDOW
 from stepgap.report.figures import BLUE, GREY
-from stepgap.report.paper import WITH_GP
-from stepgap.step import Array
 
 Row = dict[str, Any]
 """Measures of one deployment, plain data for JSON; those of a deployment without a step are missing."""
@@ -22,28 +21,8 @@ Key = tuple[int, int]
 UNCORRECTED = "none"
 """Name of deployment 0, which the others learn from."""
 
-BAND = np.array([WITH_GP["rmse"]["speed"], WITH_GP["rmse"]["height"]])
-"""Error of the paper's robot after four redeployments, speed [m/s] and height [m]."""
-
-WINDOW = 20
-"""Steps over which an error is compared with it."""
-
 BEYOND_NOISE = 2.0
 """Standard deviations of the difference between two uncorrected deployments that count as more than chance."""
-
-
-def hops_to_band(errors: Array) -> int | None:
-    """After how many of N steps with tracking errors (N, 2) the error of the last 20 is in the band for good.
-
-    None where it never is, or where there are too few steps to tell.
-    """
-    if len(errors) < WINDOW:
-        return None
-    squares = np.cumsum(np.vstack([np.zeros(errors.shape[1]), errors**2]), axis=0)
-    inside = np.all(np.sqrt((squares[WINDOW:] - squares[:-WINDOW]) / WINDOW) <= BAND, axis=1)
-    outside = np.flatnonzero(np.logical_not(inside))
-    first = int(outside[-1]) + 1 if len(outside) else 0
-    return first + WINDOW if first < len(inside) else None
 
 
 def summarise_learning(rows: Sequence[Row]) -> dict[str, Any]:
@@ -143,8 +122,8 @@ def describe_learning(summary: dict[str, Any]) -> str:
         "",
         f"Speed and height: RMSE, median over {summary['pairs']} twins and seeds; a fall counts as an infinite error.",
         "ratio: error of both coordinates together, to that of deployment 0.",
-        f"hops: from the first of all on, until the RMSE of {WINDOW} steps stays within {1e3 * BAND[0]:.1f} mm/s and "
-        f"{1e3 * BAND[1]:.1f} mm; in band: how many get there.",
+        f"hops: from the first of all on, until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s "
+        f"and {1e3 * PAPER_BAND[1]:.1f} mm; in band: how many get there.",
         "beats gp: how many have a smaller error. in: share of steps within the 95 % interval.",
     ]
     if summary["noise"] is not None:

@@ -10,8 +10,8 @@ from typing import Final
 STATE_NAMES: Final = ("speed", "height")
 """State of the paper's hopper at the apex (Sec. 4.2)."""
 
-UNITS: Final[Mapping[str, str]] = {"speed": "m/s", "height": "m"}
-"""Their units (Sec. 4.2)."""
+UNITS: Final[Mapping[str, str]] = {"speed": "m/s", "height": "m", "fx": "N", "fy": "N"}
+"""Units of its state and its command (Sec. 4.2)."""
 
 LAST_ITERATION: Final = 4
 """Its last redeployment, "4 hardware deployments" (Sec. 6)."""

@@ -150,6 +150,6 @@ def _read_settings(path: Path) -> str | None:
     text = read_text(path, LARGEST_SETTINGS)
     try:
         tomllib.loads(text or "")
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
         raise ValueError(f"{path}: not TOML ({error}); it must be the file that the run wrote") from None
     return text

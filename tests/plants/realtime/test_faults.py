@@ -169,6 +169,28 @@ def test_the_software_stop_goes_all_the_way():
         assert "emergency stop" in hopping.board.words
 
 
+def test_between_two_ticks_a_fast_bus_repeats_the_torques():
+    settings = replace(SETTINGS, frames_per_tick=4)
+    with live_ring(make_machine=RecordedTwin) as ring, EthercatRig(settings, ROBOT) as rig:
+        begun, frames = Deployment(rig), 0
+
+        def pace():
+            nonlocal frames
+            frames += 1
+            if len(begun.rows) == 900:
+                begun.board.request = Request.STOP
+            return 0.0
+
+        before = len(ring.look().torques)
+        begun.loop.run(pace)
+        given = np.array(ring.look().torques)[before:]
+        applied = np.array(begun.rows)[:, COLUMN["applied_1"] : COLUMN["applied_2"] + 1]
+        begun.board.close()
+        begun.board.unlink()
+    assert frames == pytest.approx(4 * len(applied), abs=4)
+    np.testing.assert_allclose(given[: 4 * len(applied) - 4], np.repeat(applied[:-1], 4, axis=0), atol=1e-9)
+
+
 def check_torques(ring, hopping):
     """What the drives really gave was within limits, and is what the log says was applied."""
     given = np.array(ring.look().torques)

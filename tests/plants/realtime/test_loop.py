@@ -187,6 +187,14 @@ def test_a_stalled_loop_brakes_and_then_is_off():
         assert deployment.board.missed_ticks == 3
 
 
+def test_a_limp_robot_does_not_brake():
+    with Deployment(hold=10.0) as deployment:
+        deployment.run(lambda: deployment.loop.state == RigState.READY)
+        assert not deployment.loop.tick(0.0035)
+        assert deployment.loop.state == RigState.FAULT
+        assert not deployment.torques.any()
+
+
 def test_a_faulty_rig_is_told_with_its_words():
     with Deployment() as deployment:
         deployment.hopping()

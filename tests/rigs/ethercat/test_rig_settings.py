@@ -1,13 +1,15 @@
 """rig.toml: read strictly, refused with what would be right."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
-from stepgap.strict_toml import InputError
+from stepgap.strict_toml import InputError, to_table
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "rig.toml"
 TEXT = EXAMPLE.read_text(encoding="utf-8")
@@ -121,3 +123,8 @@ def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.Tem
     assert key in message or "rig.toml: [" in message
     assert "\n" not in message
     assert "\n" not in message
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    for settings in (read_rig_settings(EXAMPLE), replace(read_rig_settings(EXAMPLE), pivot_height=1.0)):
+        assert read(tmp_path, tomli_w.dumps(to_table(settings))) == settings

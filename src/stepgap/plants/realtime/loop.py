@@ -68,7 +68,7 @@ class ControlLoop:
         self._rig, self._control, self._board, self._log = rig, control, board, log
         self._settings, self._alive, self._tick_time = settings, alive, rig.layout.tick
         self._lower, self._upper = (bounds.fx_lower, bounds.fy_lower), (bounds.fx_upper, bounds.fy_upper)
-        self._state, self._entered = RigState.CALIBRATE, 0.0
+        self._state, self._entered, self._powered = RigState.CALIBRATE, 0.0, False
         self._hop, self._command, self._missed = 0, None, 0
         self._applied, self._count, self._stop_asked = (0.0, 0.0), 0, False
 
@@ -113,12 +113,12 @@ class ControlLoop:
         health = self._rig.health._replace(late=missed, emergency_stop=board.emergency_stop)
         wanted = asked if self._state in MOVING else (0.0, 0.0)
         checked = control.check(wanted, health)
-        self._applied = self._rig.write(checked.torque_1, checked.torque_2)
+        self._applied = self._rig.write(*(checked[:2] if self._powered else (0.0, 0.0)))
         tick = control.close_tick(asked, self._applied, checked)
         self._log((*tick.row(), self._state, late))
         if checked.limited.stops:
             self._fail(_words(checked.limited))
-            return control.brakes
+            return self._powered and control.brakes
         if self._state == RigState.HOP:
             self._judge_hop()
         return self._state != RigState.OFF
@@ -142,6 +142,7 @@ class ControlLoop:
         if state == self._state:
             return
         self._state, self._entered = state, self._control.time
+        self._powered = state in MOVING or (self._powered and state == RigState.FAULT)  # a limp robot does not brake
         if state == RigState.HOP:
             self._control.await_release()
         self._board.state = state

@@ -302,9 +302,20 @@ def _add_shapes(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) ->
         shape.contype = shape.conaffinity = 0
 
     spec.worldbody.add_light(pos=(0, -1, 3), dir=(0, 0, -1))
+    _add_squares(spec)
     add("hopper", cylinder, [0, -0.03, 0, 0, 0.03, 0], 0.046, dark)
     if gap.boom_arc:
         add("hopper", capsule, [0, 0, 0, 0, robot.boom_length, 0], 0.015, dark)
     for side, colour, foot in (("front", blue, 0), ("rear", orange, robot.foot_length)):
         for part, length in (("top", robot.top_length), ("bottom", robot.bottom_length + foot)):
             add(f"{side}_{part}", capsule, [0, 0, 0, 0, 0, -length], 0.007, colour)
+
+
+def _add_squares(spec: mujoco.MjSpec) -> None:
+    """A floor on which one sees that the robot moves."""
+    two_d, checker = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+    squares = spec.add_texture(name="squares", type=two_d, builtin=checker, width=256, height=256)
+    squares.rgb1, squares.rgb2 = np.full(3, 0.8), np.full(3, 0.7)
+    material = spec.add_material(name="squares", texrepeat=(1, 1), texuniform=True)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "squares"
+    spec.geom("ground").material = "squares"

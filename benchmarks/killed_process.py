@@ -1,0 +1,90 @@
+"""How long torque lasts when the real-time process is killed with SIGKILL, on the wall clock.
+
+The emulated ring notes when its drives give torque; its watchdog is 50 ms. Several kills, each while the robot hops.
+
+    ./go python benchmarks/killed_process.py --kills 5
+"""
+
+import argparse
+import os
+import signal
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from multiprocessing import RawArray, get_context
+from pathlib import Path
+from time import monotonic, sleep
+
+import numpy as np
+
+from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.plants.realtime.process import RealtimeSetup
+from stepgap.plants.realtime.realtime_plant import RealtimePlant
+from stepgap.rigs.ethercat.emulator.emulator import run_emulator
+from stepgap.rigs.ethercat.emulator.machine import TwinMachine
+from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.ethercat.emulator.ring_rig import emulated_settings
+from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.rig import Reading
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.rigs.twin.twin import Twin
+
+ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
+RING = RingSettings(lock_step=False)
+COMMAND = np.array([-5.0, -8.0])
+
+
+class Watched(TwinMachine):
+    """The twin; notes when it felt torque last."""
+
+    def __init__(self, felt: Callable[[], None]):
+        super().__init__(Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=3.0))
+        self._felt = felt
+
+    def tick(self, torque_1: float, torque_2: float) -> Reading:
+        if torque_1 or torque_2:
+            self._felt()
+        return super().tick(torque_1, torque_2)
+
+
+def serve(interface: str, last, pipe) -> None:
+    def felt() -> None:
+        last[0] = monotonic()
+
+    run_emulator(interface, Watched(felt), RING, lambda _: pipe.send("ready"), pipe)
+
+
+def kill_once(interface: str, folder: Path) -> float:
+    """Time from the kill to the last torque [s]."""
+    context = get_context("spawn")
+    here, there = context.Pipe()
+    last = RawArray("d", 1)
+    ring = context.Process(target=serve, args=(interface, last, there), daemon=True)
+    ring.start()
+    here.recv()
+    layout = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).layout
+    settings = replace(emulated_settings(layout, ROBOT, RING, interface), watchdog=0.05)
+    with RealtimePlant(RealtimeSetup(partial(EthercatRig, settings, ROBOT), ROBOT, GAINS, BOUNDS), folder) as plant:
+        plant.start()
+        plant.take_step(COMMAND)
+        assert plant._session is not None
+        killed = monotonic()
+        os.kill(plant._session.process_id, signal.SIGKILL)
+        sleep(0.5)
+        lasted = last[0] - killed
+    here.close()
+    ring.join()
+    return lasted
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=5)
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(parser.parse_args().kills):
+            print(f"kill {number + 1}: torque for {1000 * kill_once(f'sgk{os.getpid()}', Path(folder)):.1f} ms more")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,99 @@
+"""A robot of your own: a runner on a springy leg, whose model knows of no losses, learns to track speed and height.
+
+The model is a point mass on a massless spring that lands at the angle commanded and, from its greatest compression on,
+pushes with an added stiffness (SLIP; Blickhan, The spring-mass model for running and hopping, 1989). What really runs
+is heavier and softer, and its leg has damping and friction.
+"""
+
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numba import guvectorize, njit
+
+from stepgap.control.reference import Reference
+from stepgap.learning.settings import LearningSettings
+from stepgap.plants.model_plant import ModelPlant
+from stepgap.sim_to_real import run
+from stepgap.step import Outcome, Quantity, Reason, StepMap, StepSpace, difference_jacobian
+
+GRAVITY = 9.81
+
+
+@njit
+def motion(z, robot, push, phase):
+    """Rates of z = (x, y, ẋ, ẏ) with the foot at the origin, and what is positive until the phase ends."""
+    mass, stiffness, rest_length, damping, friction = robot
+    length = np.hypot(z[0], z[1])
+    rate = (z[0] * z[2] + z[1] * z[3]) / length
+    force = (stiffness + push) * (rest_length - length) - damping * rate - friction * phase
+    thrust = force / (mass * length)
+    return np.array([z[2], z[3], thrust * z[0], thrust * z[1] - GRAVITY]), (force if phase > 0 else -rate)
+
+
+@njit
+def follow(z, robot, push, phase):
+    """The state at the end of compression (phase −1) or extension (phase 1): Runge–Kutta steps, halved before it."""
+    step = 2e-3
+    while step > 1e-12 and z[1] > 0:
+        k1 = motion(z, robot, push, phase)[0]
+        k2 = motion(z + step / 2 * k1, robot, push, phase)[0]
+        k3 = motion(z + step / 2 * k2, robot, push, phase)[0]
+        k4 = motion(z + step * k3, robot, push, phase)[0]
+        ahead = z + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        if motion(ahead, robot, push, phase)[1] > 0:
+            z = ahead
+        else:
+            step /= 2
+    return z
+
+
+@guvectorize(["f8[:], f8[:], f8[:], f8[:], i8[:]"], "(n),(m),(p)->(n),()")
+def hop(state, command, robot, next_state, reason):
+    """From apex to apex; NumPy broadcasts it over leading axes."""
+    x, y = -robot[2] * np.sin(command[0]), robot[2] * np.cos(command[0])
+    next_state[:], reason[0] = np.nan, Reason.FELL
+    if not np.isfinite(state.sum() + command.sum()):
+        reason[0] = Reason.INVALID
+    elif state[1] > y:
+        z = np.array([x, y, state[0], -np.sqrt(2 * GRAVITY * (state[1] - y))])
+        z = follow(follow(z, robot, 0.0, -1.0), robot, command[1], 1.0)
+        if z[1] > 0:
+            reason[0] = Reason.OK if z[3] > 0 else Reason.NO_TAKE_OFF
+        if reason[0] == Reason.OK:
+            next_state[0], next_state[1] = z[2], z[1] + z[3] ** 2 / (2 * GRAVITY)
+
+
+@dataclass(frozen=True)
+class SpringRunner(StepMap):
+    """Map [speed, height], [angle, push] → next [speed, height]; SI units."""
+
+    mass: float = 10.0
+    stiffness: float = 3000.0
+    rest_length: float = 0.5
+    damping: float = 0.0
+    friction: float = 0.0
+
+    space = StepSpace(
+        state=(Quantity("speed", "m/s", 0.8, 1.6), Quantity("height", "m", 0.54, 0.66)),
+        command=(Quantity("angle", "rad", 0.0, 0.45), Quantity("push", "N/m", -900.0, 900.0)),
+    )
+    jacobian = difference_jacobian
+
+    def evaluate(self, state, command):
+        return Outcome(*hop(state, command, np.array(astuple(self))))
+
+
+def make_plant(rng):
+    """What really runs; it draws its noise from `rng`."""
+    real = SpringRunner(mass=10.6, stiffness=2850.0, damping=6.0, friction=4.0)
+    return ModelPlant(real, np.array([1.0, 0.58]), np.array([0.01, 0.002]), rng)
+
+
+stairs = [(1, (1.0, 0.58)), (13, (1.2, 0.6)), (25, (1.4, 0.6)), (37, (1.2, 0.62)), (49, (1.0, 0.6))]
+reference = Reference.from_segments(("speed", "height"), stairs, 60)
+if __name__ == "__main__":
+    with TemporaryDirectory() as folder:
+        for deployment in run(SpringRunner(), make_plant, reference, LearningSettings(), Path(folder), seed=0):
+            print("deployment {}: speed {:.4f} m/s, height {:.4f} m".format(deployment.iteration, *deployment.rmse))

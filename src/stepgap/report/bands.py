@@ -1,0 +1,51 @@
+"""Two bands: the error of the paper's robot, which a run may reach, and the 95 % interval of a prediction."""
+
+from typing import Final
+
+import numpy as np
+
+from stepgap.learning.step_log import StepLog
+from stepgap.report.paper import WITH_GP
+from stepgap.step import Array
+
+PAPER_BAND: Final = np.array([WITH_GP["rmse"]["speed"], WITH_GP["rmse"]["height"]])
+"""Error of the paper's robot after four redeployments, speed [m/s] and height [m]."""
+
+WINDOW: Final = 20
+"""Steps over which an error is compared with it."""
+
+INTERVAL: Final = 1.96
+"""Standard deviations on either side that hold 95 % of a normal distribution."""
+
+
+def tracking_errors(steps: StepLog) -> Array:
+    """Next state − target of the steps that tracked and ended with an apex; shape (k, n)."""
+    tracked = StepLog(steps.space, (logged for logged in steps.completed() if logged.step > 0))
+    return tracked.next_state - tracked.target
+
+
+def hops_to_band(errors: Array) -> int | None:
+    """After how many of N steps with tracking errors (N, 2) the error of the last 20 is in the paper's band for good.
+
+    None where it never is, or where there are too few steps to tell.
+    """
+    if len(errors) < WINDOW:
+        return None
+    inside = np.all(window_errors(errors) <= PAPER_BAND, axis=1)
+    outside = np.flatnonzero(np.logical_not(inside))
+    first = int(outside[-1]) + 1 if len(outside) else 0
+    return first + WINDOW if first < len(inside) else None
+
+
+def window_errors(errors: Array) -> Array:
+    """Root-mean-square error of every 20 steps in a row; (N, n) to (N − 19, n)."""
+    squares = np.cumsum(np.vstack([np.zeros(errors.shape[1]), errors**2]), axis=0)
+    return np.sqrt(np.maximum(squares[WINDOW:] - squares[:-WINDOW], 0) / WINDOW)
+
+
+def coverage(steps: StepLog, index: int) -> tuple[int, int]:
+    """How many next states lie within the 95 % interval of their prediction, and of how many with an interval."""
+    known = steps.completed()
+    error, std = np.abs(known.next_state - known.predicted)[:, index], known.std[:, index]
+    banded = np.isfinite(error) & (std > 0)
+    return int(np.count_nonzero(error[banded] <= INTERVAL * std[banded])), int(np.count_nonzero(banded))

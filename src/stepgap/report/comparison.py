@@ -1,0 +1,146 @@
+"""Several runs on one page: their errors side by side, one figure, and which settings differ."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from stepgap.report import paper
+from stepgap.report.bands import hops_to_band, tracking_errors
+from stepgap.report.drawing import draw
+from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
+from stepgap.report.run_folder import RunRecord
+from stepgap.report.settings_table import MISSING, differing, flat_settings, parsed
+from stepgap.report.words import decimal, headline
+
+MOST_RUNS: Final = 12
+"""Runs on one page, so that they can be told apart."""
+
+SHOWN: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
+"""Errors that are compared."""
+
+CAPTION: Final = (
+    "Root-mean-square tracking error of each run by deployment, on a logarithmic axis. A deployment that fell is "
+    "counted up to its fall."
+)
+
+
+def comparison_html(records: Sequence[RunRecord]) -> str:
+    """The whole page.
+
+    Args:
+        records: At least two runs.
+
+    Raises:
+        ValueError: They are too many, or not of the same state.
+    """
+    if not 2 <= len(records) <= MOST_RUNS:
+        raise ValueError(f"{len(records)} runs to compare; it must be 2 to {MOST_RUNS}")
+    space = records[0].space
+    for record in records:
+        if record.space.state_names != space.state_names:
+            raise ValueError(
+                f"{record.folder}: its state is {', '.join(record.space.state_names)}, that of {records[0].folder} "
+                f"{', '.join(space.state_names)}; only runs of the same state can be compared"
+            )
+    names = run_names([record.folder for record in records])
+
+    def errors() -> object:
+        from stepgap.report.figures import comparison_figure
+
+        return comparison_figure(records, names)
+
+    return page(
+        "StepGap comparison",
+        [
+            f"<h1>StepGap comparison of {len(records)} runs</h1>",
+            bullets([f"{name}: {headline(record)}" for name, record in zip(names, records, strict=True)]),
+            section("figure", "Figure", picture(draw(errors, "the errors"), "errors-", CAPTION)),
+            section(
+                "numbers",
+                "Errors by deployment",
+                paragraph(_references(records)),
+                _side_by_side(_tables(records, names)),
+            ),
+            section("settings", "Settings and versions that differ", _settings(records, names)),
+        ],
+    )
+
+
+def _side_by_side(tables: Sequence[str]) -> str:
+    return f'<div class="tables">{"".join(tables)}</div>'
+
+
+def run_names(folders: Sequence[Path]) -> list[str]:
+    """A short name for each folder: what comes after the path they share."""
+    paths = [folder.resolve() for folder in folders]
+    shared = os.path.commonpath([path.parent for path in paths])
+    names = [str(path.relative_to(shared)) for path in paths]
+    return [name if names.count(name) == 1 else f"{name} ({row + 1})" for row, name in enumerate(names)]
+
+
+def _references(records: Sequence[RunRecord]) -> str:
+    """Whether the errors can be compared at all."""
+    targets = [record.steps.of_iteration(record.shown[0]).target for record in records]
+    shortest = min(map(len, targets))
+    if all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets):
+        return "All runs tracked the same reference. Errors are next state − target."
+    return "These runs tracked different references: compare trends, not numbers. Errors are next state − target."
+
+
+def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
+    numbers = sorted({entry.iteration for record in records for entry in record.deployments})
+    entries = [{entry.iteration: entry for entry in record.deployments} for record in records]
+    found = []
+    for measure, words in SHOWN.items():
+        for index, quantity in enumerate(records[0].space.state):
+            rows = [
+                [
+                    str(number),
+                    *(decimal(each[number].errors[measure][index]) if number in each else MISSING for each in entries),
+                ]
+                for number in numbers
+            ]
+            found.append(table(f"{words} of {with_unit(quantity)}", ["deployment", *names], rows))
+    rows = [
+        [
+            str(number),
+            *(f"{each[number].steps}, {each[number].falls}" if number in each else MISSING for each in entries),
+        ]
+        for number in numbers
+    ]
+    found.append(table("Hops and falls", ["deployment", *names], rows))
+    if records[0].space.state_names == paper.STATE_NAMES:
+        found.append(
+            table(
+                "Hops from the first on until the error stays in the paper's band",
+                ["", *names],
+                [["hops", *map(_to_band, records)]],
+            )
+        )
+    return found
+
+
+def _to_band(record: RunRecord) -> str:
+    if not record.deployments:
+        return MISSING
+    if record.deployments[-1].falls:
+        return "never: fell"
+    errors = [tracking_errors(record.steps.of_iteration(entry.iteration)) for entry in record.deployments]
+    hops = hops_to_band(np.concatenate(errors))
+    return "never" if hops is None else str(hops)
+
+
+def _settings(records: Sequence[RunRecord], names: Sequence[str]) -> str:
+    columns = [
+        flat_settings(parsed(record.settings)) | {f"version of {name}": text for name, text in record.summary.versions}
+        for record in records
+    ]
+    without = [name for name, record in zip(names, records, strict=True) if record.settings is None]
+    note = paragraph(f"No experiment.toml in: {', '.join(without)}.") if without else ""
+    rows = differing(columns)
+    if not rows:
+        return note or paragraph("None: these runs were made with the same settings and versions.")
+    return note + table("", ["setting", *names], rows)

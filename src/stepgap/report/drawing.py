@@ -1,0 +1,53 @@
+"""Figures as files and as parts of a page; one that cannot be drawn is a sentence that says why."""
+
+from collections.abc import Callable, Mapping
+from io import BytesIO
+from typing import Any, Final, NamedTuple
+
+DOTS_PER_INCH: Final = 150
+"""Resolution of the PNG files."""
+
+UNDATED: Final[Mapping[str, Mapping[str, None]]] = {
+    "svg": dict.fromkeys(("Creator", "Date", "Format", "Type")),
+    "pdf": dict.fromkeys(("Creator", "Producer", "CreationDate")),
+}
+"""What is left out of files, so that the same run gives the same bytes."""
+
+HOW_TO_MEND: Final = (
+    "figures need a sound matplotlib, pip install --force-reinstall matplotlib, and no unknown backend in the "
+    "environment variable MPLBACKEND"
+)
+"""What to do where drawing fails."""
+
+
+LONGEST_ERROR: Final = 120
+"""Characters of an error that are shown."""
+
+
+class Drawing(NamedTuple):
+    """A figure in the forms in which it is kept."""
+
+    svg: str
+    png: bytes
+    pdf: bytes
+
+
+def draw(make: Callable[[], Any], what: str) -> Drawing | str:
+    """The figure that `make` gives, or a sentence that says why it cannot be drawn.
+
+    Args:
+        make: Gives a `matplotlib.figure.Figure`; it may import what it needs.
+        what: What is shown, for the sentence.
+    """
+    try:
+        figure = make()
+        return Drawing(_saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf"))
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        short = " ".join(str(error).split())[:LONGEST_ERROR]
+        return f"No figure of {what} could be drawn ({type(error).__name__}: {short}); {HOW_TO_MEND}."
+
+
+def _saved(figure: Any, form: str) -> bytes:
+    stream = BytesIO()
+    figure.savefig(stream, format=form, dpi=DOTS_PER_INCH, metadata=dict(UNDATED.get(form, {})))
+    return stream.getvalue()

@@ -1,0 +1,98 @@
+"""Tracking errors of a run as tables: by deployment beside the paper's, and after how many hops they were as small."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from stepgap.report import paper
+from stepgap.report.bands import PAPER_BAND, WINDOW, hops_to_band, tracking_errors, window_errors
+from stepgap.report.html import safe, table, with_unit
+from stepgap.report.run_folder import RunRecord
+from stepgap.report.summary import MEASURES
+from stepgap.report.words import decimal
+from stepgap.step import Array
+
+
+def error_table(record: RunRecord, row: int, plant: str) -> str:
+    """Errors of one state coordinate by deployment, the paper's beside them."""
+    quantity, hardware = record.space.state[row], record.space.state_names == paper.STATE_NAMES
+    entries = {deployment.iteration: deployment for deployment in record.deployments}
+    places, lines = _places([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
+    for iteration in sorted(set(entries) | set(range(paper.LAST_ITERATION + 1) if hardware else ())):
+        entry = entries.get(iteration)
+        counts = [entry.residual, str(entry.steps), str(entry.falls)] if entry else ["–"] * 3
+        ours = [entry.errors[measure][row] if entry else None for measure in MEASURES]
+        theirs = [paper.paper_error(measure, quantity.name, iteration) for measure in MEASURES] if hardware else []
+        texts = "".join(f"<td>{safe(count)}</td>" for count in counts)
+        lines.append(
+            f'<tr><th scope="row">{iteration}</th>{texts}{_cells(ours, "run", places)}{_cells(theirs, "paper")}</tr>'
+        )
+    return (
+        f'<div class="wide"><table><caption>Error of {safe(with_unit(quantity))}</caption>'
+        f"<thead>{_heads(plant, hardware)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
+    )
+
+
+def _heads(plant: str, hardware: bool) -> str:
+    """The two rows above the numbers: whose they are, and which."""
+    whose = f'<th colspan="4"></th><th colspan="{len(MEASURES)}" scope="colgroup">this run: {safe(plant)}</th>'
+    measures = [measure.replace("_", " ").replace("rmse", "RMSE").replace("mae", "MAE") for measure in MEASURES]
+    which = "".join(f'<th scope="col">{head}</th>' for head in ("deployment", "residual", "hops", "falls", *measures))
+    if hardware:
+        whose += f'<th colspan="{len(MEASURES)}" scope="colgroup" class="paper">the paper: hardware</th>'
+        which += "".join(f'<th scope="col" class="paper">{measure}</th>' for measure in measures)
+    return f"<tr>{whose}</tr>\n<tr>{which}</tr>"
+
+
+def _places(errors: Sequence[float]) -> int | None:
+    """Decimals that leave the median error three digits; None where that would be an unreadable number of them."""
+    sizes = [abs(error) for error in errors if np.isfinite(error) and error]
+    places = 2 - int(np.floor(np.log10(np.median(sizes)))) if sizes else 0
+    return places if 0 <= places <= 7 else None
+
+
+def _cells(values: Iterable[float | None], kind: str, places: int | None = None) -> str:
+    """Table cells, all with the same decimals if given; the exact number stands in each `<data>`."""
+    cells = []
+    for value in values:
+        if value is None or not np.isfinite(value):
+            cells.append(f'<td class="{kind} missing">–</td>')
+        else:
+            text = f"{value:g}" if places is None else f"{value:.{places}f}"
+            text = text.replace("-", "−")
+            cells.append(f'<td class="{kind}"><data value="{float(value)!r}">{text}</data></td>')
+    return "".join(cells)
+
+
+def band_table(record: RunRecord) -> str:
+    """After how many hops the error stayed as small as that of the paper's robot; nothing for another robot."""
+    if record.space.state_names != paper.STATE_NAMES or not record.deployments:
+        return ""
+    limits = [f"{limit:g} {quantity.unit}" for limit, quantity in zip(PAPER_BAND, record.space.state, strict=True)]
+    caption = (
+        f"Hops to the paper's band: until the RMSE of {WINDOW} hops in a row stays at or below {limits[0]} in speed "
+        f"and {limits[1]} in height, the paper's errors after four redeployments"
+    )
+    heads = ["deployment", "hops", "to the band", f"best {WINDOW} hops: speed [m/s]", "height [m]"]
+    rows, hops, all_errors = [], 0, []
+    for entry in record.deployments:
+        errors = tracking_errors(record.steps.of_iteration(entry.iteration))
+        rows.append([str(entry.iteration), str(entry.steps), _to_band(errors, entry.falls), *_best(errors)])
+        hops, all_errors = hops + entry.steps, [*all_errors, errors]
+    whole = np.concatenate(all_errors)
+    rows.append(["all", str(hops), _to_band(whole, record.deployments[-1].falls), *_best(whole)])
+    return table(caption, heads, rows)
+
+
+def _to_band(errors: Array, falls: int) -> str:
+    if falls:
+        return "never: fell"
+    hops = hops_to_band(errors)
+    return "never" if hops is None else str(hops)
+
+
+def _best(errors: Array) -> list[str]:
+    """The least error of 20 hops in a row, coordinate by coordinate."""
+    if len(errors) < WINDOW:
+        return ["–"] * errors.shape[1]
+    return [decimal(error) for error in window_errors(errors).min(axis=0)]

@@ -1,0 +1,148 @@
+"""`report.html`: what a run did, learnt and was, on one page."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from stepgap.control.reference import paper_reference
+from stepgap.report import paper
+from stepgap.report.background import Background
+from stepgap.report.bands import coverage
+from stepgap.report.drawing import Drawing
+from stepgap.report.error_table import band_table, error_table
+from stepgap.report.html import bullets, page, paragraph, picture, safe, section
+from stepgap.report.learnt import Learnt
+from stepgap.report.learnt_table import coverage_table, learnt_sentences, learnt_tables
+from stepgap.report.reference_gait import ReferenceGait, gait_sentences, gait_table
+from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
+from stepgap.report.run_folder import RunRecord
+from stepgap.report.settings_table import changed_settings
+from stepgap.report.words import headline, sentences
+
+CONTENTS: Final = {
+    "figures": "Figures",
+    "numbers": "Numbers",
+    "replay": "Replay",
+    "learnt": "What was learnt",
+    "gait": "Gait",
+    "settings": "Settings and versions",
+}
+"""Parts of the page."""
+
+LEFT_OUT_CAPTION: Final = (
+    "Leave-one-out: each recorded error of the map as the model predicts it from all the others, at the same "
+    "hyper-parameters. Left: on the line, prediction and record are equal. Right: what is left, in standard deviations "
+    "of the prediction, noise included; the grey band should hold 95 % of the points, with no pattern along the hops."
+)
+
+GAIT_CAPTION: Final = (
+    "(a) What one step can reach within the command bounds from the target in the middle. (b) Multipliers of all limit "
+    "cycles: inside the circle, an error dies out while the command stays the same; the step controller does not rely "
+    "on that. The slopes of the corrected map are the learnt model's, which knows them less well than its values."
+)
+
+
+def report_html(
+    record: RunRecord,
+    drawings: Mapping[str, Drawing | str],
+    background: Background,
+    learnt: Learnt | None,
+    gait: ReferenceGait | str,
+) -> str:
+    """The whole page.
+
+    Args:
+        record: The run.
+        drawings: Its figures by name: `tracking`, `errors`, `map_K`, `left_out`, `gait`; or why there is none.
+        background: What else is known.
+        learnt: The last residual, if there is one.
+        gait: Limit cycles at the targets, or why they are not known.
+    """
+    title = f"StepGap report: {record.folder.resolve().name}"
+    links = "".join(f'<a href="#{name}">{words}</a>' for name, words in CONTENTS.items())
+    plant = background.plant
+    shown = {
+        "figures": [picture(drawings[name], f"{name}-", text) for name, text in captions(record).items()],
+        "numbers": [
+            paragraph(_what_is_compared(record, plant)),
+            *(error_table(record, row, plant) for row in range(len(record.space.state))),
+            band_table(record),
+        ],
+        "replay": [replay_view(record, background.replay)],
+        "learnt": [
+            bullets(learnt_sentences(record, learnt)),
+            learnt_tables(record, learnt),
+            coverage_table(record),
+            picture(drawings["left_out"], "left-out-", LEFT_OUT_CAPTION) if "left_out" in drawings else "",
+        ],
+        "gait": [paragraph(gait)] if isinstance(gait, str) else [
+            bullets(gait_sentences(gait)),
+            picture(drawings["gait"], "gait-", GAIT_CAPTION) if "gait" in drawings else "",
+            gait_table(gait),
+        ],
+        "settings": [_settings(record, background.defaults)],
+    }  # fmt: skip
+    top = (
+        f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(record))}</p>\n'
+        f"{bullets(sentences(record, plant))}"
+    )
+    parts = [section(name, CONTENTS[name], *parts) for name, parts in shown.items()]
+    return page(title, [top, *parts], REPLAY_SCRIPT if not isinstance(background.replay, str) else "")
+
+
+def captions(record: RunRecord) -> dict[str, str]:
+    """What each figure of the steps shows."""
+    hardware = record.space.state_names == paper.STATE_NAMES
+    beside = " The paper's points are of its hardware: its Fig. 5, and its Fig. 4 for deployment 0." if hardware else ""
+    found = {
+        "tracking": "Tracking without and with the learnt correction, as in the paper's Fig. 4: the state at the end "
+        "of each step in the first and the last deployment, and the reference.",
+        "errors": f"Tracking error by deployment, as in the paper's Fig. 5.{beside}",
+    }
+    for row, quantity in enumerate(record.space.state):
+        last = record.shown[-1]
+        held = [_held(record, iteration, row) for iteration in record.steps.iterations]
+        like = f", as in the paper's Fig. {6 + row}" if hardware else ""
+        text = f"The map of {quantity.name}{like}. (a) Its mean with 95 % band, noise included, and the measured next "
+        text += f"state, in deployment {last}."
+        if any(held):
+            text += f" The band, drawn before the step was taken, held {', '.join(filter(None, held))}."
+        text += " (b) Standard deviation of the prediction in the first and the last redeployment."
+        if hardware:
+            before, after = paper.LARGEST_STD[quantity.name]
+            text += f" On the paper's hardware it was at most about {before:g}, then {after:g} {quantity.unit}."
+        found[f"map_{row}"] = text
+    return found
+
+
+def _held(record: RunRecord, iteration: int, row: int) -> str:
+    """How many measurements of a deployment the band held; empty where there was no band."""
+    inside, known = coverage(record.steps.of_iteration(iteration), row)
+    return f"{inside} of {known} measurements ({100 * inside / known:.0f} %) in deployment {iteration}" if known else ""
+
+
+def _what_is_compared(record: RunRecord, plant: str) -> str:
+    words = (
+        f"This run was executed by the {plant}. Errors are next state − target. Steady: from 4 steps after a change of "
+        "the target on; transient: the first 4 steps from each change on."
+    )
+    if record.space.state_names != paper.STATE_NAMES:
+        return words
+    targets, wanted = record.steps.of_iteration(record.shown[-1]).target, paper_reference().targets
+    same = len(targets) <= len(wanted) and np.array_equal(targets, wanted[: len(targets)])
+    which = "the paper's reference" if same else "another reference than the paper's: compare trends, not numbers"
+    return (
+        f"{words} The paper's numbers are of its hardware, another machine: 227 steps per deployment, read off its "
+        f"Figs. 4 and 5. This run tracked {which}."
+    )
+
+
+def _settings(record: RunRecord, defaults: Mapping[str, Any] | str) -> str:
+    facts = [] if record.summary.seed is None else [f"seed: {record.summary.seed}"]
+    facts += [f"{name}: {version}" for name, version in record.summary.versions]
+    if record.settings is None:
+        return f"{bullets(facts)}<p>The folder holds no experiment.toml.</p>"
+    changed = paragraph(defaults) if isinstance(defaults, str) else changed_settings(record.settings, defaults)
+    opened = "<details><summary>experiment.toml: every setting, reruns the experiment</summary>"
+    return f"{bullets(facts)}{changed}{opened}<pre>{safe(record.settings)}</pre></details>"

@@ -1,0 +1,93 @@
+"""The replay on the page: a drawing in three dimensions that can be played, scrubbed and turned, with no library."""
+
+import json
+from base64 import b64encode
+from dataclasses import fields
+from importlib.resources import files
+from typing import Any, Final
+
+import numpy as np
+
+from stepgap.learning.step_log import StepLog
+from stepgap.report.html import paragraph, safe
+from stepgap.report.motion import RATE, Motion, Replay
+from stepgap.report.run_folder import RunRecord
+from stepgap.step import Array
+
+REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(encoding="utf-8")
+"""What draws it; it finds its data in the page."""
+
+LEVELS: Final = 65535
+"""Steps into which the range of a channel is divided."""
+
+MOST_FRAMES: Final = 60_000
+"""Of one motion on the page; of a longer one, frames are left out."""
+
+CONTROLS: Final = """<div id="replay-view">
+<canvas id="replay-canvas" tabindex="0" role="img" aria-label="The hopper on its boom; drag to turn the view"></canvas>
+<p id="replay-words" aria-live="off">The replay needs JavaScript, which does not run here.</p>
+<input id="replay-slider" type="range" min="0" max="0" value="0" aria-label="Time">
+<p class="controls"><button id="replay-play" type="button">Play</button>
+<label>deployment <select id="replay-deployment"></select></label>
+<label>speed <select id="replay-speed"><option>0.1</option><option>0.25</option><option>0.5</option>
+<option selected>1</option><option>2</option><option>8</option></select></label>
+<label>zoom <input id="replay-zoom" type="range" min="0" max="100" value="75"></label>
+<label><input id="replay-follow" type="checkbox" checked> follow the hopper</label></p>
+</div>"""
+
+
+def replay_view(record: RunRecord, replay: Replay | str) -> str:
+    """Canvas, controls and data, or why there are none."""
+    if isinstance(replay, str):
+        return paragraph(replay)
+    robot = replay.robot
+    data = {
+        "levels": LEVELS,
+        "leg": [robot.top_length, robot.bottom_length, robot.foot_length],
+        "boom": robot.boom_length,
+        "pivot": replay.pivot_height,
+        "motions": [_motion(number, motion, record.steps) for number, motion in replay.motions.items()],
+    }
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    kept = f'<script type="application/json" id="replay-data">{text}</script>'
+    return f'{CONTROLS}\n<p class="note">{safe(_legend())}</p>\n{kept}'
+
+
+def _legend() -> str:
+    return (
+        "Drag to turn; the keys ← and → go on by a frame. The leg is drawn as the closed chain it is; the foot is "
+        "full while it bears load. Dashed: the height wanted at the next apex. Circles: apexes reached; bars: their "
+        "targets. Between the recorded steps the motion was simulated again from the run's "
+        "seed, and every step came out as recorded, to the last bit."
+    )
+
+
+def _motion(number: int, motion: Motion, log: StepLog) -> dict[str, Any]:
+    """A motion as JSON: its channels as whole numbers of two bytes, one after the other, and its steps."""
+    every = -(-len(motion.step) // MOST_FRAMES)
+    channels = [getattr(motion, field.name)[::every] for field in fields(motion)]
+    ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
+    packed = b"".join(_levels(channel).astype("<u2").tobytes() for channel in channels)
+    steps = [
+        [logged.step, *_rounded(logged.target), *_rounded(logged.record.next_state), *_rounded(logged.record.command)]
+        for logged in log.of_iteration(number)
+    ]
+    return {
+        "deployment": number,
+        "rate": RATE / every,
+        "frames": len(channels[0]),
+        "channels": [field.name for field in fields(motion)],
+        "ranges": ranges,
+        "packed": b64encode(packed).decode(),
+        "steps": steps,
+    }
+
+
+def _levels(channel: Array) -> Array:
+    """The channel from 0 at its least to `LEVELS` at its largest value."""
+    span = float(np.ptp(channel))
+    return np.round((channel - channel.min()) / span * LEVELS) if span > 0 else np.zeros(len(channel))
+
+
+def _rounded(values: Array) -> list[float | None]:
+    return [round(float(value), 5) if np.isfinite(value) else None for value in values]

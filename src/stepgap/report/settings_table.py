@@ -1,0 +1,52 @@
+"""Settings that differ: from their defaults, or from run to run."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from stepgap.report.html import paragraph, table
+
+MISSING = "–"
+"""Shown where a setting is not there."""
+
+
+def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """Each value of nested tables, as a short text, by its dotted name."""
+    flat: dict[str, str] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            flat |= flat_settings(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = _shown(value)
+    return flat
+
+
+def parsed(text: str | None) -> dict[str, Any]:
+    """The tables of an `experiment.toml` that is known to be TOML; none without a text."""
+    return tomllib.loads(text or "")
+
+
+def differing(columns: Sequence[Mapping[str, str]]) -> list[list[str]]:
+    """Name and values of each setting that is not the same in all columns, in the order of the first."""
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    rows = [[name, *(column.get(name, MISSING) for column in columns)] for name in names]
+    return [row for row in rows if len(set(row[1:])) > 1]
+
+
+def changed_settings(text: str, defaults: Mapping[str, Any]) -> str:
+    """A table of the settings of a run that differ from their defaults."""
+    rows = differing([flat_settings(parsed(text)), flat_settings(defaults)])
+    if not rows:
+        return paragraph("All settings are the defaults.")
+    return table("Settings that differ from their defaults", ["setting", "this run", "default"], rows)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_shown, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return f"{value:.12g}"
+    text = str(value) or "(empty)"
+    return text if len(text) <= 80 else f"{text[:77]}…"

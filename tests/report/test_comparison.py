@@ -1,0 +1,65 @@
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from stepgap.report import comparison_html, read_run_folder
+from stepgap.report.comparison import run_names
+from stepgap.report.settings_table import changed_settings, differing, flat_settings
+from tests.report.pages import Page, check_alone
+from tests.report.runs import make_run, write_run
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two runs, the second with one redeployment less and another seed."""
+    place = tmp_path_factory.mktemp("several")
+    folders = [make_run(place / "a <b>", 2), make_run(place / "c", 1)]
+    for seed, folder in enumerate(folders):
+        (folder / "experiment.toml").write_text(f"seed = {seed}\n[gains]\nstiffness = 2400.0\n")
+    return folders
+
+
+def test_runs_side_by_side(folders: list[Path], tmp_path: Path) -> None:
+    records = [read_run_folder(folder) for folder in folders]
+    (tmp_path / "page.html").write_text(comparison_html(records), encoding="utf-8")
+    page = Page(tmp_path / "page.html")
+    check_alone(page, 1)
+    assert "All runs tracked the same reference." in page.text
+    assert "a <b>: It tracked" in page.text
+    rows = [row for row in page.source.splitlines() if 'scope="row">seed<' in row or "gains.stiffness" in row]
+    assert rows == ['<tr><th scope="row">seed</th><td>0</td><td>1</td></tr>']
+    assert '<th scope="row">2</th>' in page.source
+    assert page.source.count("<caption>") == 8
+
+
+def test_runs_of_another_state_are_refused(folders: list[Path], tmp_path: Path) -> None:
+    other = write_run(tmp_path / "other", ("x",))
+    with pytest.raises(ValueError, match=r"^[^\n]*only runs of the same state can be compared$"):
+        comparison_html([read_run_folder(folders[0]), read_run_folder(other)])
+    with pytest.raises(ValueError, match="1 runs to compare; it must be 2 to 12"):
+        comparison_html([read_run_folder(folders[0])])
+
+
+def test_unfinished_runs_are_compared(folders: list[Path], tmp_path: Path) -> None:
+    shutil.copytree(folders[0], tmp_path / "run")
+    (tmp_path / "run" / "summary.json").unlink()
+    (tmp_path / "run" / "experiment.toml").unlink()
+    text = comparison_html([read_run_folder(folders[1]), read_run_folder(tmp_path / "run")])
+    assert "No deployment is finished yet." in text
+    assert "No experiment.toml in: " in text
+
+
+def test_names_are_what_paths_do_not_share() -> None:
+    assert run_names([Path("/runs/a"), Path("/runs/b/c")]) == ["a", "b/c"]
+    assert run_names([Path("/x/run"), Path("/y/run")]) == ["x/run", "y/run"]
+    assert run_names([Path("/x/run"), Path("/x/run")]) == ["run (1)", "run (2)"]
+
+
+def test_settings_that_differ() -> None:
+    one = flat_settings({"a": 1, "t": {"b": 2.0, "c": [1, 2]}, "s": ""})
+    two = flat_settings({"a": 1.0, "t": {"b": 2, "c": (1, 3)}, "d": True})
+    assert differing([one, two]) == [["t.c", "[1, 2]", "[1, 3]"], ["s", "(empty)", "–"], ["d", "–", "true"]]
+    assert "All settings are the defaults." in changed_settings("x = 1\n", {"x": 1.0})
+    assert "&lt;" in changed_settings("x = '<'\n", json.loads('{"x": 2}'))

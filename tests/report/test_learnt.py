@@ -1,0 +1,99 @@
+"""What a run learnt, as its report says it, on a run of a map with a closed form."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.learning.residual import Hindsight
+from stepgap.learning.settings import FEATURES
+from stepgap.report import Background, read_run_folder, write_report
+from stepgap.report.learnt import input_quantities, read_learnt, surprise
+from stepgap.report.learnt_table import coverage_table, learnt_tables
+from stepgap.report.reference_gait import gait_table, reference_gait
+from stepgap.report.words import decimal
+from tests.control.maps import LossyHopper
+from tests.report.pages import Page, check_alone
+from tests.report.runs import TARGETS, make_run
+
+SPACE = LossyHopper().space
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("learnt") / "run")
+
+
+def test_the_last_model_and_its_numbers(folder: Path) -> None:
+    record, saved = read_run_folder(folder), json.loads((folder / "models" / "iteration_2.json").read_text())
+    learnt = read_learnt(folder, 2, record.space)
+    assert learnt is not None
+    assert len(learnt.processes) == 2
+    text = learnt_tables(record, learnt)
+    for entry in saved["regressions"]:
+        for length, scale in zip(entry["length_scale"], entry["input_scale"], strict=True):
+            assert f"<td>{decimal(length * scale)}</td>" in text
+        assert f"<td>{decimal(entry['noise_std'])}</td>" in text
+    assert "fx [N]" in text
+    for process in learnt.processes:
+        assert 0.5 < np.sqrt(np.mean(surprise(process) ** 2)) < 1.5
+    assert "of 40" in coverage_table(record)
+
+
+def test_without_a_model_it_is_said(folder: Path, tmp_path: Path) -> None:
+    assert read_learnt(folder, 0, SPACE) is None
+    shutil.copytree(folder, tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "models")
+    page = Page(write_report(tmp_path / "run"))
+    check_alone(page)
+    assert "Nothing is said of the model: there is no models/iteration_2.json." in page.text
+
+
+@pytest.mark.parametrize("part", [0, 1, 100, 1000, -1])
+def test_a_truncated_model_is_refused(folder: Path, tmp_path: Path, part: int) -> None:
+    whole = (folder / "models" / "iteration_2.json").read_bytes()
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "iteration_2.json").write_bytes(whole[:part])
+    with pytest.raises(ValueError, match=r"^[^\n]*iteration_2\.json: not a residual[^\n]*$"):
+        read_learnt(tmp_path, 2, SPACE)
+
+
+@pytest.mark.parametrize("text", ["[]", "3", "{}", '{"regressions": [{"kind": "gp"}]}', "[" * 100_000, "\\ud800"])
+def test_a_foreign_model_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "iteration_2.json").write_text(text)
+    with pytest.raises(ValueError, match=r"^[^\n]*iteration_2\.json: not a residual[^\n]*$"):
+        read_learnt(tmp_path, 2, SPACE)
+
+
+@pytest.mark.parametrize("features", FEATURES)
+@pytest.mark.parametrize("memory", [np.inf, 50.0])
+def test_every_input_has_a_name(features, memory: float) -> None:
+    hindsight = Hindsight(features, memory)
+    names = [quantity.name for quantity in input_quantities(SPACE, hindsight)]
+    assert len(names) == len(set(names)) == 4 + hindsight.inputs(np.zeros(7), 2).size
+
+
+def test_gaits_hold_the_targets(folder: Path) -> None:
+    record, nominal = read_run_folder(folder), LossyHopper()
+    learnt = read_learnt(folder, 2, record.space)
+    gait = reference_gait(record, nominal, learnt)
+    np.testing.assert_array_equal(gait.targets, TARGETS.targets[::10])
+    assert [each.name for each in gait.maps] == ["nominal", "corrected"]
+    for target, by_model, by_both in zip(gait.targets, *(each.points for each in gait.maps), strict=True):
+        assert by_model is not None
+        assert by_both is not None
+        np.testing.assert_allclose(nominal(target, by_model.command), target, atol=1e-6)
+        assert by_both.held
+        assert np.abs(by_both.command - by_model.command).max() > 0.1, "the real robot loses more"
+    assert gait_table(gait).count("<tr>") == 1 + len(gait.targets)
+
+
+def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "run")
+    page = Page(write_report(tmp_path / "run", background=Background("map", {"seed": 1}, LossyHopper())))
+    check_alone(page, 6)
+    assert "Nominal map: 4 of 4 targets are held by a constant command within its bounds" in page.text
+    assert (tmp_path / "run" / "figures" / "gait.pdf").read_bytes().startswith(b"%PDF")

@@ -1,0 +1,92 @@
+"""The replay's data, as the page's script unpacks them, and the file that keeps a motion."""
+
+import json
+import re
+from base64 import b64decode
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.hopper.parameters import RobotParameters
+from stepgap.report import Background, read_run_folder, write_report
+from stepgap.report.motion import RATE, Motion, Replay, read_motion, write_motion
+from stepgap.report.replay_view import LEVELS, MOST_FRAMES, replay_view
+from tests.report.pages import Page, check_alone
+from tests.report.runs import make_run
+
+
+def motion(frames: int) -> Motion:
+    time = np.arange(frames) / RATE
+    moving = [0.2 * time, 0.5 + 0.1 * np.sin(7 * time), 0.1 * np.cos(7 * time), 1 + 0.3 * np.sin(7 * time)]
+    return Motion(np.floor(time / 0.8), moving[0], moving[1], moving[2], moving[3], np.zeros(frames))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("replay") / "run", 1)
+
+
+@pytest.mark.parametrize("frames", [1, 500, 2 * MOST_FRAMES + 1])
+def test_channels_are_read_back(folder: Path, frames: int) -> None:
+    shown = motion(frames)
+    page = replay_view(read_run_folder(folder), Replay({1: shown}, RobotParameters(), 0.4))
+    found = re.search(r'id="replay-data">(.*?)</script>', page)
+    assert found
+    data = json.loads(found[1])
+    assert data["leg"] == [0.11, 0.2, 0.045]
+    (entry,) = data["motions"]
+    every = -(-frames // MOST_FRAMES)
+    assert entry["rate"] == RATE / every
+    assert entry["frames"] == -(-frames // every)
+    packed = np.frombuffer(b64decode(entry["packed"]), "<u2").reshape(6, entry["frames"])
+    assert entry["channels"] == [field.name for field in fields(Motion)]
+    for name, levels, (low, high) in zip(entry["channels"], packed, entry["ranges"], strict=True):
+        values = low + (high - low) * levels / LEVELS
+        np.testing.assert_allclose(values, getattr(shown, name)[::every], atol=0.51 * (high - low) / LEVELS + 1e-12)
+    assert [step[0] for step in entry["steps"]] == list(range(1, 41))
+
+
+def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
+    replay = Replay({0: motion(300), 1: motion(200)}, RobotParameters(), 0.4)
+    page = Page(write_report(folder, background=Background(replay=replay)))
+    check_alone(page)
+    names = {given.get("id") for _, given in page.tags}
+    assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-words"} <= names
+
+
+def test_a_kept_motion_is_that_of_its_origin(tmp_path: Path) -> None:
+    path, kept = tmp_path / "replay" / "one.npz", motion(100)
+    write_motion(path, kept, "origin")
+    found = read_motion(path, "origin")
+    assert found is not None
+    for field in fields(Motion):
+        np.testing.assert_allclose(getattr(found, field.name), getattr(kept, field.name), rtol=1e-6)
+    assert read_motion(path, "another") is None
+    assert read_motion(tmp_path / "none.npz", "origin") is None
+    assert read_motion(tmp_path, "origin") is None
+
+
+def test_a_damaged_motion_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "one.npz"
+    write_motion(path, motion(50), "origin")
+    whole = path.read_bytes()
+    for size in range(0, len(whole), 97):
+        path.write_bytes(whole[:size])
+        assert read_motion(path, "origin") is None
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        spoilt = bytearray(whole)
+        spoilt[rng.integers(len(whole))] ^= 1 << rng.integers(8)
+        path.write_bytes(spoilt)
+        found = read_motion(path, "origin")
+        assert found is None or len(found.step) == 50
+    np.savez(path, origin=np.array("origin"), step=np.array([{}], object))
+    assert read_motion(path, "origin") is None
+
+
+@pytest.mark.parametrize("bad", [np.array([1.0, np.nan]), np.zeros(3), np.zeros((2, 1))])
+def test_a_motion_is_equally_long_rows_of_numbers(bad: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"must be (equally long|finite)"):
+        Motion(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), bad)

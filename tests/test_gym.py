@@ -1,0 +1,214 @@
+"""The environment keeps Gymnasium's rules, and its steps are the plant's."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RescaleObservation
+
+from stepgap.control.reference import Reference
+from stepgap.control.step_controller import StepController
+from stepgap.gym import MISSED, STEP_ID, StepEnv, hopper_env
+from stepgap.hopper.apex_map import ApexMap
+from stepgap.hopper.parameters import Gains
+from stepgap.plants.model_plant import ModelPlant
+from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.step import Array
+
+START = (0.2, 0.58)
+REFERENCE = Reference(("speed", "height"), np.array([START] * 4))
+PLANTS = [pytest.param({"plant": "model"}, id="model"), pytest.param({"reference": REFERENCE}, id="twin")]
+
+
+def made(**options: Any) -> StepEnv:
+    env = gymnasium.make(STEP_ID, **options).unwrapped
+    assert isinstance(env, StepEnv)
+    return env
+
+
+def model_env(noise: Sequence[float] = (0.0, 0.0), **options: Any) -> StepEnv:
+    return made(plant="model", noise=noise, **{"reference": REFERENCE, **options})
+
+
+def holding(env: StepEnv) -> Array:
+    """The action that holds the first target on the model."""
+    return env.space.point_of(StepController(env.nominal)(START, START).command)
+
+
+def episode(env: StepEnv, seed: int) -> list[Array]:
+    """Observations, rewards and what was applied, with actions drawn from the same seed."""
+    rng, over = np.random.default_rng(seed), False
+    told = [env.reset(seed=seed)[0]]
+    while not over:
+        seen, reward, fell, at_end, info = env.step(rng.uniform(-0.3, 0.3, 2))
+        told.append(np.concatenate([seen, [reward], info["applied"]]))
+        over = fell or at_end
+    return told
+
+
+@pytest.mark.parametrize("options", PLANTS)
+def test_gymnasium_finds_nothing_to_say(options: dict[str, Any]) -> None:
+    check_env(made(**options))  # warnings are errors
+
+
+@pytest.mark.parametrize("options", PLANTS)
+def test_same_seed_same_episode(options: dict[str, Any]) -> None:
+    env = made(**{**options, "reference": REFERENCE})
+    first, second, other = episode(env, 5), episode(made(**{**options, "reference": REFERENCE}), 5), episode(env, 6)
+    assert len(first) == len(second) == len(REFERENCE) + 1
+    for one, again in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, again)
+    assert not np.array_equal(first[-1], other[-1])
+
+
+def test_a_name_is_enough_in_a_fresh_process() -> None:
+    code = "import gymnasium; gymnasium.make('stepgap.gym:stepgap/Step-v0', plant='model').reset(seed=0)"
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+def test_without_gymnasium_it_says_what_to_install() -> None:
+    code = "import sys; sys.modules['gymnasium'] = None\nimport stepgap.gym"
+    outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert outcome.stderr.endswith("stepgap.gym needs Gymnasium: pip install 'stepgap[gym]'\n")
+
+
+def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
+    env = model_env(reference=Reference(("speed", "height"), np.array([START, (0.3, 0.6), (0.1, 0.55)])))
+    seen, info = env.reset(seed=0)
+    np.testing.assert_array_equal(seen, [*START, *START])
+    assert info == {}
+    action = np.array([-0.2, 0.1])
+    seen, reward, fell, at_end, info = env.step(action)
+    expected = ApexMap()(START, [-0.2 * 30, 0.1 * 20])
+    np.testing.assert_allclose(seen, [*expected, 0.3, 0.6], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(info["predicted"], expected, atol=1e-12)
+    assert reward == pytest.approx(-(((expected[0] - 0.2) / 0.2) ** 2) - ((expected[1] - 0.58) / 0.06) ** 2)
+    assert (fell, at_end, info["reason"]) == (False, False, "ok")
+
+
+def test_our_controller_tracks_through_it() -> None:
+    env, total, over = model_env(reference=None), 0.0, False
+    seen, _ = env.reset(seed=0)
+    controller, steps = StepController(env.nominal), 0
+    while not over:
+        plan = controller(seen[:2], seen[2:])
+        seen, reward, fell, over, _ = env.step(env.space.point_of(plan.command))
+        assert not fell
+        total, steps = total + float(reward), steps + 1
+    assert steps == 227
+    assert -10 < total < 0  # only the steps at which the stair goes down further than one step can
+
+
+def test_actions_beyond_the_bounds_are_cut() -> None:
+    env = model_env()
+    env.reset(seed=0)
+    info = env.step(np.array([-5.0, 0.1]))[-1]
+    np.testing.assert_allclose(info["applied"], [-30, 2], atol=1e-12)
+    assert env.action_space.contains(np.array([-1, 1], np.float32))
+    with pytest.raises(ValueError, match=r"shape \(3,\); it must be \(2,\)"):
+        env.step(np.zeros(3))
+
+
+@pytest.mark.parametrize("options", PLANTS)
+def test_an_action_that_is_no_number_is_a_fall(options: dict[str, Any]) -> None:
+    env = made(**{**options, "reference": REFERENCE})
+    before, _ = env.reset(seed=0)
+    seen, reward, fell, at_end, info = env.step(np.array([np.nan, 0.0]))
+    assert fell
+    assert not at_end
+    assert info["reason"] != "ok"
+    assert "predicted" not in info
+    np.testing.assert_array_equal(seen, before)
+    assert reward == -MISSED * len(REFERENCE)
+    with pytest.raises(ResetNeeded, match=r"call reset\(\)"):
+        env.step(np.zeros(2))
+
+
+def test_falling_is_never_better_than_hopping_on() -> None:
+    env = model_env(reference=Reference(("speed", "height"), np.array([START] * 200)))
+    returns = {True: [], False: []}
+    for seed in range(12):
+        env.reset(seed=seed)
+        env.action_space.seed(seed)
+        rewards, fell, over = [], False, False
+        while not over:
+            seen, reward, fell, at_end, _ = env.step(env.action_space.sample())
+            assert env.observation_space.contains(seen)
+            rewards.append(float(reward))
+            over = fell or at_end
+        returns[fell].append(rewards)
+    assert returns[True]
+    assert returns[False]
+    for rewards in returns[True]:  # the fall costs what the worst that hopping on could have brought
+        assert rewards[-1] == -MISSED * (200 - len(rewards) + 1)
+    assert min(map(min, returns[False])) >= -MISSED
+
+
+def test_a_reset_takes_another_reference_once() -> None:
+    env = model_env()
+    other = Reference(("speed", "height"), np.array([(0.25, 0.6)]))
+    seen, _ = env.reset(seed=0, options={"reference": other})
+    np.testing.assert_array_equal(seen, [*START, 0.25, 0.6])
+    assert env.step(holding(env))[3]
+    seen, _ = env.reset()
+    np.testing.assert_array_equal(seen, [*START, *START])
+    with pytest.raises(ValueError, match="unknown option targets of reset; 'reference' is the only one"):
+        env.reset(options={"targets": other})
+    with pytest.raises(ValueError, match="must be a stepgap Reference, not list"):
+        env.reset(options={"reference": [START]})
+    with pytest.raises(ValueError, match="the reference is for height,speed"):
+        env.reset(options={"reference": Reference(("height", "speed"), other.targets)})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"plant": "tiwn"}, "plant = 'tiwn', but it must be 'twin' or 'model'; did you mean 'twin'?"),
+        ({"gap": "papers"}, "gap = 'papers', but it must be a RealityGap, or 'paper' or 'none'; did you mean 'paper'?"),
+        ({"plant": "model", "noise": (0.1,)}, "noise = (0.1,), but it must be two numbers"),
+        ({"plant": "model", "noise": (-0.1, 0.0)}, "noise = (-0.1, 0.0), but it must be two numbers"),
+        ({"reference": Reference(("height", "speed"), np.zeros((1, 2)))}, "the reference is for height,speed"),
+    ],
+)
+def test_wrong_arguments_are_named(wrong: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError) as error:  # noqa: PT011  (what it says is compared below)
+        hopper_env(**wrong)
+    assert says in str(error.value)
+
+
+def test_gaps_make_a_difference() -> None:
+    def first_state(**options: Any) -> Array:
+        env = made(**options)
+        try:
+            return env.reset(seed=0)[0][:2]
+        finally:
+            env.close()
+            env.close()
+
+    none = first_state(gap="none")
+    np.testing.assert_array_equal(none, first_state(gap=RealityGap.none()))
+    assert not np.array_equal(none, first_state())
+
+
+def test_it_goes_into_gymnasiums_wrappers_and_vectors() -> None:
+    rescaled = RescaleObservation(gymnasium.make(STEP_ID, plant="model"), np.float64(-1), np.float64(1))
+    assert np.abs(rescaled.reset(seed=0)[0]).max() <= 1
+    envs = gymnasium.make_vec(STEP_ID, num_envs=3, plant="model", vectorization_mode="sync")
+    envs.reset(seed=0)
+    assert envs.step(envs.action_space.sample())[0].shape == (3, 4)
+    envs.close()
+
+
+def test_any_robot_goes_in() -> None:
+    real = ApexMap(gains=Gains(stiffness=2300))
+    env = StepEnv(lambda rng: ModelPlant(real, np.array(START), np.zeros(2), rng), ApexMap(), REFERENCE)
+    env.reset(seed=0)
+    seen, _, _, _, info = env.step(np.zeros(2))
+    np.testing.assert_allclose(seen[:2], real(START, [0, 0]))
+    assert np.abs(info["predicted"] - seen[:2]).max() > 1e-3
