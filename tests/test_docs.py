@@ -2,40 +2,119 @@
 
 import re
 import runpy
+import shlex
 from pathlib import Path
 
 import pytest
 
 import stepgap
+from stepgap.cli import app, split_overrides, split_program
+from stepgap.experiment import read_experiment
+from stepgap.learning.columns import read_columns
+from stepgap.rigs.ethercat.emulator.network import NoNetwork
+from stepgap.strict_toml import read_toml
+from tests.command_line import Command
 
 ROOT = Path(__file__).parent.parent
-DOCUMENTS = sorted(ROOT.glob("*.md"))
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-PAGES = [ROOT / "docs" / name for name in ("gym.md", "own_map.md")]
-"""Pages whose blocks go on from each other."""
+RUN_ELSEWHERE = {"own_rig.md": "rigs/test_own_rig.py", "data.md": "test_docs_data.py"}
+"""Pages whose blocks need more around them."""
 
-
-PYTHON_BLOCKS = [
-    pytest.param(block, id=f"{document.name}-{number}")
-    for document in DOCUMENTS
-    for number, block in enumerate(re.findall(r"```python\n(.*?)```", document.read_text("utf-8"), re.DOTALL))
+TEXTS = {page: page.read_text("utf-8") for page in PAGES}
+SCRIPTS = {
+    page: "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+    for page, text in TEXTS.items()
+    if "```python" in text and page.name not in RUN_ELSEWHERE
+}
+COMMANDS = sorted({
+    found.strip().removeprefix("./go ")
+    for text in TEXTS.values()
+    for found in re.findall(r"^ *(?:\./go )?stepgap .*", text.replace("\\\n", " "), re.MULTILINE)
+})  # fmt: skip
+SETTINGS = [
+    pytest.param(page, block, id=f"{page.name}-{number}")
+    for page, text in TEXTS.items()
+    for number, block in enumerate(re.findall(r"```toml\n(.*?)```", text, re.DOTALL))
 ]
+READERS = {"quickstart.md": read_experiment, "fit.md": lambda file: read_columns(file, {})}
+MENTIONED = sorted({found for text in TEXTS.values() for found in re.findall(r"`(?:\./go )?(stepgap [^`]+)`", text)})
+EXAMPLE_IN_TABLE = re.compile(r"\| `([^`|]+)` \|$", re.MULTILINE)
 
 
-@pytest.mark.parametrize("block", PYTHON_BLOCKS)
-def test_python_blocks_run(block):
-    exec(compile(block, "document", "exec"), {})  # noqa: S102  (our own documents)
+def name(page):
+    return page.name
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+@pytest.mark.parametrize("page", SCRIPTS, ids=name)
 def test_pages_run(page, tmp_path, monkeypatch):
+    """Blocks of a page go on from each other, examples in the last column of a table after them."""
     monkeypatch.chdir(tmp_path)
-    names = {"__name__": "page"}
-    for block in re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL):
-        exec(compile(block, page.name, "exec"), names)  # noqa: S102  (our own documents)
+    examples = EXAMPLE_IN_TABLE.findall(TEXTS[page]) if page.name == "from_matlab.md" else []
+    script = tmp_path / f"{page.stem}.py"
+    script.write_text("\n".join([SCRIPTS[page], *examples]), "utf-8")
+    try:
+        runpy.run_path(str(script), run_name="__main__")
+    except NoNetwork as reason:
+        pytest.skip(str(reason))
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.name)
+@pytest.mark.parametrize("page", RUN_ELSEWHERE)
+def test_the_other_pages_run_elsewhere(page):
+    if (ROOT / "docs" / page).exists():
+        assert f'"{page}"' in (ROOT / "tests" / RUN_ELSEWHERE[page]).read_text("utf-8")
+
+
+def test_the_examples_for_those_from_matlab_are_many():
+    assert len(EXAMPLE_IN_TABLE.findall(TEXTS[ROOT / "docs" / "from_matlab.md"])) > 30
+
+
+@pytest.mark.parametrize(("page", "block"), SETTINGS)
+def test_settings_are_read(page, block, tmp_path):
+    file = tmp_path / "settings.toml"
+    file.write_text(block, "utf-8")
+    assert READERS.get(page.name, lambda file: read_toml(file, "settings"))(file)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_are_understood(command):
+    """Verb, options and settings of a whole command line; the files that it names need not be there."""
+    check_command(shlex.split(command, comments=True))
+
+
+def check_command(words):
+    if words[:2] == ["sh", "-c"]:
+        for part in words[2].split("&&"):
+            check_command(shlex.split(part))
+        return
+    assert words[0] == "stepgap"
+    arguments, program = split_program(words[1:])
+    rest, overrides = split_overrides(arguments)
+    app.parse_args(rest, exit_on_error=False, print_error=False)
+    read_experiment(None, overrides)
+    if program:
+        check_command(program)
+
+
+@pytest.mark.parametrize("words", MENTIONED)
+def test_verbs_and_options_exist(words, stepgap: Command):
+    """Of what a text mentions, which may leave out the rest of a command line."""
+    arguments = words.split()[1:]
+    verbs = []
+    while arguments and re.fullmatch("[a-z-]+", arguments[0]) and help_of(stepgap, *verbs, arguments[0]):
+        verbs.append(arguments.pop(0))
+    text = help_of(stepgap, *verbs)
+    assert text, words
+    for option in re.findall(r"(?<!\S)--[a-z-]+(?![a-z.-])", " ".join(arguments)):
+        assert re.search(rf"{option}\b", text), option
+
+
+def help_of(stepgap: Command, *verbs):
+    said = stepgap(*verbs, "--help")
+    return said.out if said.code == 0 else ""
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=name)
 def test_examples_run(example, capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", [str(example)])
     runpy.run_path(str(example), run_name="__main__")
@@ -49,17 +128,21 @@ def test_learning_helps_in_the_example(capsys):
     assert float(with_gp[1]) < 0.5 * float(without[1])
 
 
-@pytest.mark.parametrize("document", [*DOCUMENTS, *PAGES], ids=lambda path: path.name)
-def test_links_lead_somewhere(document):
-    for target in re.findall(r"\]\(([^)#]+)\)", document.read_text("utf-8")):
-        if "://" not in target:
-            assert (document.parent / target).exists(), target
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_somewhere(page):
+    """In the repository; `mkdocs build --strict` asks the same of the site, anchors too."""
+    for target in re.findall(r"\]\(([^)#: ]+)[) #]", TEXTS[page]):
+        assert (page.parent / target).exists(), target
 
 
 def test_files_named_in_the_architecture_exist():
-    text = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
-    for name in re.findall(r"`([a-z_/]+(?:/|\.py))`", text):
+    for name in re.findall(r"`([a-z_/]+(?:/|\.py))`", TEXTS[ROOT / "ARCHITECTURE.md"]):
         assert (ROOT / "src" / "stepgap" / name).exists(), name
+
+
+def test_every_public_name_is_in_the_api():
+    for name in stepgap.__all__:
+        assert f"\n::: stepgap.{name}\n" in TEXTS[ROOT / "docs" / "api.md"]
 
 
 def test_every_public_name_can_be_imported():

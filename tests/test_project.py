@@ -68,6 +68,7 @@ def test_lock_pins_and_hashes_every_package() -> None:
     "wanted",
     PYPROJECT["project"]["dependencies"]
     + PYPROJECT["dependency-groups"]["dev"]
+    + PYPROJECT["dependency-groups"]["docs"]
     + PYPROJECT["build-system"]["requires"],
 )
 def test_lock_agrees_with_pyproject(wanted: str) -> None:

@@ -9,6 +9,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import wraps
 from math import isfinite
 from pathlib import Path
@@ -159,6 +160,9 @@ def run(
     warm_start: str | None = None,
     resume: bool = False,
     quiet: bool = False,
+    view: bool = False,
+    host: str = "127.0.0.1",
+    port: int | None = None,
     json: bool = False,
     overrides: Overrides = None,
 ) -> None:
@@ -178,6 +182,9 @@ def run(
         warm_start: Folder of a run whose steps are learnt from before the first deployment.
         resume: Go on with the run in --out that was broken off.
         quiet: Print nothing but the report's path.
+        view: Show it in the browser while it goes on, and until Ctrl-C when it is over.
+        host: Address that --view is served on; without it, only this machine sees it.
+        port: Of --view; without it the first free one from 8080 on.
         json: Print lines of JSON on stdout, for programs: one for every step and deployment, the report's path at last.
     """
     from stepgap.experiment import load_known, load_reference, read_experiment
@@ -188,6 +195,7 @@ def run(
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
+    from stepgap.view.live import LiveView
 
     shorthand = [
         ("reference", _quoted(reference)),
@@ -206,32 +214,37 @@ def run(
     targets = load_reference(settings, nominal.space)
     check_reach(nominal, targets, settings.reference)
     known = load_known(settings, nominal.space)
-    plants = choose_plants(settings, targets, arm, folder)
+    live = LiveView(folder, host, port) if view else None
+    plants = choose_plants(settings, targets, arm, folder, live.on_tick if live else None)
     if not resume:
         start_folder(folder, settings, targets, known)
     try:
         with (
             terminated_as_interrupted(),
-            Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress,
+            live or nullcontext(),
         ):
-            run_experiment(
-                nominal,
-                plants.make,
-                targets,
-                settings.learning,
-                folder,
-                settings.seed,
-                telling_events(progress.observer, nominal.space) if json else progress.observer,
-                plants.measure_spread,
-                plants.replays,
-                known,
-            )
-        with shown_count("replay", quiet) as tell:
-            written = report_run(folder, tell)
-        if json:
-            tell_event("report", path=str(written))
-        else:
-            print(written)
+            with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
+                observer = telling_events(progress.observer, nominal.space) if json else progress.observer
+                run_experiment(
+                    nominal,
+                    plants.make,
+                    targets,
+                    settings.learning,
+                    folder,
+                    settings.seed,
+                    live.observing(observer) if live else observer,
+                    plants.measure_spread,
+                    plants.replays,
+                    known,
+                )
+            with shown_count("replay", quiet) as tell:
+                written = report_run(folder, tell)
+            if json:
+                tell_event("report", path=str(written))
+            else:
+                print(written, flush=True)
+            if live:
+                live.stay()
     except KeyboardInterrupt:
         again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
         raise KeyboardInterrupt(f"; go on with: {again}") from None
@@ -589,7 +602,7 @@ def bench_learning_(
         print(file)
 
 
-app.command("stepgap.cli_rig:rig", name="rig")
+app.command("stepgap.cli_rig:rig", name="rig", help="Bring up a robot, or try without one.")
 
 
 @app.command
@@ -620,3 +633,4 @@ for verb, words in {
     "doctor": "Say what this machine has: versions, cores, graphics, rights for real time, the cache, extras.",
 }.items():
     app.command(f"stepgap.cli_data:{verb}", name=verb, help=words)  # read when called: they import this module
+app.command("stepgap.cli_view:view", name="view", help="Show a run in the browser, also one that goes on.")

@@ -18,6 +18,7 @@ PURPOSES = {
     "gym": "the Gymnasium environment stepgap/Step-v0",
     "moteus": "robots with mjbots moteus controllers on a CAN-FD bus",
     "parquet": "stepgap export --to parquet",
+    "sysid": "method sysid of stepgap bench learning",
 }
 """What extras are for."""
 

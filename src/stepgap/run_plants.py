@@ -52,7 +52,13 @@ class Plants(NamedTuple):
     measure_spread: MeasureSpread | None = None
 
 
-def choose_plants(settings: Experiment, reference: Reference, arm: bool, folder: Path) -> Plants:
+def choose_plants(
+    settings: Experiment,
+    reference: Reference,
+    arm: bool,
+    folder: Path,
+    on_tick: Callable[[Tick], None] | None = None,
+) -> Plants:
     """The plants of an experiment.
 
     Args:
@@ -60,6 +66,7 @@ def choose_plants(settings: Experiment, reference: Reference, arm: bool, folder:
         reference: What will be tracked.
         arm: A person wants a rig to have torque.
         folder: Of the run; a rig's ticks go there.
+        on_tick: Called with every tick of a simulation.
 
     Raises:
         InputError: They cannot be had with these settings.
@@ -77,11 +84,11 @@ def choose_plants(settings: Experiment, reference: Reference, arm: bool, folder:
         return measure_repeatability(plant_on(settings, twin), twin, step_map, reference, rng)
 
     if settings.plant == TWIN:
-        return Plants(lambda rng: plant_on(settings, make_twin(rng)), True, measure_spread)
+        return Plants(lambda rng: plant_on(settings, make_twin(rng), on_tick), True, measure_spread)
     bus = _bus(settings, twin)
 
     def make_on_ring(rng: np.random.Generator) -> Plant:
-        return plant_on(settings, RingRig(partial(_machine, settings, rng), RING, bus, settings.robot))
+        return plant_on(settings, RingRig(partial(_machine, settings, rng), RING, bus, settings.robot), on_tick)
 
     return Plants(make_on_ring, True, measure_spread)
 

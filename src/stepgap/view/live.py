@@ -1,0 +1,76 @@
+"""Feeds the page of a run that goes on, in another process, without ever waiting for it."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Self
+
+from stepgap.learning.step_log import LoggedStep
+from stepgap.plants.tick import TICK_UNITS, Tick
+from stepgap.plants.tick_ring import TickRing
+from stepgap.sim_to_real import Deployment, Observer
+from stepgap.view.motion import EVERY
+
+ROWS = 2**16
+"""Ticks that the ring keeps for the page: nine minutes of hopping."""
+
+
+class LiveView:
+    """A page that shows a run from a process of its own.
+
+    The run pushes some of its ticks into shared memory, which never waits; steps and models the page reads from the
+    run folder. Whatever becomes of the page, the run goes on.
+
+    Args:
+        folder: Of the run, with its settings in it when the context is entered.
+        host: Whom the page is open to.
+        port: Of the page; None: the first that is free.
+    """
+
+    def __init__(self, folder: Path, host: str, port: int | None):
+        self._folder, self._host, self._port = folder, host, port
+        self._iteration, self._hop, self._count = 0, 0, 0
+
+    def on_tick(self, tick: Tick) -> None:
+        """Passes one of `EVERY` ticks on."""
+        if self._count % EVERY == 0:
+            self._ring.push((self._iteration, self._hop, *tick.row()))
+        self._count += 1
+
+    def observing(self, observer: Observer) -> Observer:
+        """The observer, which now also counts steps and deployments for the ticks."""
+
+        def on_step(logged: LoggedStep) -> None:
+            self._hop += 1
+            observer.on_step(logged)
+
+        def on_deployment(deployment: Deployment) -> None:
+            self._iteration, self._hop = deployment.iteration + 1, 0
+            observer.on_deployment(deployment)
+
+        return replace(observer, on_step=on_step, on_deployment=on_deployment)
+
+    def stay(self) -> None:
+        """Waits, when the run is over, until somebody ends the page or Ctrl-C is pressed."""
+        try:
+            self._process.wait()
+        except KeyboardInterrupt:
+            print(file=sys.stderr)
+
+    def __enter__(self) -> Self:
+        self._ring = TickRing.create(2 + len(TICK_UNITS), ROWS)
+        program = "import sys; from stepgap.cli import main; main(sys.argv[1:])"
+        options = ["--host", self._host, *(["--port", str(self._port)] if self._port else [])]
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", program, "view", str(self._folder), "--ring", self._ring.name, *options],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for the run, which ends the page
+        )
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._process.terminate()
+        self._process.wait()
+        self._ring.__exit__()

@@ -1,0 +1,86 @@
+"""How the robot moved in one hop, from whatever recorded it."""
+
+from dataclasses import dataclass
+from math import asin, tau
+
+import numpy as np
+
+from stepgap.hopper.leg import knee_angle, leg_of
+from stepgap.hopper.parameters import Gains, RobotParameters
+from stepgap.plants.phases import Phase
+from stepgap.plants.tick_table import TickTable
+from stepgap.rigs.rig import RigLayout
+from stepgap.step import Array
+from stepgap.view.geometry import Pose
+
+EVERY = 8
+"""One of so many ticks is shown."""
+
+STILL = 0.75
+"""For how long a hop is shown of which no motion is known [s]: about as long as it takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hop:
+    """From just after an apex to just after the next one.
+
+    Attributes:
+        time: Since the hop began, rising; shape (k,) [s].
+        poses: A pose a row, in the order of `Pose`; shape (k, 6).
+        ground: Height of the ground under the foot; shape (k,) [m].
+    """
+
+    time: Array
+    poses: Array
+    ground: Array
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+        return float(self.time[-1])
+
+    def at(self, share: float) -> tuple[Pose, float]:
+        """Pose, and height of the ground [m], when a share (0…1) of the time is over."""
+        row = min(int(np.searchsorted(self.time, share * self.duration)), len(self.time) - 1)
+        return Pose(*self.poses[row].tolist()), float(self.ground[row])
+
+
+def true_hop(table: TickTable, layout: RigLayout) -> Hop | None:
+    """A hop of the twin made again, as it really was; None without a tick."""
+    if not len(table):
+        return None
+    yaw, pitch = table["boom_yaw"], table["boom_pitch"]
+    radius = layout.boom_length
+    along = table["hip_x"] - radius * yaw
+    across = (table["hip_height"] - layout.pivot_height - radius * np.sin(pitch)) / np.cos(pitch)
+    poses = np.column_stack([yaw, pitch, table["true_alpha_1"], table["true_alpha_2"], along, across])
+    return Hop(table["time"] - table["time"][0], poses, table["ground_height"])
+
+
+def sensed_hop(table: TickTable, layout: RigLayout) -> Hop | None:
+    """A hop as the sensors saw it, on level ground; None without a tick whose sensors were read."""
+    table = TickTable(table.units, table.rows[np.isfinite(table.rows).all(axis=1)])
+    if not len(table):
+        return None
+    yaw = table["boom_horizontal"] * tau / layout.boom_counts_horizontal
+    pitch = table["boom_vertical"] * tau / layout.boom_counts_vertical
+    none = np.zeros(len(table))
+    poses = np.column_stack([yaw, pitch, table["alpha_1"], table["alpha_2"], none, none])
+    return Hop(table["time"] - table["time"][0], poses, none)
+
+
+def hops_of_log(table: TickTable, layout: RigLayout) -> list[Hop | None]:
+    """The hops of a deployment's ticks, parted where an apex was passed; the first is that after the release."""
+    phase = table["phase"]
+    passed = np.flatnonzero((phase[:-1] == Phase.RISING) & (phase[1:] == Phase.FALLING)) + 1
+    return [sensed_hop(TickTable(table.units, rows[::EVERY]), layout) for rows in np.split(table.rows, passed)]
+
+
+def still_hop(robot: RobotParameters, gains: Gains, pivot_height: float, state: Array) -> Hop:
+    """A hop of which only the apex is known: the robot stands still there, its leg in the landing posture."""
+    speed, height = state
+    pitch = asin(np.clip((height - pivot_height) / robot.boom_length, -1, 1))
+    alpha_1 = gains.speed_gain * (speed - gains.speed_setpoint)
+    alpha_2 = knee_angle(leg_of(robot), gains.landing_length)
+    pose = [0.0, pitch, alpha_1, alpha_2, 0.0, 0.0]
+    return Hop(np.array([0.0, STILL]), np.array([pose, pose]), np.zeros(2))

@@ -1,0 +1,270 @@
+"""The page: 3-D, buttons, charts. It only shows; nothing here reaches the run."""
+
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+from viser import GuiDropdownHandle, ViserServer
+
+from stepgap.learning.observations import error_of
+from stepgap.learning.residual import join_points
+from stepgap.learning.step_log import LoggedStep
+from stepgap.step import Reason
+from stepgap.view.geometry import Pose
+from stepgap.view.learnt import curve_along
+from stepgap.view.player import Player
+from stepgap.view.plots import BAND, BLUE, INK, VERMILLION, LearntPlot, TrackingPlot, add_legend, named
+from stepgap.view.robot_scene import Ground, RobotScene
+from stepgap.view.source import Source
+
+NOTHING = "nothing"
+SPEEDS = {"¼": 0.25, "½": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "16": 16.0}
+"""Times real time."""
+
+CAMERA, LOOK_AT = (0.62, -0.8, 0.14), (0.04, 0.1, -0.13)
+"""Place of the camera and what it looks at, from 0.45 m above the floor where the robot hops [m]."""
+
+
+class Page:
+    """Shows a source on a server's page.
+
+    What people press is done at the next `update`, in the thread that calls it.
+
+    Args:
+        server: Serves the page.
+        source: What to show.
+        iteration: Deployment shown first; without one, the last.
+        live: The run goes on: the newest hop is shown.
+    """
+
+    def __init__(self, server: ViserServer, source: Source, iteration: int | None = None, live: bool = False):
+        self._server, self._source, self._pressed = server, source, SimpleQueue[Callable[[], None]]()
+        self.player = Player(follow=live)
+        self.iteration, self.overlaid = 0, None
+        self._drawn: tuple[object, ...] = ()
+        self._build_scene()
+        self._build_controls()
+        self._build_plots()
+        self._find_deployments()
+        known = source.iterations
+        self.choose(iteration if iteration is not None else max(known, default=0))
+        self.overlay(0 if self.iteration else None)
+        self.player.follow = live
+        self.update(0.0)
+
+    def choose(self, iteration: int) -> None:
+        """Shows a deployment from its start."""
+        self.iteration = iteration
+        self._source.want(iteration)
+        self.player.show(0)
+        self._deployment.value = self._label(iteration)
+
+    def overlay(self, iteration: int | None) -> None:
+        """Shows another deployment as a ghost beside the chosen one; None: nothing."""
+        self.overlaid = iteration
+        if iteration is not None:
+            self._source.want(iteration)
+        self._overlay.value = NOTHING if iteration is None else self._label(iteration)
+
+    def toggle(self) -> None:
+        """Stops time, or lets it go on."""
+        self.player.toggle()
+
+    def one_step(self) -> None:
+        """Plays one step to its end."""
+        self.player.one_step(self._source.hop_count(self.iteration))
+
+    def follow(self) -> None:
+        """Shows the newest hop of the newest deployment, and the next ones as they come."""
+        newest = max(self._source.iterations, default=0)
+        if newest != self.iteration:
+            self.choose(newest)
+        self.player.show(self._source.hop_count(newest) - 1)
+        self.player.playing = self.player.follow = True
+
+    def update(self, elapsed: float) -> None:
+        """Does what was pressed, takes in what is new, and shows the moment after some time [s]."""
+        while True:
+            try:
+                self._pressed.get_nowait()()
+            except Empty:
+                break
+        source, player = self._source, self.player
+        if source.poll():
+            self._find_deployments()
+        newest = max(source.iterations, default=0)
+        if player.follow and newest > self.iteration and player.share >= 1:
+            self.choose(newest)
+            player.follow = True
+        count = source.hop_count(self.iteration)
+        player.advance(elapsed, count, self._duration)
+        with self._server.atomic():
+            self._show_motion()
+            shown = (self.iteration, self.overlaid, player.hop, count, self._along.value, source.words, player.playing)
+            if shown != self._drawn:
+                self._show_step()
+                self._drawn = shown
+
+    def _duration(self, number: int) -> float | None:
+        hop = self._source.hop(self.iteration, number)
+        return hop.duration if hop else None
+
+    def _build_scene(self) -> None:
+        scene, robot, height = self._server.scene, self._source.settings.robot, self._source.pivot_height
+        scene.set_up_direction("+z")
+        self._world = scene.add_frame("/world", show_axes=False)
+        self._ground = Ground(scene, "/world/ground", robot.boom_length, height)
+        self._robot = RobotScene(scene, "/world/robot", robot, height)
+        self._ghost = RobotScene(scene, "/world/ghost", robot, height, ghost=True)
+        self._ghost.hide()
+        place = np.array([0.0, -robot.boom_length, 0.45])
+        self._server.initial_camera.position = tuple(place + CAMERA)
+        self._server.initial_camera.look_at = tuple(place + LOOK_AT)
+
+    def _build_controls(self) -> None:
+        gui = self._server.gui
+        gui.main_panel.dock_right()
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.set_panel_label(f"StepGap – {self._source.folder.resolve().name}")
+        self._status = gui.add_markdown("")
+        self._deployment = gui.add_dropdown("Deployment", [self._label(0)])
+        self._overlay = gui.add_dropdown("Overlay", [NOTHING], hint="A deployment shown beside it, step for step")
+        self._step = gui.add_slider("Step", 0, 1, 1, 0, hint="0: the hop with which the robot is let go")
+        self._buttons = gui.add_button_group("Play", ("Pause / play", "One step", "Newest"))
+        self._speed = gui.add_dropdown("Speed", list(SPEEDS), initial_value="1", hint="Times real time")
+        self._ride = gui.add_checkbox("Ride along", True, hint="The robot stays in view, the floor turns under it")
+        does = {"Pause / play": self.toggle, "One step": self.one_step, "Newest": self.follow}
+        self._buttons.on_click(lambda event: self._pressed.put(does[event.target.value]))
+        self._when_changed(self._deployment, lambda label: self.choose(_number(label)))
+        self._when_changed(self._overlay, lambda label: self.overlay(None if label == NOTHING else _number(label)))
+        self._when_changed(self._step, self._show_from)
+        self._when_changed(self._speed, self.set_speed)
+
+    def _show_from(self, number: int) -> None:
+        """Shows a hop from its start; the slider is told again, since a move of time may have crossed with its own."""
+        self.player.show(number)
+        self._step.value = number + 1 if number < self._step.max else number - 1
+        self._drawn = ()
+
+    def set_speed(self, label: str) -> None:
+        """Sets how fast time goes, one of `SPEEDS`."""
+        self.player.speed = SPEEDS[label]
+
+    def _when_changed(self, control: Any, act: Callable[[Any], None]) -> None:
+        """Acts when a person, not this program, has changed a control."""
+
+        def changed(event: Any) -> None:
+            if event.client is not None:
+                value = control.value
+                self._pressed.put(lambda: act(value))
+
+        control.on_update(changed)
+
+    def _build_plots(self) -> None:
+        gui, space = self._server.gui, self._source.space
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Tracking"):
+            add_legend(gui, [("┅", INK, "target"), ("━", BLUE, "apex"), ("┉", VERMILLION, "apex overlaid")])
+            self._tracking = [TrackingPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
+        with tabs.add_tab("What was learnt"):
+            names = [*space.state_names, *space.command_names]
+            self._along: GuiDropdownHandle[str] = gui.add_dropdown(
+                "Along", names, initial_value=names[0], hint="The other inputs are those of the step shown"
+            )
+            self._said = gui.add_markdown("")
+            add_legend(gui, [("━", BLUE, "mean"), ("▇", BAND, "95 % of steps"), ("●", VERMILLION, "this step")])
+            self._learnt = [LearntPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
+
+    def _find_deployments(self) -> None:
+        labels = [self._label(number) for number in self._source.iterations] or [self._label(0)]
+        for control, options in ((self._deployment, labels), (self._overlay, [NOTHING, *labels])):
+            if list(control.options) != options:
+                control.options = options
+
+    def _label(self, iteration: int) -> str:
+        if iteration > 0:
+            return f"{iteration}: corrected map"
+        return "0: learning from the start" if self._source.settings.learning.lessons(0) else "0: uncorrected map"
+
+    def _show_motion(self) -> None:
+        source, player = self._source, self.player
+        hop = source.hop(self.iteration, player.hop)
+        if hop is None:
+            return
+        pose, ground = hop.at(player.share)
+        self._robot.show(pose)
+        self._ground.show(ground)
+        yaw = pose.yaw if self._ride.value else 0.0
+        self._world.wxyz = (np.cos(yaw / 2), 0.0, 0.0, -np.sin(yaw / 2))
+        self._show_ghost(hop.poses[0, 0])
+
+    def _show_ghost(self, start: float) -> None:
+        """Draws the overlaid deployment in the same step, begun at the same place of the circle."""
+        number, other, hop = self.player.hop, self.overlaid, None
+        if other is not None and other != self.iteration and number < self._source.hop_count(other):
+            hop = self._source.hop(other, number)
+        if hop is None:
+            self._ghost.hide()
+            return
+        pose = hop.at(self.player.share)[0]
+        self._ghost.show(Pose(start + pose.yaw - hop.poses[0, 0], *pose[1:]))
+
+    def _show_step(self) -> None:
+        source, number = self._source, self.player.hop
+        steps = source.steps(self.iteration)
+        other = self.overlaid
+        overlaid = [] if other is None or other == self.iteration else source.steps(other)
+        self._step.max = max(1, len(steps))
+        self._step.value = min(number, len(steps))
+        self._status.content = self._describe(steps, number)
+        for plot in self._tracking:
+            plot.show(steps, overlaid, number)
+        self._show_learnt(steps, number)
+
+    def _show_learnt(self, steps: list[LoggedStep], number: int) -> None:
+        residual = self._source.residual(self.iteration, number)
+        if residual is None:
+            self._said.content = "Nothing yet: this deployment began with the uncorrected map." * (number > 0)
+            for plot in self._learnt:
+                plot.clear()
+            return
+        space, record = self._source.space, steps[number - 1].record
+        index = (*space.state_names, *space.command_names).index(self._along.value)
+        curve = curve_along(residual, space, join_points(record.state, record.applied), index)
+        error = error_of(record, self._source.nominal)
+        self._said.content = f"Actual − nominal, as deployment {self.iteration} began ({residual.name})."
+        for plot in self._learnt:
+            plot.show(curve, named((*space.state, *space.command)[index]), error)
+
+    def _describe(self, steps: list[LoggedStep], number: int) -> str:
+        """The step shown, in a table."""
+        lines = [] if self.player.playing else ["**Paused.**"]
+        if not number or number > len(steps):
+            lines.append("The robot is let go." if not number else "This step is under way.")
+        else:
+            lines.append(_step_table(steps[number - 1], self._source))
+        if self._source.words:
+            lines.append(f"No motion is shown: {self._source.words}")
+        return "\n\n".join(lines)
+
+
+def _number(label: str) -> int:
+    return int(label.partition(":")[0])
+
+
+def _step_table(logged: LoggedStep, source: Source) -> str:
+    """Target, prediction and apex of a step, with its command, as Markdown."""
+    record, space = logged.record, source.space
+    head = f"**Step {logged.step}**"
+    if record.reason != Reason.OK:
+        head += f": {record.reason.status}"
+    rows = ["| | target | predicted | apex |", "|---|---:|---:|---:|"]
+    for index, quantity in enumerate(space.state):
+        values = (logged.target[index], logged.predicted[index], record.next_state[index])
+        rows.append(f"| {named(quantity)} | {' | '.join(f'{value:.3f}' for value in values)} |")
+    asked = ", ".join(
+        f"{quantity.name} {value:.1f} {quantity.unit}".replace("-", "−")
+        for quantity, value in zip(space.command, record.command, strict=True)
+    )
+    return "\n".join([head, "", *rows, "", f"Command: {asked}"])

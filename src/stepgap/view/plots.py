@@ -1,0 +1,124 @@
+"""Charts of the page: targets and apexes hop by hop, and what was learnt.
+
+A series that has no number at its left end would spoil the automatic range of its chart. So a series of its own that
+nobody sees spans the range.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from viser import GuiApi, GuiUplotHandle, uplot
+
+from stepgap.learning.step_log import LoggedStep
+from stepgap.step import Array, Quantity
+from stepgap.view.learnt import Curve
+
+INK, BLUE, VERMILLION, BAND, CLEAR = "#3c3e46", "#0072b2", "#d55e00", "rgba(0,114,178,0.2)", "rgba(0,0,0,0)"
+HEIGHT = 160
+"""Of a chart [pixels]."""
+
+NO_DOTS = uplot.Series_Points(show=False)
+
+
+def named(quantity: Quantity, what: str = "") -> str:
+    """Name and unit as axes have them."""
+    return f"{what}{quantity.name}{f' [{quantity.unit}]' if quantity.unit else ''}"
+
+
+def add_legend(gui: GuiApi, entries: Sequence[tuple[str, str, str]]) -> None:
+    """A line that says what marks mean: mark, its colour, meaning."""
+    shown = (f'<span style="color:{colour}">{mark}</span>&nbsp;{meaning}' for mark, colour, meaning in entries)
+    gui.add_html(f'<div style="font-size:0.8em;padding:0.2em 1em">{"&emsp;".join(shown)}</div>')
+
+
+def _line(colour: str, width: float, dash: tuple[float, ...] = ()) -> uplot.Series:
+    return uplot.Series(stroke=colour, width=width, dash=dash, points=NO_DOTS, auto=False)
+
+
+def _add_chart(
+    gui: GuiApi, series: Sequence[uplot.Series], x_label: str, y_label: str, bands: tuple[uplot.Band, ...] = ()
+) -> GuiUplotHandle:
+    span = uplot.Series(stroke=CLEAR, width=0, points=NO_DOTS)
+    return gui.add_uplot(
+        _blank(2 + len(series)),
+        (uplot.Series(), span, *series),
+        bands=bands,
+        scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
+        axes=_axes(x_label, y_label),
+        legend=uplot.Legend(show=False),
+        height=HEIGHT,
+        padding=(8, 8, 0, 0),
+    )
+
+
+def _axes(x_label: str, y_label: str) -> tuple[uplot.Axis, uplot.Axis]:
+    font = "12px sans-serif"
+    return (
+        uplot.Axis(label=x_label, labelSize=16, size=30, labelFont=font, font=font, stroke=INK),
+        uplot.Axis(label=y_label, labelSize=16, size=54, labelFont=font, font=font, stroke=INK),
+    )
+
+
+def _blank(columns: int) -> tuple[Array, ...]:
+    return (np.array([0.0, 1.0]), np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in range(columns - 2)))
+
+
+def _span(*columns: Array) -> Array:
+    """As long as a column, with the least and the greatest of all numbers in it."""
+    numbers = np.concatenate([column[np.isfinite(column)] for column in columns])
+    span = np.full(len(columns[0]), numbers.min())
+    span[-1] = numbers.max()
+    return span
+
+
+class TrackingPlot:
+    """Targets and apexes of one state coordinate, growing step by step."""
+
+    def __init__(self, gui: GuiApi, quantity: Quantity, index: int):
+        self._index = index
+        series = _line(INK, 1.2, (5, 3)), _line(VERMILLION, 1.5, (2, 2)), _line(BLUE, 2)
+        self._chart = _add_chart(gui, series, "step", named(quantity))
+
+    def show(self, steps: Sequence[LoggedStep], overlaid: Sequence[LoggedStep], shown: int) -> None:
+        """Draws the targets of all steps, and the apexes of the first ones."""
+        if not steps:
+            self._chart.data = _blank(5)
+            return
+        number = np.array([float(logged.step) for logged in steps])
+        target = np.array([logged.target[self._index] for logged in steps])
+        apex, other = self._apexes(steps, len(steps)), self._apexes(overlaid, len(steps))
+        span = _span(target, apex, other)
+        apex[shown:], other[shown:] = np.nan, np.nan
+        self._chart.data = (number, span, target, other, apex)
+
+    def _apexes(self, steps: Sequence[LoggedStep], count: int) -> Array:
+        """Of the first steps, NaN where there are fewer; shape (count,)."""
+        apexes = np.full(count, np.nan)
+        known = [logged.record.next_state[self._index] for logged in steps[:count]]
+        apexes[: len(known)] = known
+        return apexes
+
+
+class LearntPlot:
+    """Mean and band of the error of one state coordinate along an input, with the present step's error."""
+
+    def __init__(self, gui: GuiApi, quantity: Quantity, index: int):
+        self._index, self._y_label, self._x_label = index, named(quantity, "error of "), ""
+        dot = uplot.Series_Points(show=True, size=9, width=2, stroke=VERMILLION, fill=VERMILLION)
+        here = uplot.Series(stroke=VERMILLION, width=0, points=dot, auto=False)
+        series = _line(BAND, 1), _line(BAND, 1), _line(BLUE, 2), here
+        self._chart = _add_chart(gui, series, " ", self._y_label, bands=(uplot.Band(series=(2, 3), fill=BAND),))
+
+    def show(self, curve: Curve, label: str, error: Array) -> None:
+        """Draws a curve along the input of that label, and the error of the step; shape (n,), NaN where unknown."""
+        mean, margin = curve.mean[:, self._index], curve.margin[:, self._index]
+        here = np.full(len(mean), np.nan)
+        here[curve.here] = error[self._index]
+        upper, lower = mean + margin, mean - margin
+        self._chart.data = (curve.inputs, _span(upper, lower, here), upper, lower, mean, here)
+        if label != self._x_label:
+            self._chart.axes, self._x_label = _axes(label, self._y_label), label
+
+    def clear(self) -> None:
+        """Draws nothing: nothing was learnt."""
+        self._chart.data = _blank(6)

@@ -1,0 +1,228 @@
+"""What there is to show of a run, whether it is over or goes on: steps, motion, what was learnt.
+
+Steps and models are read from the run folder. Motion comes from a ring of ticks while the run goes on beside, from the
+tick logs of a rig, and else from making the deployment again.
+"""
+
+import json
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from threading import Event, Thread
+
+import numpy as np
+
+from stepgap.experiment import InputError, read_experiment
+from stepgap.hopper.apex_map import ApexMap
+from stepgap.learning.learner import next_context
+from stepgap.learning.residual import Residual
+from stepgap.learning.residual_fit import residual_from_dict
+from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, read_step_log
+from stepgap.plants.tick import TICK_UNITS
+from stepgap.plants.tick_log import TickLogError, read_ticks
+from stepgap.plants.tick_ring import TickRing
+from stepgap.plants.tick_table import TickTable
+from stepgap.replay import replayed_hops
+from stepgap.rigs.entry_points import load_rig
+from stepgap.rigs.rig import RigLayout
+from stepgap.run_plants import SIMULATED, remade_rig
+from stepgap.view.motion import EVERY, Hop, hops_of_log, sensed_hop, still_hop, true_hop
+
+RING_FIELDS = 2 + len(TICK_UNITS)
+"""Of a row of the ring: deployment, hop, tick."""
+
+
+class Source:
+    """A run folder, and the ring of the run that is writing it.
+
+    Args:
+        folder: The run folder.
+        ring: Ticks as they happen; without one, the motion is made again.
+
+    Attributes:
+        settings: Of the experiment.
+        space: Of its steps.
+        layout: How to read the rig's counts; None where the rig is not known here.
+
+    Raises:
+        InputError: It is no run folder, a model in it is none, or it has no step yet and nobody is making one.
+        RecordError: Its steps cannot be read.
+    """
+
+    def __init__(self, folder: Path, ring: TickRing | None = None):
+        self.folder, self._ring = folder, ring
+        if not (folder / "experiment.toml").is_file():
+            raise InputError(f"{folder}: no experiment.toml there; give the folder of a run")
+        self.settings = read_experiment(folder / "experiment.toml")
+        self.nominal = ApexMap(self.settings.robot, self.settings.gains, self.settings.command)
+        self.space = self.nominal.space
+        self.layout, self._words = self._find_layout(), ""
+        self._size, self._log = -1, StepLog(self.space)
+        self._steps: dict[int, list[LoggedStep]] = {}
+        self._motion: dict[int, list[Hop | None]] = {}
+        self._finders: dict[int, Thread] = {}
+        self._closed = Event()
+        self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
+        self._models: dict[int, Residual | None] = {}
+        self.poll()
+        if not self._steps and ring is None:
+            raise InputError(f"{folder / 'steps.csv'}: no step yet; look again when there are some")
+        for iteration in self._steps:
+            self._model(iteration)
+
+    @property
+    def pivot_height(self) -> float:
+        """Of the boom [m]."""
+        return self.layout.pivot_height if self.layout else self.settings.gap.boom_pivot_height
+
+    @property
+    def words(self) -> str:
+        """Why there is no motion where there is none; empty while there is."""
+        return self._words
+
+    @property
+    def iterations(self) -> list[int]:
+        """Numbers of the deployments, rising."""
+        return sorted(self._steps)
+
+    def steps(self, iteration: int) -> list[LoggedStep]:
+        """Recorded steps of a deployment."""
+        return self._steps.get(iteration, [])
+
+    def hop_count(self, iteration: int) -> int:
+        """Hops of a deployment: that after the release, and its steps."""
+        return 1 + len(self.steps(iteration))
+
+    def hop(self, iteration: int, number: int) -> Hop | None:
+        """A hop's motion; None while it is still being made. Without known motion, the robot stands at the apex."""
+        hops, steps = self._motion.get(iteration, []), self.steps(iteration)
+        if number < len(hops) and (hop := hops[number]):
+            return hop
+        if self._is_sought(iteration) or not steps:
+            return None
+        state = steps[min(number, len(steps)) - 1].record.next_state if number else steps[0].record.state
+        known = state if np.isfinite(state).all() else steps[min(number, len(steps)) - 1].record.state
+        return still_hop(self.settings.robot, self.settings.gains, self.pivot_height, known)
+
+    def want(self, iteration: int) -> None:
+        """Begins to find the motion of a deployment, unless it is known, or comes through the ring."""
+        coming = self._ring is not None and iteration >= max(self._steps, default=0)
+        if iteration in self._motion or coming:
+            return
+        self._motion[iteration] = []
+        find = self._remake if self.settings.plant in SIMULATED else self._load
+        self._finders[iteration] = Thread(target=self._find, args=(iteration, find), daemon=True)
+        self._finders[iteration].start()
+
+    def await_motion(self, iteration: int) -> None:
+        """Waits until all motion of a deployment that is to be found is."""
+        if iteration in self._finders:
+            self._finders[iteration].join()
+
+    def close(self) -> None:
+        """Ends the search for motion; a program that ends in the middle of it would crash."""
+        self._closed.set()
+        for finder in self._finders.values():
+            finder.join()
+
+    def residual(self, iteration: int, number: int) -> Residual | None:
+        """What the deployment's controller had learnt before it began, for a step of it; None without a model."""
+        residual, steps = self._model(iteration), self.steps(iteration)
+        if residual is None or not 0 < number <= len(steps):
+            return None
+        before = []
+        for logged in self._log:
+            if logged is steps[number - 1]:
+                break
+            before.append(logged)
+        return residual.given(next_context(StepLog(self.space, before), self.nominal, iteration))
+
+    def poll(self) -> bool:
+        """Takes in what is new; says whether there were steps."""
+        grown = self._read_steps()
+        if self._ring:
+            self._drain(self._ring)
+        return grown
+
+    def _model(self, iteration: int) -> Residual | None:
+        if iteration not in self._models:
+            path = self.folder / "models" / f"iteration_{iteration}.json"
+            model, sizes = _read_model(path), (len(self.space.state), len(self.space.command))
+            if model and model.sizes != sizes:
+                raise InputError(f"{path}: a model of {model.sizes} coordinates, but the run's steps have {sizes}")
+            self._models[iteration] = model
+        return self._models[iteration]
+
+    def _find_layout(self) -> RigLayout | None:
+        settings = self.settings
+        if settings.plant in SIMULATED:
+            return remade_rig(settings, 0)[0].layout
+        try:
+            return load_rig(settings.plant, Path(settings.rig), settings.robot).layout
+        except InputError:
+            return None
+
+    def _read_steps(self) -> bool:
+        path = self.folder / "steps.csv"
+        try:
+            size = path.stat().st_size
+            if size == self._size:
+                return False
+            self._log, self._size = read_step_log(path, self.space), size
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}; {self.folder} must be the folder of a run") from None
+        steps = defaultdict(list)
+        for logged in self._log:
+            steps[logged.iteration].append(logged)
+        self._steps = dict(steps)
+        return True
+
+    def _drain(self, ring: TickRing) -> None:
+        """Takes the ticks out of the ring; a hop is whole when its step is recorded, or a later one has begun."""
+        rows = ring.drain()
+        for row in rows:
+            self._ticks[int(row[0]), int(row[1])].append(row[2:])
+        newest = max(self._ticks, default=(0, 0))
+        for iteration, number in sorted(self._ticks):
+            if number < self.hop_count(iteration) and ((iteration, number) < newest or number > 0):
+                ticks = TickTable(TICK_UNITS, np.array(self._ticks.pop((iteration, number))))
+                hops = self._motion.setdefault(iteration, [])
+                hops.extend([None] * (number + 1 - len(hops)))
+                hops[number] = sensed_hop(ticks, self.layout) if self.layout else None
+
+    def _is_sought(self, iteration: int) -> bool:
+        return iteration in self._finders and self._finders[iteration].is_alive()
+
+    def _find(self, iteration: int, find: Callable[[int, list[Hop | None]], None]) -> None:
+        """Fills in the motion, hop by hop; whatever goes wrong is said on the page."""
+        try:
+            find(iteration, self._motion[iteration])
+        except (ValueError, OSError, RecordError, TickLogError) as error:
+            self._words = str(error)
+
+    def _remake(self, iteration: int, hops: list[Hop | None]) -> None:
+        assert self.layout
+        for table in replayed_hops(self.folder, iteration, EVERY):
+            hops.append(true_hop(table, self.layout))
+            if self._closed.is_set():
+                return
+
+    def _load(self, iteration: int, hops: list[Hop | None]) -> None:
+        path = self.folder / "ticks" / f"ticks-{iteration}.mcap"
+        if self.layout is None:
+            raise InputError(f"plant '{self.settings.plant}' is not known here, so its counts cannot be read")
+        found = hops_of_log(TickTable(*read_ticks(path)), self.layout)
+        if len(found) < self.hop_count(iteration):
+            raise InputError(f"{path}: has fewer hops than deployment {iteration}, so it is not known which are which")
+        hops.extend(found)
+
+
+def _read_model(path: Path) -> Residual | None:
+    try:
+        return residual_from_dict(json.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not a model of a run ({error})") from None

@@ -1,0 +1,94 @@
+"""Serves the page until somebody ends it."""
+
+import io
+import socket
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from time import monotonic, sleep
+
+from viser import ViserServer
+
+from stepgap.strict_toml import InputError
+from stepgap.view.page import Page
+
+HERE = "127.0.0.1"
+"""The host that only this machine reaches."""
+
+FIRST_PORT, PORTS = 8080, 100
+"""Where a free port is looked for, and how many are tried."""
+
+FRAME = 1 / 30
+"""Time between two pictures [s]."""
+
+
+def start_server(host: str, port: int | None) -> ViserServer:
+    """A server that nobody else has the port of.
+
+    Args:
+        host: Of the network interface.
+        port: None: the first that is free.
+
+    Raises:
+        InputError: Host or port cannot be had.
+    """
+    if port is not None and not 0 < port < 2**16:
+        raise InputError(f"--port {port}: it must lie between 1 and 65535")
+    for wanted in [port] if port else range(FIRST_PORT, FIRST_PORT + PORTS):
+        if _is_free(host, wanted):
+            with redirect_stdout(io.StringIO()):  # what is to be said `announce` says
+                return ViserServer(host, wanted, label="StepGap", verbose=False)
+    tried = f"--port {port}: it is taken" if port else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are taken"
+    raise InputError(f"{tried}; choose another --port")
+
+
+def _is_free(host: str, port: int) -> bool:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except (socket.gaierror, UnicodeError):
+        raise InputError(f"--host {host}: no such address; without --host only this machine sees the page") from None
+    except PermissionError:
+        raise InputError(f"--port {port}: not allowed to you; choose one from 1024 on") from None
+    except OSError as error:
+        if error.errno == 99:  # EADDRNOTAVAIL
+            raise InputError(f"--host {host}: not an address of this machine; 0.0.0.0 stands for all of them") from None
+        return False
+    return True
+
+
+def announce(server: ViserServer) -> None:
+    """Says on stderr where the page is, and who can see it."""
+    host, port = server.get_host(), server.get_port()
+    name = f"[{host}]" if ":" in host else host
+    print(f"stepgap: open http://{name}:{port} in a browser; Ctrl-C ends it", file=sys.stderr)
+    if not (host.startswith("127.") or host in ("localhost", "::1")):
+        print(
+            f"stepgap: warning: --host {host} opens the page to everyone who reaches this machine, without a password; "
+            "they can see the run and press every button, which the run itself does not feel",
+            file=sys.stderr,
+        )
+    sys.stderr.flush()
+
+
+def watch(server: ViserServer, page: Page, goes_on: Callable[[], bool] = lambda: True) -> None:
+    """Shows the page, picture by picture, until it no longer goes on or Ctrl-C; then stops the server."""
+    last = monotonic()
+    try:
+        while goes_on():
+            now = monotonic()
+            page.update(now - last)
+            last = now
+            sleep(max(0.0, FRAME - (monotonic() - now)))
+    except KeyboardInterrupt:
+        pass
+    finally:
+        stop_server(server)
+
+
+def stop_server(server: ViserServer) -> None:
+    """Stops it without a word."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()

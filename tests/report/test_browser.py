@@ -1,0 +1,32 @@
+"""The report in a headless Chromium: it asks nobody for anything, complains of nothing, its replay scrubs."""
+
+from pathlib import Path
+
+from playwright.sync_api import expect
+
+from tests.browser import Watched
+from tests.browser import chromium as chromium  # fixtures
+from tests.browser import watched_page as watched_page
+from tests.view.conftest import run_folder as run_folder
+
+
+def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) -> None:
+    page = watched_page.page
+    page.goto((run_folder / "report.html").resolve().as_uri())
+    slider, canvas, words = (page.locator(f"#replay-{name}") for name in ("slider", "canvas", "words"))
+    slider.scroll_into_view_if_needed()
+    expect(words).to_contain_text("deployment")
+    last = int(slider.get_attribute("max") or 0)
+    assert last > 0
+    before, said = canvas.screenshot(), words.inner_text()
+    slider.fill(str(last // 2))
+    expect(words).not_to_have_text(said)
+    assert canvas.screenshot() != before
+    watched_page.keep_screenshot("report_replay")
+
+    slider.fill("0")
+    page.locator("#replay-play").click()
+    expect(page.locator("#replay-play")).to_have_text("Pause")
+    expect(slider).not_to_have_value("0")
+    page.evaluate("scrollTo(0, 0)")
+    watched_page.keep_screenshot("report")

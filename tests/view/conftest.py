@@ -1,0 +1,27 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.cli import main
+from tests.browser import chromium as chromium  # a fixture
+
+TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n0.15,0.57\n"
+STEPS = 4
+
+
+def run_into(folder: Path, *more: str) -> None:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    targets = folder.parent / "targets.csv"
+    targets.write_text(TARGETS)
+    main(["run", "--reference", str(targets), "--out", str(folder), "--seed", "5", "--iterations", "1", *more])
+
+
+@pytest.fixture(scope="session")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two deployments of four steps on the twin."""
+    folder = tmp_path_factory.mktemp("viewed") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stepgap.run_plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        run_into(folder, "--quiet")
+    return folder

@@ -1,0 +1,75 @@
+"""The page as people see it, in a headless Chromium: it talks to nobody else, complains of nothing, its buttons act."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Event, Thread
+
+import pytest
+from playwright.sync_api import expect
+
+from stepgap.view.page import Page
+from stepgap.view.source import Source
+from stepgap.view.watch import HERE, start_server, watch
+from tests.browser import Watched
+from tests.browser import watched_page as watched_page  # a fixture
+from tests.view.conftest import STEPS
+
+PATIENCE = 30_000
+"""Longest wait for the page [ms]; software draws some pictures a second."""
+
+
+@pytest.fixture
+def served(run_folder: Path) -> Iterator[str]:
+    """Address of the page of a run."""
+    server, over = start_server(HERE, None), Event()
+    source = Source(run_folder)
+    page = Page(server, source)
+    page.toggle()
+    thread = Thread(target=watch, args=(server, page, lambda: not over.is_set()))
+    thread.start()
+    yield f"http://{HERE}:{server.get_port()}"
+    over.set()
+    thread.join()
+    source.close()
+
+
+def test_the_page(served: str, watched_page: Watched) -> None:
+    page = watched_page.page
+    page.set_default_timeout(PATIENCE)
+    expect.set_options(timeout=PATIENCE)
+    page.goto(served)
+    body = page.locator("body")
+    expect(body).to_contain_text("The robot is let go.")
+    picture = page.locator("canvas").first
+    held = picture.screenshot()
+    page.get_by_text("One step", exact=True).click()  # the hop of the release
+    expect(body).not_to_contain_text("Paused.")
+    expect(body).to_contain_text("Paused.")
+    page.get_by_text("One step", exact=True).click()
+    expect(body).to_contain_text("Step 1")
+    expect(body).to_contain_text("Paused.")
+    assert picture.screenshot() != held, "the robot must have moved"
+    watched_page.keep_screenshot("view_tracking")
+
+    page.get_by_text("What was learnt").click()
+    expect(body).to_contain_text("as deployment 1 began (gp)")
+    choose(watched_page, "Along", "fx")
+    expect(page.locator(".uplot:visible").first).to_be_visible()
+    page.wait_for_timeout(500)
+    watched_page.keep_screenshot("view_learnt")
+
+    choose(watched_page, "Deployment", "0: uncorrected map")
+    expect(body).to_contain_text("The robot is let go.")
+    choose(watched_page, "Overlay", "1: corrected map")
+    choose(watched_page, "Speed", "16")
+    page.get_by_text("Pause / play").click()
+    expect(body).to_contain_text(re.compile(f"Step {STEPS}"))
+    expect(body).to_contain_text("this deployment began with the uncorrected map")
+    watched_page.keep_screenshot("view_uncorrected")
+
+
+def choose(watched: Watched, label: str, option: str) -> None:
+    """Picks an option of a dropdown."""
+    watched.page.get_by_label(label, exact=True).first.click()
+    watched.page.get_by_role("option", name=option, exact=True).click()

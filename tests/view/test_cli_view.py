@@ -1,0 +1,119 @@
+"""`stepgap view` and `run --view` as the shell sees them."""
+
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from stepgap.learning.step_log import LoggedStep
+from stepgap.sim_to_real import Observer
+from stepgap.view.live import LiveView
+from tests.command_line import Command, refused
+from tests.view.conftest import TARGETS
+
+SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+"""Where the tests run in the background, Ctrl-C is ignored."""
+
+PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; from stepgap.cli import main; main()"]
+
+
+def started(*arguments: object) -> subprocess.Popen[str]:
+    """A command in a process of its own, which Ctrl-C reaches."""
+    return subprocess.Popen(
+        [*PROGRAM, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def address(process: subprocess.Popen[str]) -> str:
+    """Where a process says that its page is."""
+    assert process.stderr
+    for line in process.stderr:
+        if "open http://" in line:
+            return line.split()[2]
+    raise AssertionError(f"it ended: {process.wait()}")
+
+
+def test_it_serves_the_page_until_ctrl_c(run_folder: Path) -> None:
+    with started("view", run_folder) as process:
+        url = address(process)
+        with urllib.request.urlopen(url) as answer:
+            assert b"<html" in answer.read(1000)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    assert (process.returncode, out, err) == (0, "", "")
+
+
+def test_opening_it_to_others_warns(run_folder: Path) -> None:
+    with started("view", run_folder, "--host", "0.0.0.0") as process:
+        assert address(process).startswith("http://0.0.0.0:")
+        assert process.stderr
+        assert "warning: --host 0.0.0.0 opens the page to everyone" in process.stderr.readline()
+        process.terminate()
+        assert process.wait() == 0
+
+
+def test_wrong_input_is_one_line(stepgap: Command, run_folder: Path, tmp_path: Path) -> None:
+    refused(stepgap("view", tmp_path / "none"), "none", "experiment.toml")
+    refused(stepgap("view", run_folder, "--deployment", "7"), "--deployment 7", "0, 1")
+    refused(stepgap("view", run_folder, "--port", "70000"), "--port 70000", "65535")
+    refused(stepgap("view", run_folder, "--host", "no.such.host.invalid"), "--host", "no such address")
+    refused(stepgap("view", run_folder, "--ring", "no-such-ring"), "no-such-ring")
+
+
+@pytest.mark.parametrize("name", ["steps.csv", "models/iteration_1.json", "experiment.toml"])
+@pytest.mark.parametrize("content", [b"", b"\x00\xff rubbish", b"{}"])
+def test_broken_files_are_one_line(
+    stepgap: Command, run_folder: Path, tmp_path: Path, name: str, content: bytes
+) -> None:
+    copy = shutil.copytree(run_folder, tmp_path / "copy")
+    (copy / name).write_bytes(content)
+    if (name, content) == ("experiment.toml", b""):
+        pytest.skip("an empty file of settings is one: every setting has its default")
+    refused(stepgap("view", copy), name)
+
+
+def test_a_run_is_the_same_with_a_page_that_dies(
+    stepgap: Command, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page is killed after the first step; every recorded byte is that of a run without a page."""
+    observing = LiveView.observing
+
+    def killing(live: LiveView, observer: Observer) -> Observer:
+        observed = observing(live, observer)
+
+        def on_step(logged: LoggedStep) -> None:
+            live._process.kill()
+            observed.on_step(logged)
+
+        return replace(observed, on_step=on_step)
+
+    monkeypatch.setattr(LiveView, "observing", killing)
+    (tmp_path / "targets.csv").write_text(TARGETS)
+    arguments = ["--reference", tmp_path / "targets.csv", "--out", tmp_path / "run", "--seed", "5"]
+    said = stepgap("run", *arguments, "--iterations", "1", "--quiet", "--view")
+    assert (said.code, said.out.strip()) == (0, str(tmp_path / "run" / "report.html"))
+    assert (tmp_path / "run" / "steps.csv").read_bytes() == (run_folder / "steps.csv").read_bytes()
+
+
+def test_a_run_shows_its_page_and_ctrl_c_ends_both_when_it_is_over(tmp_path: Path) -> None:
+    (tmp_path / "targets.csv").write_text("speed,height\n0.1,0.56\n")
+    arguments = ["--reference", tmp_path / "targets.csv", "--out", tmp_path / "run", "--iterations", "0"]
+    with started("run", *arguments, "--view") as process:
+        url = address(process)
+        with urllib.request.urlopen(url) as answer:
+            assert answer.status == 200
+        assert process.stdout
+        assert process.stdout.readline().strip().endswith("report.html")
+        process.send_signal(signal.SIGINT)
+        process.communicate()
+    assert process.returncode == 0
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(url)

@@ -1,0 +1,70 @@
+"""Time goes on as it is told to, and never beyond what is known."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stepgap.view.player import Player
+
+
+def lasting(seconds: float):
+    return lambda number: seconds
+
+
+def test_time_goes_on_through_the_hops() -> None:
+    player = Player()
+    player.advance(1.25, 10, lasting(0.5))
+    assert (player.hop, player.share) == (2, pytest.approx(0.5))
+    player.speed = 4.0
+    player.advance(0.25, 10, lasting(0.5))
+    assert (player.hop, player.share) == (4, pytest.approx(0.5))
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0, 3), max_size=20), st.integers(1, 6))
+def test_it_stops_at_the_end_of_what_is_known(times: list[float], count: int) -> None:
+    player = Player()
+    for time in times:
+        player.advance(time, count, lasting(0.5))
+    assert 0 <= player.hop < count
+    assert 0 <= player.share <= 1
+    assert player.hop + player.share == pytest.approx(min(count, sum(times) / 0.5), abs=1e-6)
+
+
+def test_it_waits_for_motion_that_is_being_made() -> None:
+    player = Player()
+    player.advance(5.0, 4, lambda number: 0.5 if number < 2 else None)
+    assert (player.hop, player.share) == (1, 1.0)
+    player.advance(0.25, 4, lasting(0.5))
+    assert player.hop == 2
+
+
+def test_a_pause_stops_time() -> None:
+    player = Player()
+    player.toggle()
+    player.advance(1.0, 4, lasting(0.5))
+    assert (player.hop, player.share) == (0, 0.0)
+    player.toggle()
+    player.advance(0.25, 4, lasting(0.5))
+    assert player.share == pytest.approx(0.5)
+
+
+def test_one_step_plays_to_the_end_of_a_hop_and_pauses() -> None:
+    player = Player(playing=False)
+    for hop in range(3):
+        player.one_step(3)
+        player.advance(10.0, 3, lasting(0.5))
+        assert (player.hop, player.share, player.playing) == (hop, 1.0, False)
+
+
+def test_following_leaps_to_the_newest_hop() -> None:
+    player = Player(follow=True)
+    player.advance(0.5, 8, lasting(0.5))
+    assert player.hop == 7
+
+
+def test_what_a_person_shows_ends_following() -> None:
+    player = Player(follow=True)
+    player.show(3)
+    player.advance(0.6, 8, lasting(0.5))
+    assert (player.hop, player.follow) == (4, False)

@@ -1,0 +1,135 @@
+"""What the page is told of a run is what its files and its ticks say."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.experiment import InputError
+from stepgap.learning.step_log import RecordError, read_step_log
+from stepgap.plants.tick import TICK_UNITS
+from stepgap.plants.tick_log import TickLog
+from stepgap.plants.tick_ring import TickRing
+from stepgap.replay import replay
+from stepgap.view.geometry import Pose, joints_at
+from stepgap.view.motion import STILL, Hop, hops_of_log, true_hop
+from stepgap.view.source import RING_FIELDS, Source
+from tests.view.conftest import STEPS
+
+
+@pytest.fixture
+def copy(run_folder: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(run_folder, tmp_path / "run")
+
+
+def found(source: Source, iteration: int) -> list[Hop]:
+    """All motion of a deployment, once it is known."""
+    source.want(iteration)
+    source.await_motion(iteration)
+    hops = [source.hop(iteration, number) for number in range(source.hop_count(iteration))]
+    assert all(hops)
+    return [hop for hop in hops if hop]
+
+
+def test_motion_is_the_deployment_made_again(run_folder: Path) -> None:
+    source, table = Source(run_folder), replay(run_folder, 1, 8)
+    hops = found(source, 1)
+    assert len(hops) == 1 + STEPS
+    assert sum(len(hop.time) for hop in hops) == len(table)
+    feet = np.column_stack([table["foot_x"], table["foot_y"], table["foot_z"]])
+    poses = np.concatenate([hop.poses for hop in hops])
+    for pose, true_foot in zip(poses[::20], feet[::20], strict=True):
+        drawn = joints_at(source.settings.robot, source.pivot_height, Pose(*pose)).foot
+        np.testing.assert_allclose(drawn, true_foot, atol=1e-5)
+
+
+def test_the_last_moment_of_a_step_is_at_its_apex(run_folder: Path) -> None:
+    source = Source(run_folder)
+    robot = source.settings.robot
+    for hop, logged in zip(found(source, 0)[1:], source.steps(0), strict=True):
+        height = joints_at(robot, source.pivot_height, hop.at(1.0)[0]).hip[2]
+        assert height == pytest.approx(logged.record.next_state[1], abs=0.02)
+
+
+def test_a_ring_gives_the_hops_that_are_over(run_folder: Path) -> None:
+    table = replay(run_folder, 1, 8)
+    ticks = table.rows[:, : len(TICK_UNITS)]
+    with TickRing.create(RING_FIELDS, 2**12) as ring:
+        source = Source(run_folder, ring)
+        for step, row in zip(table["step"], ticks, strict=True):
+            ring.push((1, step, *row))
+        source.poll()
+        source.want(1)
+        hops = found(source, 1)
+    assert [len(hop.time) for hop in hops] == [int(np.sum(table["step"] == step)) for step in range(1 + STEPS)]
+    np.testing.assert_allclose(hops[2].poses[:, 0], table["boom_yaw"][table["step"] == 2], atol=2e-3)
+
+
+def test_hops_of_a_tick_log_are_parted_at_apexes(run_folder: Path) -> None:
+    table, source = replay(run_folder, 1), Source(run_folder)
+    assert source.layout
+    hops = hops_of_log(table, source.layout)
+    assert len(hops) == 2 + STEPS
+    for step, hop in enumerate(hops[:-1]):
+        truth = true_hop(type(table)(table.units, table.rows[table["step"] == step]), source.layout)
+        assert hop
+        assert truth
+        assert hop.duration == pytest.approx(truth.duration, abs=0.02)
+
+
+def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
+    table = replay(copy, 0)
+    source = Source(copy)
+    source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
+    with TickLog(copy / "ticks" / "ticks-0.mcap", TICK_UNITS) as log:
+        log.append(table.rows[:, : len(TICK_UNITS)])
+    assert len(found(source, 0)) == 1 + STEPS
+    assert source.words == ""
+    source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
+    assert [hop.duration for hop in found(source, 1)] == [STILL] * (1 + STEPS)
+    assert "ticks-1.mcap" in source.words
+
+
+def test_a_changed_record_is_shown_without_motion(copy: Path) -> None:
+    lines = (copy / "steps.csv").read_text().splitlines(keepends=True)
+    (copy / "steps.csv").write_text(lines[0] + lines[1].replace("0.0", "0.1", 1) + "".join(lines[2:]))
+    source = Source(copy)
+    hops = found(source, 0)
+    assert hops[-1].duration == STILL
+    assert "could not be made again" in source.words
+
+
+def test_steps_that_come_are_seen(copy: Path) -> None:
+    text = (copy / "steps.csv").read_text()
+    lines = text.splitlines(keepends=True)
+    (copy / "steps.csv").write_text("".join(lines[:3]) + lines[3][:20])
+    source = Source(copy)
+    assert len(source.steps(0)) == 2
+    assert not source.poll()
+    (copy / "steps.csv").write_text(text)
+    assert source.poll()
+    assert source.iterations == [0, 1]
+
+
+def test_the_model_is_the_one_that_a_deployment_began_with(run_folder: Path) -> None:
+    source = Source(run_folder)
+    assert source.residual(0, 1) is None
+    residual = source.residual(1, 2)
+    assert residual
+    steps = read_step_log(run_folder / "steps.csv", source.space).of_iteration(1)
+    predicted = source.nominal.evaluate(steps.state[:1], steps.applied[:1]).next_state + residual.mean(
+        np.hstack([steps.state[:1], steps.applied[:1]])
+    )
+    np.testing.assert_allclose(predicted, steps.predicted[:1], atol=1e-3)
+
+
+def test_no_run_is_refused(tmp_path: Path, copy: Path) -> None:
+    with pytest.raises(InputError, match=r"no experiment\.toml"):
+        Source(tmp_path / "nothing")
+    (copy / "steps.csv").write_text("other,columns\n")
+    with pytest.raises(RecordError, match="line 1"):
+        Source(copy)
+    (copy / "steps.csv").unlink()
+    with pytest.raises(InputError, match="no step yet"):
+        Source(copy)
