@@ -16,9 +16,9 @@ ROOT_NEEDS = ("--no-sandbox", "--disable-dev-shm-usage")
 SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chromium() -> Iterator[Browser]:
-    """The Chromium of the system; skips where there is none."""
+    """The Chromium of the system, a new one for each module that imports this; skips where there is none."""
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no Chromium on this machine (Debian: apt install chromium), so pages are not looked at")

@@ -45,6 +45,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RigPlant, "start", watched_start)
         patch.setattr("stepgap.run_plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        patch.setattr("stepgap.report_verb.report_run", lambda folder, _: folder)  # it would replay the run
         return run_of(tmp_path_factory.mktemp("watched")), ticks
 
 

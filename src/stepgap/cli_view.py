@@ -33,7 +33,7 @@ def view(
     from stepgap.strict_toml import InputError
     from stepgap.view.page import Page
     from stepgap.view.source import Source
-    from stepgap.view.watch import announce, start_server, watch
+    from stepgap.view.watch import start_server, watch
 
     parent = os.getppid()
     with contextlib.ExitStack() as stack:
@@ -46,7 +46,6 @@ def view(
         server = start_server(host, port)
         page = Page(server, source, deployment, live=ring is not None)
         stack.enter_context(terminated_as_interrupted())
-        announce(server)
         watch(server, page, lambda: ring is None or os.getppid() == parent)
 
 

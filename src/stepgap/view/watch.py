@@ -74,9 +74,10 @@ def announce(server: ViserServer) -> None:
 
 
 def watch(server: ViserServer, page: Page, goes_on: Callable[[], bool] = lambda: True) -> None:
-    """Shows the page, picture by picture, until it no longer goes on or Ctrl-C; then stops the server."""
+    """Says where the page is and shows it, picture by picture, until it no longer goes on or Ctrl-C; stops the server."""
     last = monotonic()
     try:
+        announce(server)
         while goes_on():
             now = monotonic()
             page.update(now - last)
