@@ -74,7 +74,7 @@ def announce(server: ViserServer) -> None:
 
 
 def watch(server: ViserServer, page: Page, goes_on: Callable[[], bool] = lambda: True) -> None:
-    """Says where the page is and shows it, picture by picture, until it no longer goes on or Ctrl-C; stops the server."""
+    """Says where the page is and shows it until it no longer goes on or Ctrl-C comes; then stops the server."""
     last = monotonic()
     try:
         announce(server)
