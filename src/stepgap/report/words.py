@@ -109,10 +109,8 @@ def _floor(record: RunRecord) -> list[str]:
         else f"is at most about {spreads} (what a linear fit leaves of the steady steps of the last deployment; the "
         "true one may be smaller)"
     )
-    return [
-        f"Repeatability, how far the next state spreads from equal state and command, {how}. "
-        f"The last steady RMSE is {ratios}."
-    ]
+    compared = f" The last steady RMSE is {ratios}." if np.isfinite([errors[row] for row in known]).all() else ""
+    return [f"Repeatability, how far the next state spreads from equal state and command, {how}.{compared}"]
 
 
 def _paper_result() -> str:
