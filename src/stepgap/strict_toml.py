@@ -168,6 +168,12 @@ def as_type(value: Any, wanted: Any, here: str) -> Any:
     return value
 
 
+def require(condition: bool, name: str, value: Any, rule: str) -> None:
+    """Raises ValueError `name = value, but it must RULE` unless the condition holds."""
+    if not condition:
+        raise ValueError(f"{name} = {shown(value)}, but it must {rule}")
+
+
 def shown(value: Any) -> str:
     """A TOML value for a message."""
     if isinstance(value, int) and abs(value) >= LARGEST_WHOLE:

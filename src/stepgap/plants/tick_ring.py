@@ -71,7 +71,7 @@ class TickRing:
             FileNotFoundError: There is no memory of that name.
             ValueError: It is no ring.
         """
-        memory = _untracked(name)
+        memory = attached_memory(name)
         mark, fields, rows = struct.unpack_from("3Q", _bytes(memory)) if memory.size >= ROWS_START else (0, 0, 0)
         if mark != MARK or not fields or not rows or _size(fields, rows) > memory.size:
             memory.close()
@@ -133,7 +133,7 @@ def _bytes(memory: SharedMemory) -> memoryview:
     return memory.buf
 
 
-def _untracked(name: str) -> SharedMemory:
+def attached_memory(name: str) -> SharedMemory:
     """Shared memory that this process will not free when it ends: that is its creator's to do."""
     if sys.version_info >= (3, 13):
         return SharedMemory(name, track=False)

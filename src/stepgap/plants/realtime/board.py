@@ -10,6 +10,7 @@ from multiprocessing.shared_memory import SharedMemory
 from typing import NamedTuple, Self
 
 from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick_ring import attached_memory
 from stepgap.step import Reason
 
 LONGEST_TEXT = 512
@@ -90,7 +91,7 @@ class Board:
     @classmethod
     def attach(cls, name: str) -> Self:
         """The board that another process created."""
-        return cls(SharedMemory(name))
+        return cls(attached_memory(name))
 
     @property
     def name(self) -> str:

@@ -4,17 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import floor, inf, isfinite
 from pathlib import Path
-from typing import Any
 
 from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
 from stepgap.rigs.limits import SafetyLimits
-from stepgap.strict_toml import build, read_toml, shown, with_table
-
-
-def _require(condition: bool, name: str, value: Any, rule: str) -> None:
-    """Raises ValueError `name = value, but it must RULE` unless the condition holds."""
-    if not condition:
-        raise ValueError(f"{name} = {shown(value)}, but it must {rule}")
+from stepgap.strict_toml import build, read_toml, require, shown, with_table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +23,7 @@ class WrittenPdo:
     entries: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        _require(0x1600 <= self.index <= 0x1BFF, "index", self.index, "lie between 0x1600 and 0x1BFF")
+        require(0x1600 <= self.index <= 0x1BFF, "index", self.index, "lie between 0x1600 and 0x1BFF")
         for entry in self.entries:
             try:
                 Entry.parse(entry)
@@ -57,7 +50,7 @@ class WrittenPdoSet:
     inputs: tuple[WrittenPdo, ...] = ()
 
     def __post_init__(self) -> None:
-        _require(self.name not in PDO_SETS, "name", self.name, f"differ from those that ship: {', '.join(PDO_SETS)}")
+        require(self.name not in PDO_SETS, "name", self.name, f"differ from those that ship: {', '.join(PDO_SETS)}")
         try:
             self.pdo_set()
         except ValueError as error:
@@ -85,9 +78,9 @@ class Slave:
     pdos: str = "none"
 
     def __post_init__(self) -> None:
-        _require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a text of one line")
+        require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a text of one line")
         for name in ("vendor", "product"):
-            _require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
+            require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,9 +101,9 @@ class Encoder:
 
     def __post_init__(self) -> None:
         counts = self.counts_per_turn
-        _require(isfinite(counts) and counts > 0, "counts_per_turn", counts, "be positive")
-        _require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
-        _require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
+        require(isfinite(counts) and counts > 0, "counts_per_turn", counts, "be positive")
+        require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
+        require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,10 +123,10 @@ class Motor(Encoder):
     def __post_init__(self) -> None:
         super().__post_init__()
         rated, limit = self.rated_torque, self.torque_limit
-        _require(isfinite(rated) and rated > 0, "rated_torque", rated, "be positive")
-        _require(isfinite(self.gear) and self.gear > 0, "gear", self.gear, "be positive")
+        require(isfinite(rated) and rated > 0, "rated_torque", rated, "be positive")
+        require(isfinite(self.gear) and self.gear > 0, "gear", self.gear, "be positive")
         most = 32 * self.torque_unit * 1000
-        _require(
+        require(
             0 < limit <= most, "torque_limit", limit, f"be positive and at most 32 times the rated torque, {most:g}"
         )
 
@@ -173,10 +166,10 @@ class Contact:
 
     def __post_init__(self) -> None:
         scale, force, length = self.newton_per_count, self.touchdown_force, self.takeoff_length
-        _require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
-        _require(isfinite(force) and force >= 0, "touchdown_force", force, "be finite and not negative")
-        _require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
-        _require(length > 0, "takeoff_length", length, "be positive")
+        require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
+        require(isfinite(force) and force >= 0, "touchdown_force", force, "be finite and not negative")
+        require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
+        require(length > 0, "takeoff_length", length, "be positive")
 
 
 MOTOR_OUTPUTS = {"target_torque", "controlword", "mode"}
@@ -220,22 +213,22 @@ class RigSettings:
     pdo_sets: tuple[WrittenPdoSet, ...] = ()
 
     def __post_init__(self) -> None:
-        _require(bool(self.interface.strip()), "interface", self.interface, "name a network interface, such as 'eth0'")
-        _require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
-        _require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
-        _require(1 <= self.frames_per_tick <= 10, "frames_per_tick", self.frames_per_tick, "lie between 1 and 10")
-        _require(
+        require(bool(self.interface.strip()), "interface", self.interface, "name a network interface, such as 'eth0'")
+        require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
+        require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
+        require(1 <= self.frames_per_tick <= 10, "frames_per_tick", self.frames_per_tick, "lie between 1 and 10")
+        require(
             0 < self.reply_timeout < self.watchdog,
             "reply_timeout",
             self.reply_timeout,
             f"be positive and less than watchdog = {self.watchdog}",
         )
-        _require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
+        require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
         names = [slave.name for slave in self.slaves]
-        _require(len(set(names)) == len(names), "slaves", names, "have names that differ")
+        require(len(set(names)) == len(names), "slaves", names, "have names that differ")
         sets = self._sets()
         for number, slave in enumerate(self.slaves, start=1):
-            _require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
+            require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
         for table, outputs, inputs in (
             ("motor_1", MOTOR_OUTPUTS, MOTOR_INPUTS),
             ("motor_2", MOTOR_OUTPUTS, MOTOR_INPUTS),
@@ -244,14 +237,14 @@ class RigSettings:
             ("contact", set[str](), {"force"}),
         ):
             self._check_use(table, outputs, inputs)
-        _require(self.motor_2.slave != self.motor_1.slave, "motor_2.slave", self.motor_2.slave, "differ from motor 1's")
-        _require(
+        require(self.motor_2.slave != self.motor_1.slave, "motor_2.slave", self.motor_2.slave, "differ from motor 1's")
+        require(
             self.boom_vertical.slave != self.boom_horizontal.slave,
             "boom_vertical.slave",
             self.boom_vertical.slave,
             "differ from the horizontal angle's",
         )
-        _require(
+        require(
             self.motor_2.link_counts == self.motor_1.link_counts,
             "motor_2.counts_per_turn",
             self.motor_2.counts_per_turn,
@@ -272,11 +265,11 @@ class RigSettings:
     def _check_use(self, table: str, outputs: set[str], inputs: set[str]) -> None:
         """Refuses a slave that is not there, or that does not exchange the values a table needs."""
         name, names = getattr(self, table).slave, [slave.name for slave in self.slaves]
-        _require(name in names, f"{table}.slave", name, f"name one of the slaves: {', '.join(names)}")
+        require(name in names, f"{table}.slave", name, f"name one of the slaves: {', '.join(names)}")
         pdos = self.pdo_set(self.slaves[names.index(name)])
         lacking = outputs - set(Packing(pdos.outputs).names) | inputs - set(Packing(pdos.inputs).names)
         rule = f"be a slave whose PDOs have {', '.join(sorted(lacking))}"
-        _require(not lacking, f"{table}.slave", name, rule)
+        require(not lacking, f"{table}.slave", name, rule)
 
 
 def read_rig_settings(path: Path) -> RigSettings:

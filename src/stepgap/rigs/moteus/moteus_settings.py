@@ -3,21 +3,14 @@
 from dataclasses import dataclass
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
 
 from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.moteus.joint import Scale
-from stepgap.strict_toml import build, read_toml, shown, with_table
-
-
-def _require(condition: bool, name: str, value: Any, rule: str) -> None:
-    """Raises ValueError `name = value, but it must RULE` unless the condition holds."""
-    if not condition:
-        raise ValueError(f"{name} = {shown(value)}, but it must {rule}")
+from stepgap.strict_toml import build, read_toml, require, with_table
 
 
 def _require_id(value: int) -> None:
-    _require(1 <= value <= 126, "id", value, "lie between 1 and 126")
+    require(1 <= value <= 126, "id", value, "lie between 1 and 126")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +39,9 @@ class Motor:
         _require_id(self.id)
         for name in ("torque_limit", "gear", "servo_kp", "servo_kd"):
             value = getattr(self, name)
-            _require(isfinite(value) and value > 0, name, value, "be positive")
-        _require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
-        _require(abs(self.zero) <= 128, "zero", self.zero, "lie within ±128 turns")
+            require(isfinite(value) and value > 0, name, value, "be positive")
+        require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
+        require(abs(self.zero) <= 128, "zero", self.zero, "lie within ±128 turns")
 
     @property
     def scale(self) -> Scale:
@@ -76,10 +69,10 @@ class BoomEncoder:
 
     def __post_init__(self) -> None:
         counts = self.counts_per_turn
-        _require(self.source in (1, 2), "source", self.source, "be 1 or 2")
-        _require(0 < counts <= 2**24, "counts_per_turn", counts, "lie between 1 and 2²⁴")
-        _require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
-        _require(abs(self.zero) < counts, "zero", self.zero, f"lie within a turn of {counts} counts")
+        require(self.source in (1, 2), "source", self.source, "be 1 or 2")
+        require(0 < counts <= 2**24, "counts_per_turn", counts, "lie between 1 and 2²⁴")
+        require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
+        require(abs(self.zero) < counts, "zero", self.zero, f"lie within a turn of {counts} counts")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,12 +99,12 @@ class Contact:
 
     def __post_init__(self) -> None:
         scale, force = self.newton_per_count, self.touchdown_force
-        _require(self.port in (1, 2), "port", self.port, "be 1 or 2")
-        _require(1 <= self.pin <= 5, "pin", self.pin, "lie between 1 and 5")
-        _require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
-        _require(isfinite(force) and force >= 0, "touchdown_force", force, "be finite and not negative")
-        _require(0 <= self.zero <= 4096, "zero", self.zero, "lie between 0 and 4096")
-        _require(self.takeoff_length > 0, "takeoff_length", self.takeoff_length, "be positive")
+        require(self.port in (1, 2), "port", self.port, "be 1 or 2")
+        require(1 <= self.pin <= 5, "pin", self.pin, "lie between 1 and 5")
+        require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
+        require(isfinite(force) and force >= 0, "touchdown_force", force, "be finite and not negative")
+        require(0 <= self.zero <= 4096, "zero", self.zero, "lie between 0 and 4096")
+        require(self.takeoff_length > 0, "takeoff_length", self.takeoff_length, "be positive")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,25 +142,25 @@ class MoteusSettings:
     def __post_init__(self) -> None:
         for name, example in (("channel", "can0"), ("interface", "socketcan")):
             value = getattr(self, name)
-            _require(bool(value.strip()), name, value, f"be a name, such as '{example}'")
-        _require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
-        _require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
-        _require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
-        _require(
+            require(bool(value.strip()), name, value, f"be a name, such as '{example}'")
+        require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
+        require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
+        require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
+        require(
             0 < self.reply_timeout < self.watchdog,
             "reply_timeout",
             self.reply_timeout,
             f"be positive and less than watchdog = {self.watchdog}",
         )
         ids = (self.motor_1.id, self.motor_2.id)
-        _require(ids[0] != ids[1], "motor_2.id", ids[1], "differ from motor 1's")
+        require(ids[0] != ids[1], "motor_2.id", ids[1], "differ from motor 1's")
         gears = (self.motor_1.gear, self.motor_2.gear)
-        _require(gears[1] == gears[0], "motor_2.gear", gears[1], f"be that of motor 1, {gears[0]:g}")
+        require(gears[1] == gears[0], "motor_2.gear", gears[1], f"be that of motor 1, {gears[0]:g}")
         for name in ("boom_horizontal", "boom_vertical", "contact"):
-            _require(getattr(self, name).id in ids, f"{name}.id", getattr(self, name).id, f"be {ids[0]} or {ids[1]}")
+            require(getattr(self, name).id in ids, f"{name}.id", getattr(self, name).id, f"be {ids[0]} or {ids[1]}")
         yaw, pitch = self.boom_horizontal, self.boom_vertical
         differs = (pitch.id, pitch.source) != (yaw.id, yaw.source)
-        _require(differs, "boom_vertical.source", pitch.source, "differ from the horizontal angle's")
+        require(differs, "boom_vertical.source", pitch.source, "differ from the horizontal angle's")
 
 
 def read_moteus_settings(path: Path) -> MoteusSettings:
