@@ -1,4 +1,5 @@
 import re
+import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,9 @@ from tests.command_line import Command, Said
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
 settings.load_profile("no deadline")
+
+# A shell that starts tests in the background has them ignore Ctrl-C, and so would every process that they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
