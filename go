@@ -73,10 +73,23 @@ fetch_uv() { # with pip, in the version and with the hashes of the lock
         --requirement made-from.new/uv.txt || fail_to_download
 }
 
-use_pip_mirror() { # uv does not read pip's settings
+pip_setting() { # from its files; pip is in the environment unless uv made that, and seldom in Debian's own Python
+    for interpreter in bin/python "$python"; do # `pip config get` overlooks some of what `pip config list` finds
+        if settings=$("$interpreter" -m pip config list 2>/dev/null); then
+            printf '%s\n' "$settings" | sed -n "s/^global\.$1='\(.*\)'\$/\1/p"
+            return
+        fi
+    done
+}
+
+use_pip_settings() { # uv does not read them
     if [ -z "${UV_DEFAULT_INDEX:-}${UV_INDEX_URL:-}${UV_INDEX:-}" ]; then
-        mirror=${PIP_INDEX_URL:-$("$python" -m pip config get global.index-url 2>/dev/null || true)}
+        mirror=${PIP_INDEX_URL:-$(pip_setting index-url)}
         [ -z "$mirror" ] || export UV_DEFAULT_INDEX="$mirror"
+    fi
+    if [ -z "${SSL_CERT_FILE:-}" ]; then
+        certificates=${PIP_CERT:-$(pip_setting cert)}
+        [ -z "$certificates" ] || export SSL_CERT_FILE="$certificates"
     fi
 }
 
@@ -110,7 +123,7 @@ set_up() { # python is the interpreter to make it with
     printf '%s\n' "$root" >made-from.new/root
     uv=$(command -v uv || echo bin/uv)
     [ -x "$uv" ] || fetch_uv
-    use_pip_mirror
+    use_pip_settings
     # Where Python is told to write no bytecode, every start would compile all it imports anew: numba's takes a second.
     "$uv" pip sync --quiet ${PYTHONDONTWRITEBYTECODE:+--compile-bytecode} --python bin/python --require-hashes --no-build \
         made-from.new/requirements.lock || fail_to_download
