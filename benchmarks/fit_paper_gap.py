@@ -6,7 +6,8 @@ it. By default the hardware is known by eight numbers alone; a digitised Fig. 4 
 y_ref, y_nogp adds the mean error on each of the 18 stairs. `--start` tells from where: a JSON of an earlier fit.
 
 The numbers in `RealityGap()` are such a fit to a digitised Fig. 4, rounded; it was begun by hand near its end and
-made with a sixth less noise and roughness and one starting place. `--check` tells what they are worth as they stand.
+made with a sixth less noise and roughness, half the forward force and one starting place. `--check` tells what they
+are worth as they stand: so was paper_gap.json made.
 
     ./go python benchmarks/fit_paper_gap.py [--digitised FIG4.csv] [--start FIT.json] --out FIT.json
     ./go python benchmarks/fit_paper_gap.py --check --out benchmarks/paper_gap.json    # RealityGap() as it is
