@@ -238,12 +238,15 @@ def run(
                 )
             with shown_count("replay", quiet) as tell:
                 written = report_run(folder, tell)
-            if json:
-                tell_event("report", path=str(written))
-            else:
-                print(written, flush=True)
-            if live:
-                live.stay()
+            try:
+                if json:
+                    tell_event("report", path=str(written))
+                else:
+                    print(written, flush=True)
+                if live:
+                    live.stay()
+            except KeyboardInterrupt:  # the run is over: this ends its page only
+                print(file=sys.stderr)
     except KeyboardInterrupt:
         again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
         raise KeyboardInterrupt(f"; go on with: {again}") from None

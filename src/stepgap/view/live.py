@@ -52,11 +52,8 @@ class LiveView:
         return replace(observer, on_step=on_step, on_deployment=on_deployment)
 
     def stay(self) -> None:
-        """Waits, when the run is over, until somebody ends the page or Ctrl-C is pressed."""
-        try:
-            self._process.wait()
-        except KeyboardInterrupt:
-            print(file=sys.stderr)
+        """Waits, when the run is over, until somebody ends the page."""
+        self._process.wait()
 
     def __enter__(self) -> Self:
         self._ring = TickRing.create(2 + len(TICK_UNITS), ROWS)

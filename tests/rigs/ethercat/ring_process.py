@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from stepgap.hopper.parameters import RobotParameters
+from stepgap.rigs.ethercat.emulator.emulator import PRIORITY
 from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
 from stepgap.rigs.ethercat.emulator.machine import Machine, TwinMachine
@@ -124,7 +125,7 @@ def _serve(
     interface: str, pipe: Connection, faults: tuple[Fault, ...], make_machine: Callable[[], Recorder | RecordedTwin]
 ) -> None:
     with suppress(PermissionError):  # pysoem waits 2 ms for some answers, less than a busy machine may take
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     machine = make_machine()
     ring = Ring(machine, RingSettings(inputs_after_tick=True, faults=faults))
     try:

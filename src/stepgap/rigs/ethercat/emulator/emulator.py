@@ -19,8 +19,8 @@ from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
 LARGEST_LAG = 100
 """Ticks that a ring on the wall clock makes up for; where it falls further behind, its time stands still meanwhile."""
 
-PRIORITY = 50
-"""Of SCHED_FIFO on the wall clock; less than a master's."""
+PRIORITY = 90
+"""Of SCHED_FIFO; more than a master's, who waits for a frame as for hardware, on a single core for ever."""
 
 READY = ""
 """What the ring's process says when it can be used; anything else is why it cannot."""
