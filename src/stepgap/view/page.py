@@ -240,8 +240,10 @@ class Page:
     def _describe(self, steps: list[LoggedStep], number: int) -> str:
         """The step shown, in a table."""
         lines = [] if self.player.playing else ["**Paused.**"]
-        if not number or number > len(steps):
-            lines.append("The robot is let go." if not number else "This step is under way.")
+        if not number:
+            lines.append("The robot is let go." if self.player.share < 1 else "The robot has been let go.")
+        elif number > len(steps):
+            lines.append("This step is under way.")
         else:
             lines.append(_step_table(steps[number - 1], self._source))
         if self._source.words:

@@ -47,8 +47,7 @@ def run_emulator(
         ValueError: The settings do not fit.
     """
     ring = Ring(machine, settings)
-    if not settings.lock_step:
-        _ask_for_realtime()
+    _ask_for_realtime()
     names = ", ".join(slave.device.name for slave in ring.slaves)
     with terminated_as_interrupted(), suppress(KeyboardInterrupt), veth_pair(interface) as end, raw_socket(end) as raw:
         say(f"EtherCAT ring on {interface}: {names}")
@@ -89,7 +88,7 @@ def emulated(interface: str, make_machine: Callable[[], Machine], settings: Ring
 
 
 def _ask_for_realtime() -> None:
-    """Asks for SCHED_FIFO where a master on the wall clock waits for answers no longer than half a tick."""
+    """Asks for SCHED_FIFO, since a master waits for an answer no longer than half a tick."""
     gc.freeze()
     with suppress(AttributeError, PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
