@@ -130,6 +130,10 @@ RIG = Path(__file__).parent.parent / "examples" / "rig.toml"
         ("walk", ['"walk"']),
         ("run --frobnicate", ["--frobnicate"]),
         ("run --sed 3", ["--sed", "--seed"]),
+        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting, name its table", "--robot.body_mass"]),
+        ("run --port 8080", ["--host, --port: ", "give --view, too"]),
+        ("run --host ::1", ["--host, --port: ", "give --view, too"]),
+        ("run --view --port 65536", ["65536", "--port"]),
         ("run a.toml b.toml", ["b.toml"]),
         ("run none.toml", ["none.toml: No such file or directory; give an existing TOML file"]),
         ("run --seed", ["--seed requires an argument"]),
@@ -347,6 +351,13 @@ def test_help_is_on_stdout(stepgap: Command, arguments: list[str], words: list[s
     assert "--no-" not in said.out
     for word in words:
         assert word in said.out
+
+
+@pytest.mark.parametrize("verb", ["report", "export", "recover", "doctor", "view", "bench gp", "rig check"])
+def test_the_help_of_a_verb_without_settings_names_none(stepgap: Command, verb: str) -> None:
+    said = stepgap(*verb.split(), "--help").out
+    assert "--TABLE" not in said
+    assert "--debug" in said
 
 
 def test_the_version_is_that_of_the_package(stepgap: Command) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter, validators
 
-from stepgap.cli import Overrides, says_if_it_compiles
+from stepgap.cli import DEBUG_HELP, Overrides, says_if_it_compiles
 from stepgap.new_files import check_new, free_name, writing
 from stepgap.strict_toml import InputError
 
@@ -50,7 +50,7 @@ def bench_map_(
     print(file)
 
 
-@bench.command(name="gp")
+@bench.command(name="gp", help_epilogue=DEBUG_HELP)
 def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     """Time the Gaussian process beside those of other libraries: fit, prediction, one point more; some minutes.
 
@@ -70,7 +70,7 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     print(file)
 
 
-@bench.command(name="learning")
+@bench.command(name="learning", help_epilogue=DEBUG_HELP)
 @says_if_it_compiles
 def bench_learning_(
     *,

@@ -26,8 +26,7 @@ def export(
 
     Args:
         folder: Folder of the run.
-        to: mat: steps, settings and summary for MATLAB and Octave; csv, parquet: the steps; mcap: every tick of a
-            deployment; mjcf: hopper.xml and scene.xml of the twin.
+        to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; mjcf: the twin's model.
         iteration: Only this deployment; without it all of them, for mcap the last one.
         out: File to write, for mjcf a folder; without it a new one in the run's folder export/.
     """
