@@ -317,6 +317,10 @@ def raising(error: Exception) -> Callable[[], None]:
     [
         (RigFault("a drive tripped"), "stepgap: a drive tripped\n"),
         (ValueError("a fault\nof ours"), "stepgap: ValueError: a fault of ours\n"),
+        (
+            OSError(28, "No space left on device", "a.csv"),
+            "stepgap: OSError: [Errno 28] No space left on device: 'a.csv'\n",
+        ),
     ],
 )
 def test_a_failure_is_no_bad_input(
@@ -325,6 +329,12 @@ def test_a_failure_is_no_bad_input(
     trouble(raising(error))
     assert stepgap("run", finished / "short.toml", "--out", "run", "--quiet") == Said(1, "", line)
     assert Path("run/steps.csv").read_text().count("\n") == 5, "what was recorded stays, to be resumed"
+
+
+def test_what_may_not_be_read_or_written_is_bad_input(finished: Path, stepgap: Command, trouble: Callable) -> None:
+    trouble(raising(PermissionError(13, "Permission denied", "a.csv")))
+    said = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
+    assert said == Said(2, "", "stepgap: a.csv: Permission denied\n")
 
 
 def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:

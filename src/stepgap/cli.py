@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import cyclopts
 from cyclopts import App, Parameter, validators
 
-from stepgap.new_files import check_new, free_name, write_new, writing
+from stepgap.new_files import check_new, free_name, words_of, write_new, writing
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
     from stepgap.step import StepMap
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         bad_input = _is_bad_input(error)
         foreseen = bad_input or type(error).__module__.startswith("stepgap.")
-        _say(f"{error}{_hint(error)}" if foreseen else f"{type(error).__name__}: {error}")
+        _say(f"{words_of(error)}{_hint(error)}" if foreseen else f"{type(error).__name__}: {error}")
         sys.exit(2 if bad_input else 1)
 
 
@@ -92,12 +92,17 @@ def _bad_input(message: str) -> ValueError:
 
 
 def _is_bad_input(error: Exception) -> bool:
-    if isinstance(error, cyclopts.CycloptsError):
+    if isinstance(error, cyclopts.CycloptsError) or _is_forbidden(error):
         return True
     from stepgap.experiment import InputError
     from stepgap.learning.step_log import RecordError
 
     return isinstance(error, InputError | RecordError)
+
+
+def _is_forbidden(error: Exception) -> bool:
+    """Whether the user named a file or folder that is another's to read or write."""
+    return isinstance(error, PermissionError) and error.filename is not None
 
 
 def _hint(error: Exception) -> str:

@@ -39,12 +39,11 @@ def bench_map_(
     from stepgap.hopper.apex_map import ApexMap
 
     settings = read_experiment(experiment, overrides or [])
-    if out:
-        check_new(out, "--out")
+    file = out or free_name(Path("bench_map.json"))
+    check_new(file, "--out")
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     result = bench_map(nominal, settings.seed, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
-    file = out or free_name(Path("bench_map.json"))
     with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
@@ -60,11 +59,10 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     """
     from stepgap.bench_gp import bench_gp, describe_bench
 
-    if out:
-        check_new(out, "--out")
+    file = out or free_name(Path("bench_gp.json"))
+    check_new(file, "--out")
     result = bench_gp(0, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
-    file = out or free_name(Path("bench_gp.json"))
     with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter, validators
 
 from stepgap.cli import says_if_it_compiles
-from stepgap.new_files import check_new, free_name, write_new, writing
+from stepgap.new_files import check_new, free_name, words_of, write_new, writing
 from stepgap.strict_toml import InputError
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _read_run(folder: Path) -> "RunRecord":
     try:
         return read_run_folder(folder)
     except (ValueError, OSError) as error:
-        raise InputError(str(error)) from None
+        raise InputError(words_of(error)) from None
 
 
 def _suffix(iteration: int | None) -> str:
