@@ -159,6 +159,11 @@ RIG = Path(__file__).parent.parent / "examples" / "rig.toml"
         ("run --out file/below", ["file/below: cannot be written: Not a directory; choose another --out"]),
         ("run --out file", ["file: cannot be written"]),
         ("run --plant ethercat", ["--plant ethercat: say which robot by --rig RIG.toml"]),
+        ("run --plant twn", ["--plant twn: unknown; it must be one of twin, emulated-ring, ethercat, moteus"]),
+        (
+            "run --out used --reference used/reference.csv",
+            ["used: reference.csv is there already and would be written"],
+        ),
         ("run --plant ethercatt --rig none.toml", ["rig 'ethercatt': unknown; did you mean ethercat?"]),
         ("run --plant ethercat --rig none.toml --arm", ["none.toml: No such file or directory"]),
         ("run --plant ethercat --rig rig.toml", ["gives torque only with --arm", "rig dry-run"]),
@@ -186,6 +191,8 @@ RIG = Path(__file__).parent.parent / "examples" / "rig.toml"
 def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, words: list[str]) -> None:
     Path("file").write_text("keep me")
     Path("folder").mkdir()
+    Path("used").mkdir()
+    Path("used/reference.csv").write_text("speed,height\n0.1,0.55\n")
     Path("far.csv").write_text("speed,height\n0.1,0.55\n3,0.55\n")
     Path("deep.csv").write_text("speed,height\n0.1,-1\n")
     Path("nan.csv").write_text("speed,height\nnan,0.55\n")

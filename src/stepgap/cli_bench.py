@@ -99,6 +99,9 @@ def bench_learning_(
         raise InputError(f"--methods {unknown[0]}: {missing}")
     if not out.parent.is_dir() or out.suffix != ".jsonl":
         raise InputError(f"--out {out}: give a name that ends with .jsonl in a folder that exists")
+    if not out.exists():  # a second call writes these anew
+        for beside in (out.with_suffix(".json"), out.with_suffix(".png")):
+            check_new(beside, "--out")
     if quick:
         twins, seeds = 2, 1
     workers = os.cpu_count() or 1
