@@ -29,8 +29,9 @@ def writing(path: Path, option: str) -> Iterator[None]:
 
 def words_of(error: Exception) -> str:
     """What an error says; of one of the system, the file and what is wrong with it."""
-    named = isinstance(error, OSError) and error.filename is not None and error.strerror
-    return f"{error.filename}: {error.strerror}" if named else str(error)
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def write_new(path: Path, option: str, content: str | bytes) -> None:
