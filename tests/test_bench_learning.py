@@ -106,4 +106,10 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
         refused(stepgap("bench", "learning", "--methods", "sysid"), "sysid", "stepgap[sysid]")
     refused(stepgap("bench", "learning", "--out", "nowhere/x.jsonl"), "nowhere/x.jsonl", "a folder that exists")
     refused(stepgap("bench", "learning", "--out", "x.json"), ".jsonl")
+    for content in ("my notes", "my notes\n", "[1]\n", '[{"twin": 0\n', "\xff"):
+        Path("mine.jsonl").write_text(content, encoding="latin-1")
+        refused(stepgap("bench", "learning", "--out", "mine.jsonl"), "--out mine.jsonl: it holds something else")
+        assert Path("mine.jsonl").read_text(encoding="latin-1") == content
+    Path("other.png").write_text("mine")
+    refused(stepgap("bench", "learning", "--out", "other.jsonl"), "other.png: exists already; choose another --out")
     refused(stepgap("bench", "learning", "--twins", "0"), "twins")

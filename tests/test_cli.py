@@ -130,6 +130,10 @@ RIG = Path(__file__).parent.parent / "examples" / "rig.toml"
         ("walk", ['"walk"']),
         ("run --frobnicate", ["--frobnicate"]),
         ("run --sed 3", ["--sed", "--seed"]),
+        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting, name its table", "--robot.body_mass"]),
+        ("run --port 8080", ["--host, --port: ", "give --view, too"]),
+        ("run --host ::1", ["--host, --port: ", "give --view, too"]),
+        ("run --view --port 65536", ["65536", "--port"]),
         ("run a.toml b.toml", ["b.toml"]),
         ("run none.toml", ["none.toml: No such file or directory; give an existing TOML file"]),
         ("run --seed", ["--seed requires an argument"]),
@@ -155,6 +159,11 @@ RIG = Path(__file__).parent.parent / "examples" / "rig.toml"
         ("run --out file/below", ["file/below: cannot be written: Not a directory; choose another --out"]),
         ("run --out file", ["file: cannot be written"]),
         ("run --plant ethercat", ["--plant ethercat: say which robot by --rig RIG.toml"]),
+        ("run --plant twn", ["--plant twn: unknown; it must be one of twin, emulated-ring, ethercat, moteus"]),
+        (
+            "run --out used --reference used/reference.csv",
+            ["used: reference.csv is there already and would be written"],
+        ),
         ("run --plant ethercatt --rig none.toml", ["rig 'ethercatt': unknown; did you mean ethercat?"]),
         ("run --plant ethercat --rig none.toml --arm", ["none.toml: No such file or directory"]),
         ("run --plant ethercat --rig rig.toml", ["gives torque only with --arm", "rig dry-run"]),
@@ -182,6 +191,8 @@ RIG = Path(__file__).parent.parent / "examples" / "rig.toml"
 def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, words: list[str]) -> None:
     Path("file").write_text("keep me")
     Path("folder").mkdir()
+    Path("used").mkdir()
+    Path("used/reference.csv").write_text("speed,height\n0.1,0.55\n")
     Path("far.csv").write_text("speed,height\n0.1,0.55\n3,0.55\n")
     Path("deep.csv").write_text("speed,height\n0.1,-1\n")
     Path("nan.csv").write_text("speed,height\nnan,0.55\n")
@@ -313,6 +324,10 @@ def raising(error: Exception) -> Callable[[], None]:
     [
         (RigFault("a drive tripped"), "stepgap: a drive tripped\n"),
         (ValueError("a fault\nof ours"), "stepgap: ValueError: a fault of ours\n"),
+        (
+            OSError(28, "No space left on device", "a.csv"),
+            "stepgap: OSError: [Errno 28] No space left on device: 'a.csv'\n",
+        ),
     ],
 )
 def test_a_failure_is_no_bad_input(
@@ -321,6 +336,12 @@ def test_a_failure_is_no_bad_input(
     trouble(raising(error))
     assert stepgap("run", finished / "short.toml", "--out", "run", "--quiet") == Said(1, "", line)
     assert Path("run/steps.csv").read_text().count("\n") == 5, "what was recorded stays, to be resumed"
+
+
+def test_what_may_not_be_read_or_written_is_bad_input(finished: Path, stepgap: Command, trouble: Callable) -> None:
+    trouble(raising(PermissionError(13, "Permission denied", "a.csv")))
+    said = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
+    assert said == Said(2, "", "stepgap: a.csv: Permission denied\n")
 
 
 def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:
@@ -347,6 +368,13 @@ def test_help_is_on_stdout(stepgap: Command, arguments: list[str], words: list[s
     assert "--no-" not in said.out
     for word in words:
         assert word in said.out
+
+
+@pytest.mark.parametrize("verb", ["report", "export", "recover", "doctor", "view", "bench gp", "rig check"])
+def test_the_help_of_a_verb_without_settings_names_none(stepgap: Command, verb: str) -> None:
+    said = stepgap(*verb.split(), "--help").out
+    assert "--TABLE" not in said
+    assert "--debug" in said
 
 
 def test_the_version_is_that_of_the_package(stepgap: Command) -> None:

@@ -340,6 +340,6 @@ def test_doctor_knows_a_machine_that_has_nothing(monkeypatch: pytest.MonkeyPatch
         "EtherCAT needs",
         "could not be tried",
         "no folder can be written",
-        "to have it: pip install 'stepgap[parquet]'",
+        "to have it: ./go uv pip install 'stepgap[parquet]'",
     ):
         assert words in found

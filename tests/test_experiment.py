@@ -95,6 +95,8 @@ def test_options_that_are_right_together_may_come_in_any_order() -> None:
 
 WRONG = {
     "sed = 3": "sed: unknown key; did you mean seed?",
+    "body_mass = 3": "body_mass: unknown key; did you mean [robot] body_mass?",
+    "body_mas = 3": "body_mas: unknown key; did you mean [robot] body_mass?",
     "[gain]\nstiffness = 3": "gain: unknown key; did you mean gains?",
     "[gains]\nstifness = 3": "[gains] stifness: unknown key; did you mean stiffness?",
     "[gains]\nx = 3": "[gains] x: unknown key; the keys here are stiffness, rest_length",
@@ -194,6 +196,11 @@ def test_a_wrong_option_is_named(tmp_path: Path, name: str, value: str, says: st
         with pytest.raises(InputError) as caught:
             read_experiment(path, [(name, value)])
         assert str(caught.value).startswith(says)
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text("seed = 3\n", encoding="utf-8-sig")
+    assert read_experiment(tmp_path / "e.toml").seed == 3
 
 
 def test_what_is_no_settings_file_is_refused(tmp_path: Path) -> None:

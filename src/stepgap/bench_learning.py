@@ -39,6 +39,7 @@ from stepgap.rigs.twin.model import GroundProfile
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.rigs.twin.twin import Twin
 from stepgap.step import Array
+from stepgap.strict_toml import InputError
 
 FIRST_STEPS = 20
 """Steps that the uncorrected robot of a draw must manage, or else it is drawn again."""
@@ -222,6 +223,10 @@ def coverage(steps: StepLog) -> tuple[Array, int]:
     return inside[known].sum(axis=0), int(known.sum())
 
 
+BEGINNING = '[{"twin": '
+"""Of every line of a record."""
+
+
 class Job(NamedTuple):
     """A twin, a seed, and the methods that are still to be measured."""
 
@@ -281,14 +286,24 @@ def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterat
 
 
 def _read(record: Path) -> list[Row]:
-    """The rows recorded; a last line cut off in the middle of writing is taken out of the file."""
+    """The rows recorded; a last line cut off in the middle of writing is taken out of the file.
+
+    Raises:
+        InputError: The file is no such record; it stays as it is.
+    """
     if not record.exists():
         return []
-    content = record.read_text(encoding="utf-8")
-    whole = content[: content.rfind("\n") + 1]
+    try:
+        content = record.read_text(encoding="utf-8")
+        whole = content[: content.rfind("\n") + 1]
+        if any(not (line.startswith(BEGINNING) or BEGINNING.startswith(line)) for line in content.splitlines()):
+            raise ValueError
+        rows = [row for line in whole.splitlines() for row in _rows(line)]
+    except ValueError:
+        raise InputError(f"--out {record}: it holds something else; choose another name") from None
     if whole != content:
         write_whole(record, whole)
-    return [row for line in whole.splitlines() for row in _rows(line)]
+    return rows
 
 
 def _rows(line: str) -> Iterable[dict[str, Any]]:

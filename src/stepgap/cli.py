@@ -10,14 +10,15 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import wraps
+from inspect import signature
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import cyclopts
-from cyclopts import App, Parameter
+from cyclopts import App, Parameter, validators
 
-from stepgap.new_files import check_new, free_name, write_new, writing
+from stepgap.new_files import check_new, free_name, words_of, write_new, writing
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
     from stepgap.step import StepMap
@@ -38,12 +39,14 @@ POINT = {"speed": 0.2, "height": 0.58, "fx": 0.0, "fy": 0.0}
 MOST_POINTS = 50
 """A table has the fourth power of this many commands."""
 
+DEBUG_HELP = "--debug shows where an error arose."
+"""All that the help of a verb without settings ends with."""
+
 app = App(
     name="stepgap",
     help="Close the sim-to-real gap of a legged robot one step at a time.",
     help_epilogue="Any setting of an experiment can be given as --TABLE.KEY VALUE, such as --gains.stiffness 2400. "
-    "Tables: robot, gains, command, learning, gap; the experiment.toml of any run lists every key. "
-    "--debug shows where an error arose.",
+    f"Tables: robot, gains, command, learning, gap; the experiment.toml of any run lists every key. {DEBUG_HELP}",
     help_format="plaintext",
     default_parameter=Parameter(negative=(), show_default=False),
 )
@@ -73,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         bad_input = _is_bad_input(error)
         foreseen = bad_input or type(error).__module__.startswith("stepgap.")
-        _say(str(error) if foreseen else f"{type(error).__name__}: {error}")
+        _say(f"{words_of(error)}{_hint(error)}" if foreseen else f"{type(error).__name__}: {error}")
         sys.exit(2 if bad_input else 1)
 
 
@@ -89,12 +92,26 @@ def _bad_input(message: str) -> ValueError:
 
 
 def _is_bad_input(error: Exception) -> bool:
-    if isinstance(error, cyclopts.CycloptsError):
+    if isinstance(error, cyclopts.CycloptsError) or _is_forbidden(error):
         return True
     from stepgap.experiment import InputError
     from stepgap.learning.step_log import RecordError
 
     return isinstance(error, InputError | RecordError)
+
+
+def _is_forbidden(error: Exception) -> bool:
+    """Whether the user named a file or folder that is another's to read or write."""
+    return isinstance(error, PermissionError) and error.filename is not None
+
+
+def _hint(error: Exception) -> str:
+    """What an option that is none may have been meant for: a setting, where the verb takes settings."""
+    if not isinstance(error, cyclopts.UnknownOptionError) or "Did you mean" in str(error) or not error.target:
+        return ""
+    if "overrides" not in signature(error.target).parameters:
+        return ""
+    return " If it is a setting, name its table, too, as in --robot.body_mass 1.6."
 
 
 def split_program(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -160,8 +177,8 @@ def run(
     resume: bool = False,
     quiet: bool = False,
     view: bool = False,
-    host: str = "127.0.0.1",
-    port: int | None = None,
+    host: str | None = None,
+    port: Annotated[int | None, Parameter(validator=validators.Number(gte=1, lt=2**16))] = None,
     json: bool = False,
     overrides: Overrides = None,
 ) -> None:
@@ -196,6 +213,8 @@ def run(
     from stepgap.sim_to_real import run as run_experiment
     from stepgap.view.live import LiveView
 
+    if not view and (host or port):
+        raise _bad_input("--host, --port: of the page that --view shows; give --view, too")
     shorthand = [
         ("reference", _quoted(reference)),
         ("plant", _quoted(plant)),
@@ -213,7 +232,7 @@ def run(
     targets = load_reference(settings, nominal.space)
     check_reach(nominal, targets, settings.reference)
     known = load_known(settings, nominal.space)
-    live = LiveView(folder, host, port) if view else None
+    live = LiveView(folder, host or "127.0.0.1", port) if view else None
     plants = choose_plants(settings, targets, arm, folder, live.on_tick if live else None)
     if not resume:
         start_folder(folder, settings, targets, known)
@@ -374,12 +393,17 @@ def map_(
 def _map_point(nominal: "StepMap", point: dict[str, float]) -> None:
     """Prints the next apex of one step and its derivatives."""
     from stepgap.map_verb import describe_step
+    from stepgap.step import StepFailed
 
+    given = " ".join(f"--{name} {value:g}" for name, value in point.items())
     if not all(map(isfinite, point.values())):
-        given = " ".join(f"--{name} {value:g}" for name, value in point.items())
         raise _bad_input(f"{given}: all must be finite numbers")
     state, command = [point["speed"], point["height"]], [point["fx"], point["fy"]]
-    print(describe_step(nominal.space, nominal(state, command), nominal.jacobian(state, command)))
+    try:
+        next_state = nominal(state, command)
+    except StepFailed as error:
+        raise _bad_input(f"{given}: no step ends in an apex from there ({error})") from None
+    print(describe_step(nominal.space, next_state, nominal.jacobian(state, command)))
 
 
 def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
@@ -504,7 +528,7 @@ app.command(
 app.command("stepgap.cli_rig:rig", name="rig", help="Bring up a robot, or try without one.")
 
 
-@app.command
+@app.command(help_epilogue=DEBUG_HELP)
 def report(folders: list[Path], /, *, out: Path | None = None) -> None:
     """Make the report of a run anew; of several runs, a page that compares them.
 
@@ -531,5 +555,11 @@ for verb, words in {
     "recover": "Save what is whole of a steps.csv or a log of ticks that was cut off or damaged.",
     "doctor": "Say what this machine has: versions, cores, graphics, rights for real time, the cache, extras.",
 }.items():
-    app.command(f"stepgap.cli_data:{verb}", name=verb, help=words)  # read when called: they import this module
-app.command("stepgap.cli_view:view", name="view", help="Show a run in the browser, also one that goes on.")
+    # read when called: they import this module
+    app.command(f"stepgap.cli_data:{verb}", name=verb, help=words, help_epilogue=DEBUG_HELP)
+app.command(
+    "stepgap.cli_view:view",
+    name="view",
+    help="Show a run in the browser, also one that goes on.",
+    help_epilogue=DEBUG_HELP,
+)

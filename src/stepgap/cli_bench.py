@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter, validators
 
-from stepgap.cli import Overrides, says_if_it_compiles
+from stepgap.cli import DEBUG_HELP, Overrides, says_if_it_compiles
 from stepgap.new_files import check_new, free_name, writing
 from stepgap.strict_toml import InputError
 
@@ -39,18 +39,17 @@ def bench_map_(
     from stepgap.hopper.apex_map import ApexMap
 
     settings = read_experiment(experiment, overrides or [])
-    if out:
-        check_new(out, "--out")
+    file = out or free_name(Path("bench_map.json"))
+    check_new(file, "--out")
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     result = bench_map(nominal, settings.seed, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
-    file = out or free_name(Path("bench_map.json"))
     with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
 
 
-@bench.command(name="gp")
+@bench.command(name="gp", help_epilogue=DEBUG_HELP)
 def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     """Time the Gaussian process beside those of other libraries: fit, prediction, one point more; some minutes.
 
@@ -60,17 +59,16 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     """
     from stepgap.bench_gp import bench_gp, describe_bench
 
-    if out:
-        check_new(out, "--out")
+    file = out or free_name(Path("bench_gp.json"))
+    check_new(file, "--out")
     result = bench_gp(0, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
-    file = out or free_name(Path("bench_gp.json"))
     with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
 
 
-@bench.command(name="learning")
+@bench.command(name="learning", help_epilogue=DEBUG_HELP)
 @says_if_it_compiles
 def bench_learning_(
     *,
@@ -101,6 +99,9 @@ def bench_learning_(
         raise InputError(f"--methods {unknown[0]}: {missing}")
     if not out.parent.is_dir() or out.suffix != ".jsonl":
         raise InputError(f"--out {out}: give a name that ends with .jsonl in a folder that exists")
+    if not out.exists():  # a second call writes these anew
+        for beside in (out.with_suffix(".json"), out.with_suffix(".png")):
+            check_new(beside, "--out")
     if quick:
         twins, seeds = 2, 1
     workers = os.cpu_count() or 1

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter, validators
 
 from stepgap.cli import says_if_it_compiles
-from stepgap.new_files import check_new, free_name, write_new, writing
+from stepgap.new_files import check_new, free_name, words_of, write_new, writing
 from stepgap.strict_toml import InputError
 
 if TYPE_CHECKING:
@@ -26,8 +26,7 @@ def export(
 
     Args:
         folder: Folder of the run.
-        to: mat: steps, settings and summary for MATLAB and Octave; csv, parquet: the steps; mcap: every tick of a
-            deployment; mjcf: hopper.xml and scene.xml of the twin.
+        to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; mjcf: the twin's model.
         iteration: Only this deployment; without it all of them, for mcap the last one.
         out: File to write, for mjcf a folder; without it a new one in the run's folder export/.
     """
@@ -114,7 +113,7 @@ def _read_run(folder: Path) -> "RunRecord":
     try:
         return read_run_folder(folder)
     except (ValueError, OSError) as error:
-        raise InputError(str(error)) from None
+        raise InputError(words_of(error)) from None
 
 
 def _suffix(iteration: int | None) -> str:

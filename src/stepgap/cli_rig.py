@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cyclopts import App
 
-from stepgap.cli import Overrides, Program, says_if_it_compiles
+from stepgap.cli import DEBUG_HELP, Overrides, Program, says_if_it_compiles
 from stepgap.strict_toml import InputError
 
 ETHERCAT = "ethercat"
@@ -18,8 +18,8 @@ LONGEST = 86_400.0
 rig = App(name="rig", help="Bring up a robot, on EtherCAT or by the name of its rig, or try without one.")
 
 
-@rig.command
-def check(rig_file: Path | None = None, /, *, plant: str = ETHERCAT, seconds: float = 10.0) -> None:
+@rig.command(help_epilogue=DEBUG_HELP)
+def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds: float = 10.0) -> None:
     """Measure how late this machine is and how well the bus works, no torque given; exit code 1 if it is not fit.
 
     Args:
@@ -37,13 +37,15 @@ def check(rig_file: Path | None = None, /, *, plant: str = ETHERCAT, seconds: fl
     from stepgap.rigs.limp_rig import FrameCount
 
     _check_seconds(seconds)
+    if plant and rig_file is None:
+        raise InputError(f"--plant {plant}: goes with RIG_FILE, the file that describes the rig")
     frames, robot = FrameCount(), RobotParameters()
     if rig_file is None:
         print("no rig.toml given: this is the machine alone, with sensor values that never change")
         result = measure(still_setup(1e-3), frames, 1e-3, SafetyLimits.of(robot).late_ticks, seconds)
         print(describe(result, bus=False))
     else:
-        mark, make_rig = fingerprint(rig_file), partial(load_rig, plant, rig_file, robot)
+        mark, make_rig = fingerprint(rig_file), partial(load_rig, plant or ETHERCAT, rig_file, robot)
         found, setup = make_rig(), limp_setup(make_rig, robot, Gains(), frames)
         late_ticks = (found.limits or SafetyLimits.of(robot)).late_ticks
         result = measure(setup, frames, found.layout.tick, late_ticks, seconds)

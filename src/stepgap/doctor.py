@@ -101,7 +101,7 @@ def _extras() -> Iterator[Row]:
         found = [_version(package) for package in packages]
         missing = None in found
         there = ", ".join(f"{package} {number or '-'}" for package, number in zip(packages, found, strict=True))
-        advice = f"; to have it: pip install 'stepgap[{extra}]'" if missing else ""
+        advice = f"; to have it: ./go uv pip install 'stepgap[{extra}]'" if missing else ""
         yield f"extra {extra}", f"{'missing' if missing else 'there'} ({there}), for {PURPOSES[extra]}{advice}"
 
 

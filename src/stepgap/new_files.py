@@ -12,8 +12,10 @@ def check_new(path: Path, option: str) -> None:
     """Raises InputError where a file would be overwritten or cannot be written."""
     if path.exists():
         raise InputError(f"{path}: exists already; choose another {option}")
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+    if not path.parent.is_dir():
         raise InputError(f"{path}: cannot be written: no folder to write in; choose another {option}")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: cannot be written: Permission denied; choose another {option}")
 
 
 @contextmanager
@@ -23,6 +25,13 @@ def writing(path: Path, option: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; choose another {option}") from None
+
+
+def words_of(error: Exception) -> str:
+    """What an error says; of one of the system, the file and what is wrong with it."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def write_new(path: Path, option: str, content: str | bytes) -> None:

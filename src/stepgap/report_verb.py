@@ -10,7 +10,7 @@ import numpy as np
 from stepgap.experiment import TWIN, Experiment, InputError, read_experiment
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.step_log import RecordError, digest
-from stepgap.new_files import check_new, writing
+from stepgap.new_files import check_new, words_of, writing
 from stepgap.replay import replay
 from stepgap.report import Background, RunRecord, comparison_html, read_run_folder, write_report
 from stepgap.report.motion import RATE, Motion, Replay, read_motion, write_motion
@@ -46,7 +46,7 @@ def report_run(folder: Path, tell: Callable[[int, int], None] = lambda done, tot
         record = read_run_folder(folder)
         return write_report(folder, background=_background(record, tell))
     except (ValueError, OSError) as error:
-        raise InputError(str(error)) from None
+        raise InputError(words_of(error)) from None
 
 
 def compare_runs(folders: Sequence[Path], page: Path) -> None:
@@ -65,7 +65,7 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
     try:
         text = comparison_html([read_run_folder(folder) for folder in folders])
     except (ValueError, OSError) as error:
-        raise InputError(str(error)) from None
+        raise InputError(words_of(error)) from None
     with writing(page, "--out"), page.open("x", encoding="utf-8") as file:
         file.write(text)
 

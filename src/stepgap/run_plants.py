@@ -19,7 +19,7 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick import Tick
 from stepgap.repeatability import measure_repeatability
 from stepgap.rig_verbs.check import checked
-from stepgap.rigs.entry_points import load_rig
+from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.ethercat.emulator.direct_ring import DirectRing
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
@@ -140,6 +140,9 @@ def _bus(settings: Experiment, twin: Twin) -> RigSettings:
 
 def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
     if not settings.rig:
+        plants = (*SIMULATED, *rig_names())
+        if settings.plant not in plants:
+            raise InputError(f"--plant {settings.plant}: unknown; it must be one of {', '.join(plants)}")
         raise InputError(f"--plant {settings.plant}: say which robot by --rig RIG.toml")
     make_rig = partial(load_rig, settings.plant, Path(settings.rig), settings.robot)
     make_rig()  # whatever is wrong with it is said before the first deployment

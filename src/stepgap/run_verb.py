@@ -13,6 +13,9 @@ from stepgap.experiment import Experiment, InputError, write_experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.step import StepFailed, StepMap
 
+ALSO_WRITTEN = ("reference.csv", "warm_start.csv", "report.html", "figures", "replay", "ticks")
+"""What else a run may write into its folder."""
+
 
 def dated_folder() -> Path:
     """Where a run goes that was given no folder."""
@@ -26,6 +29,10 @@ def start_folder(folder: Path, settings: Experiment, reference: Reference, known
         with _locked(folder):
             if any((folder / name).exists() for name in ("experiment.toml", "steps.csv", "summary.json", "models")):
                 raise InputError(f"{folder}: holds a run already; go on with it by --resume, or choose another --out")
+            if there := [name for name in ALSO_WRITTEN if (folder / name).exists()]:
+                raise InputError(
+                    f"{folder}: {there[0]} is there already and would be written over; choose another --out"
+                )
             write_experiment(folder, settings, reference, known)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another --out") from None

@@ -36,7 +36,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
             content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not {what}")
-        return tomllib.loads(content.decode("utf-8"))
+        return tomllib.loads(content.decode("utf-8-sig"))  # some editors begin a file with a mark
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None
     except UnicodeDecodeError:
@@ -118,9 +118,7 @@ def _values(
         here, inner = place(prefix + key), f"{prefix}{key}."
         if key not in known:
             known += [name.removeprefix(prefix) for name in more if name.rpartition(".")[0] == prefix.rstrip(".")]
-            close = get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"the keys here are {', '.join(known)}"
-            raise InputError(f"{here}: unknown key; {hint}")
+            raise InputError(f"{here}: unknown key; {_meant(key, known, current, prefix)}")
         wanted = types[key]
         if is_dataclass(current.get(key)):
             values[key] = merge(current[key], _as_table(value, here), place, inner, more)
@@ -131,6 +129,19 @@ def _values(
         else:
             values[key] = as_type(value, wanted, here)
     return values
+
+
+def _meant(key: str, known: list[str], current: Mapping[str, Any], prefix: str) -> str:
+    """The key that was probably meant, one of these or of a table here; else all that are here."""
+    below = {
+        entry.name: with_table(f"{prefix}{name}.{entry.name}")
+        for name, inner in current.items()
+        if is_dataclass(inner)
+        for entry in fields(inner)
+    }
+    near = [below[key]] if key in below else get_close_matches(key, known, n=1)
+    near = near or [below[name] for name in get_close_matches(key, below, n=1)]
+    return f"did you mean {near[0]}?" if near else f"the keys here are {', '.join(known)}"
 
 
 def _as_table(value: Any, here: str) -> Mapping[str, Any]:

@@ -166,6 +166,7 @@ def test_a_bus_that_is_not_there_is_said_in_one_line(stepgap: Command, rig_file:
 WRONG = [
     (["check", "none.toml"], "none.toml: No such file or directory"),
     (["check", "broken.toml"], "broken.toml: not TOML"),
+    (["check", "--plant", "ethercat"], "--plant ethercat: goes with RIG_FILE"),
     (["check", "--seconds", "nan"], "--seconds nan: it must lie between"),
     (["check", "--seconds", "0"], "--seconds 0: it must lie between"),
     (["check", "--gap.delay", "0"], "--gap.delay: this verb takes no settings"),

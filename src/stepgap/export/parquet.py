@@ -30,4 +30,4 @@ def _module(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        raise InputError("--to parquet needs pyarrow: pip install 'stepgap[parquet]'") from None
+        raise InputError("--to parquet needs pyarrow: ./go uv pip install 'stepgap[parquet]'") from None
