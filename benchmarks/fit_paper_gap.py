@@ -35,6 +35,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.random_stream import random_stream
 from stepgap.report.paper import NO_GP
 from stepgap.rigs.twin.model import GroundProfile
 from stepgap.rigs.twin.reality_gap import RealityGap
@@ -93,8 +94,8 @@ def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) 
     """
     robot, gains, bounds, reference = RobotParameters(), Gains(), CommandBounds(), paper_reference()
     nominal = ApexMap(robot, gains, bounds)
-    ground = GroundProfile(gap, robot.boom_length, np.random.default_rng(seed))
-    rng = np.random.default_rng([seed, 0])
+    ground = GroundProfile(gap, robot.boom_length, random_stream(seed))
+    rng = random_stream(seed, 0)
     turn = rng.uniform(0, tau)
     twin = Twin(robot, gap, rng, ground=ground, turn=turn)
     uncorrected = Learner(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)

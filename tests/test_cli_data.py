@@ -74,10 +74,10 @@ def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: StepLo
     assert (file["units"]["applied_fx"], len(file["units"]["step"])) == ("N", 0)
     wanted = tomllib.loads((run / "experiment.toml").read_text())
     assert file["settings"]["gains"] == pytest.approx(wanted["gains"])
-    assert (file["settings"]["seed"], file["settings"]["learning"]["residual"]) == (5, "gp")
+    assert (file["settings"]["seed"], file["settings"]["learning"]["residual"]) == (5, "gp_on_linear")
     known = json.loads((run / "summary.json").read_text())
     assert summary["rmse"]["speed"].tolist() == [entry["rmse"]["speed"] for entry in known["iterations"]]
-    assert summary["residual"].tolist() == ["none", "gp"]
+    assert summary["residual"].tolist() == ["none", "gp_on_linear"]
     assert (summary["repeatability"]["speed"], math.isnan(summary["repeatability"]["height"])) == (0.01, True)
     columns = loadmat("run/export/run.mat")["steps"]["speed"][0, 0]
     assert columns.shape == (6, 1), "columns, as MATLAB has them"

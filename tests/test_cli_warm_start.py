@@ -38,7 +38,7 @@ def test_a_warm_start_is_far_better_and_reruns_by_itself(cold: Path, stepgap: Co
     said = stepgap("run", *arguments, "warm", "--seed", 8, "--warm-start", cold / "run")
     assert said == Said(0, "warm/report.html\n", "")
     first, (warm,) = entries(cold / "run")[0], entries(Path("warm"))
-    assert (first["residual"], warm["residual"]) == ("none", "gp")
+    assert (first["residual"], warm["residual"]) == ("none", "gp_on_linear")
     for name in ("speed", "height"):
         assert warm["rmse"][name] < 0.6 * first["rmse"][name]
     assert Path("warm/warm_start.csv").read_bytes() == (cold / "run" / "steps.csv").read_bytes()

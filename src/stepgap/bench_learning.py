@@ -1,8 +1,8 @@
 """`stepgap bench learning`: how soon and how well each way to learn closes the gap, on a family of random twins.
 
 Per twin and seed: one deployment without correction, which all methods learn from, then redeployments by each. Twin T
-draws its gap and its floor from `default_rng([T])`; deployment K draws from `default_rng([T, seed, K])` whatever the
-method, so methods are compared under equal noise.
+draws its gap from `random_stream(T)` and its floor from `random_stream(T, 0)`; deployment K draws from
+`random_stream(T, seed, K)` whatever the method, so methods are compared under equal noise.
 """
 
 import json
@@ -31,6 +31,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings, ResidualKind
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant, Tick
+from stepgap.random_stream import random_stream
 from stepgap.report.bands import hops_to_band
 from stepgap.report.learning import UNCORRECTED, Row
 from stepgap.rigs.rig import RigFault
@@ -79,8 +80,8 @@ class Trial:
 
     def meet(self, iteration: int) -> Twin:
         """The twin of a deployment."""
-        robot, rng = self.nominal.robot, np.random.default_rng([self.twin, self.seed, iteration])
-        ground = GroundProfile(self.gap, robot.boom_length, np.random.default_rng([self.twin]))
+        robot, rng = self.nominal.robot, random_stream(self.twin, self.seed, iteration)
+        ground = GroundProfile(self.gap, robot.boom_length, random_stream(self.twin, 0))
         return Twin(robot, self.gap, rng, ground=ground, turn=rng.uniform(0, tau))
 
     def deploy(
@@ -161,7 +162,7 @@ REDEPLOYED: dict[str, Method] = {
 """Methods that learn from deployment 0."""
 
 FROM_THE_FIRST_HOP: dict[str, Method] = {"online": _online, "calibrated": _calibrated}
-"""Methods that make deployment 0 themselves, both with `gp`."""
+"""Methods that make deployment 0 themselves, both with the default residual."""
 
 METHODS = REDEPLOYED | FROM_THE_FIRST_HOP
 
@@ -182,7 +183,7 @@ def measure(reference: Reference, twin: int, seed: int, methods: Sequence[str]) 
 
 def hopping_gap(nominal: ApexMap, reference: Reference, twin: int) -> tuple[RealityGap, int]:
     """The twin's gap, and how often it was drawn again because the robot fell within the first steps."""
-    rng, drawn_again = np.random.default_rng([twin]), 0
+    rng, drawn_again = random_stream(twin), 0
     while True:
         trial = Trial(nominal, random_gap(rng), reference, twin, seed=0)
         log = trial.deploy(trial.uncorrected(), 0, most_steps=FIRST_STEPS)

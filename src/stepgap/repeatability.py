@@ -11,13 +11,13 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.twin.twin import Twin
 from stepgap.step import Array, Reason, StepFailed, StepMap
 
-PLACES = 5
-"""Targets of the reference, spread evenly, at which a step is repeated."""
+PLACES = 20
+"""Targets of the reference, at most, at which a step is repeated; spread evenly."""
 
 SETTLING = 6
 """Steps towards a target before the one that is repeated."""
 
-REPEATS = 12
+REPEATS = 6
 """How often it is repeated."""
 
 

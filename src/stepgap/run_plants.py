@@ -17,6 +17,7 @@ from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick import Tick
+from stepgap.random_stream import random_stream
 from stepgap.repeatability import measure_repeatability
 from stepgap.rig_verbs.check import checked
 from stepgap.rigs.entry_points import load_rig, rig_names
@@ -109,7 +110,7 @@ def remade_rig(settings: Experiment, iteration: int) -> tuple[Rig, Twin]:
 
 
 def _ground(settings: Experiment) -> GroundProfile:
-    return GroundProfile(settings.gap, settings.robot.boom_length, np.random.default_rng(settings.seed))
+    return GroundProfile(settings.gap, settings.robot.boom_length, random_stream(settings.seed))
 
 
 def _twin(settings: Experiment, ground: GroundProfile, rng: np.random.Generator) -> Twin:

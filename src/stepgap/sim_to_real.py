@@ -24,6 +24,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
 from stepgap.plants.plant import Plant
+from stepgap.random_stream import random_stream
 from stepgap.step import Array, StepMap
 
 SCHEMA = 1
@@ -50,7 +51,7 @@ def versions_here() -> dict[str, str]:
 
 def deployment_generator(seed: int, iteration: int) -> np.random.Generator:
     """What the plant of a deployment draws from."""
-    return np.random.default_rng([seed, iteration])
+    return random_stream(seed, iteration)
 
 
 def repeatability(steps: StepLog, reference: Reference) -> Array:
@@ -112,7 +113,7 @@ def run(
         folder: An existing folder.
         seed: Of all randomness; deployment K draws from `deployment_generator(seed, K)`.
         observer: Whom to tell.
-        measure_spread: Measures the repeatability under the last controller; drawing from `default_rng([seed, K, 1])`
+        measure_spread: Measures the repeatability under the last controller; drawing from `random_stream(seed, K, 1)`
             after deployment K. Without it, it is estimated from the steady steps.
         replays: Plants made from the same generator take the same steps again. Where they do not, as on hardware, the
             steps of a deployment that was broken off stay as they are, and the next deployment starts.
@@ -159,7 +160,7 @@ def run(
         if measure_spread and learner and not recorded:
             spread = _measured_spread(former, nominal.space.state_names) if vouched == len(deployments) else None
             if spread is None:
-                spread = measure_spread(learner.step_map(), np.random.default_rng([seed, deployments[-1].iteration, 1]))
+                spread = measure_spread(learner.step_map(), random_stream(seed, deployments[-1].iteration, 1))
             summary = _summary(deployments, log, reference, seed, past, spread)
             write_whole(folder / "summary.json", json.dumps(summary, indent=1))
     if recorded:

@@ -35,7 +35,7 @@ class LearningSettings:
         calibration: Hops before the first deployment's tracking whose commands are chosen for what they teach.
     """
 
-    residual: ResidualKind = "gp"
+    residual: ResidualKind = "gp_on_linear"
     iterations: int = 4
     least_gain: float = 0.01
     features: Features | Literal["auto"] = "none"
