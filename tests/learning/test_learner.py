@@ -43,7 +43,7 @@ def taught(learner: Learner, steps: list[LoggedStep]) -> Learner:
     return learner
 
 
-def fitted(steps: list[LoggedStep], kind: ResidualKind = "gp"):
+def fitted(steps: list[LoggedStep], kind: ResidualKind = LearningSettings().residual):
     return fit_residual(kind, observe(log_of(steps), NOMINAL))
 
 
@@ -102,7 +102,7 @@ def test_a_fit_that_is_taken_over_knows_every_step() -> None:
     for regression in learner.residual.regressions:
         assert isinstance(regression, GaussianProcessRegression)
         assert len(regression.process.points) == 46
-    expected = fit_residual("gp", observe(log_of(known + new[:4]), NOMINAL), start=fitted(known))
+    expected = fit_residual(ONLINE.residual, observe(log_of(known + new[:4]), NOMINAL), start=fitted(known))
     context = np.zeros(7)
     for logged in new[4:]:
         record = logged.record
@@ -112,12 +112,12 @@ def test_a_fit_that_is_taken_over_knows_every_step() -> None:
 
 
 def test_calibration_teaches_its_steps_and_no_more() -> None:
-    settings = LearningSettings(calibration=12)
+    settings = LearningSettings("gp", calibration=12)
     learner = Learner(NOMINAL, log_of([]), settings, iteration=0)
     steps = hops(REALITY, 12, seed=4, first=-11)
     taught(learner, steps)
     known = learner.residual.mean(POINTS)
-    np.testing.assert_allclose(known, fitted(steps).mean(POINTS), rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(known, fitted(steps, "gp").mean(POINTS), rtol=1e-3, atol=1e-5)
     learner = Learner(NOMINAL, log_of([]), settings, iteration=0)
     taught(learner, hops(REALITY, 32, seed=4, first=-11))
     np.testing.assert_allclose(learner.residual.mean(POINTS), known, atol=1e-12)
@@ -126,13 +126,13 @@ def test_calibration_teaches_its_steps_and_no_more() -> None:
 def test_a_correction_that_predicts_worse_is_left_out_until_it_is_better() -> None:
     learner = Learner(NOMINAL, log_of(hops(REALITY, 40, seed=0)), LearningSettings(), iteration=1)
     with learner:
-        assert learner.step_map().residual.kind == "gp"
+        assert learner.step_map().residual.kind == LearningSettings().residual
         for logged in hops(NOMINAL, WATCHED, seed=5, iteration=1):
             learner.observe(logged)
         assert learner.step_map().residual.kind == "none"
         for logged in hops(REALITY, WATCHED, seed=6, iteration=1, first=WATCHED + 1):
             learner.observe(logged)
-        assert learner.step_map().residual.kind == "gp"
+        assert learner.step_map().residual.kind == LearningSettings().residual
 
 
 def test_steps_that_failed_are_remembered() -> None:
