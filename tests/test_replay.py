@@ -17,6 +17,7 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.tick_table import TickTable
 from stepgap.replay import REPLAY_UNITS, replay, replayed_hops
+from stepgap.report_verb import Report
 from stepgap.rigs.rig import RigFault
 from stepgap.run_plants import plant_on, remade_rig
 from stepgap.step import Reason
@@ -45,7 +46,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RigPlant, "start", watched_start)
         patch.setattr("stepgap.run_plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
-        patch.setattr("stepgap.report_verb.report_run", lambda folder, _: folder)  # it would replay the run
+        patch.setattr("stepgap.report_verb.report_run", lambda folder, *_: Report(folder, ()))  # its figures take time
         return run_of(tmp_path_factory.mktemp("watched")), ticks
 
 
