@@ -104,7 +104,7 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
     except (TickLogError, ValueError) as error:
         raise InputError(str(error)) from None
     passed = np.flatnonzero((phase[:-1] == Phase.RISING) & (phase[1:] == Phase.FALLING) & hopping[1:]) + 1
-    hop = np.searchsorted(passed, np.arange(len(ticks)), side="right")
+    hop = np.searchsorted(passed, np.arange(len(ticks)))  # the tick just past an apex ends its hop
     if len(passed) < len(steps):
         number = steps[0].iteration
         raise InputError(f"{path}: has fewer hops than deployment {number}, so it is not known which are which")

@@ -23,6 +23,10 @@ EVERY = 1000 // RATE
 """One of so many ticks of a simulation, of which there are 1000 a second, is shown."""
 
 
+NO_REPLAY = "There is no replay: "
+"""How the sentence begins that stands for one."""
+
+
 class Report(NamedTuple):
     """What became of a report.
 
@@ -72,8 +76,10 @@ def _left_out(record: RunRecord, background: Background) -> list[str]:
     if record.settings is None:
         return [*found, "settings, gait and replay (no experiment.toml)"]
     if isinstance(background.nominal, str):
-        return [*found, f"gait and replay ({background.nominal})"]
-    return [*found, f"replay ({background.replay})"] if isinstance(background.replay, str) else found
+        return [*found, "gait and replay (the settings are not understood, as the page says)"]
+    if isinstance(background.replay, str):
+        found.append(f"replay ({background.replay.removeprefix(NO_REPLAY).removesuffix('.')})")
+    return found
 
 
 def compare_runs(folders: Sequence[Path], page: Path) -> None:
@@ -129,7 +135,7 @@ def _replay(
         for iteration in dict.fromkeys((record.shown[0], record.shown[-1])):
             motions[iteration] = _motion(record, iteration, layout, ticks_of)
     except (InputError, RecordError) as error:
-        return f"There is no replay: {error}."
+        return f"{NO_REPLAY}{error}."
     return Replay(motions, settings.robot, layout.pivot_height)
 
 
@@ -148,4 +154,5 @@ def _motion(record: RunRecord, iteration: int, layout: RigLayout, ticks_of: Call
 def _thinned(ticks: TickTable) -> TickTable:
     """So many of the ticks that `RATE` a second are left."""
     time = ticks["time"]
-    return TickTable(ticks.units, ticks.rows[np.searchsorted(time, np.arange(time[0], time[-1], 1 / RATE))])
+    wanted = np.arange(time[0], time[-1], 1 / RATE) - 1e-6  # times are rounded
+    return TickTable(ticks.units, ticks.rows[np.searchsorted(time, wanted)])

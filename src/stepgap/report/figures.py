@@ -63,10 +63,10 @@ def tracking_figure(record: RunRecord) -> Figure:
 
 
 def error_figure(record: RunRecord) -> Figure:
-    """RMSE and MAE of every state coordinate by deployment, beside the MAE of the paper's hardware (Fig. 5)."""
+    """RMSE and MAE of every state coordinate by deployment; along the paper's reference its hardware's too (Fig. 5)."""
     figure, panels = _panels(len(record.space.state))
     numbers = [deployment.iteration for deployment in record.deployments]
-    hardware = record.space.state_names == paper.STATE_NAMES
+    hardware = record.like_paper
     panels[0].set_xlim(-0.25, max([*numbers, paper.LAST_ITERATION if hardware else 1]) + 0.25)
     for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
         for measure, look in (("rmse", "s-"), ("mae", "o--")):

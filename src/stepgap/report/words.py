@@ -28,7 +28,7 @@ def headline(record: RunRecord) -> str:
 
 
 def sentences(record: RunRecord, plant: str) -> list[str]:
-    """Errors, hops and falls, what is still open, and the paper's result.
+    """Errors, hops and falls, what is still open, and the paper's result where its reference was tracked.
 
     Args:
         record: The run.
@@ -53,7 +53,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
         f"its {_count(steps, 'step')} so far are in none of the errors."
         for iteration, steps in record.unfinished.items()
     ]
-    if record.space.state_names == paper.STATE_NAMES:
+    if record.like_paper:
         found.append(_paper_result())
     return found
 
