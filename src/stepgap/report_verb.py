@@ -70,7 +70,7 @@ def _left_out(record: RunRecord, background: Background) -> list[str]:
     if not (folder / "steps.csv").read_bytes().endswith(b"\n"):
         found.append("the last line of steps.csv (it breaks off)")
     if not record.deployments:
-        found.append("errors (no summary.json)")
+        found.append("errors (no deployment is finished according to summary.json)")
     if last > 0 and not (folder / "models" / f"iteration_{last}.json").exists():
         found.append(f"what was learnt (no models/iteration_{last}.json)")
     if record.settings is None:

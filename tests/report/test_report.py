@@ -105,7 +105,7 @@ def test_pictures_are_pictures(written: Path) -> None:
     for name in names[1::2]:
         assert (written / "figures" / name).with_suffix(".pdf").read_bytes().startswith(b"%PDF")
         picture = imread(written / "figures" / name)
-        assert picture.shape[1:] == (1350, 4)
+        assert picture.shape[1:] == (1432, 4)
         assert 0.01 < np.mean(picture[..., :3].min(axis=-1) < 0.9) < 0.5
 
 

@@ -29,14 +29,16 @@ CONTENTS: Final = {
 
 LEFT_OUT_CAPTION: Final = (
     "Leave-one-out: each recorded error of the map as the model predicts it from all the others, at the same "
-    "hyper-parameters. Left: on the line, prediction and record are equal. Right: what is left, in standard deviations "
-    "of the prediction, noise included; the grey band should hold 95 % of the points, with no pattern along the hops."
+    "hyper-parameters. Left: on the line, prediction and record are equal. Right: their difference, in standard "
+    "deviations of the prediction, noise included; the grey band should hold 95 % of the points, with no pattern along "
+    "the hops. A point beyond ±4.5 is drawn there."
 )
 
 GAIT_CAPTION: Final = (
-    "(a) What one step can reach within the command bounds from the target in the middle. (b) Multipliers of all limit "
-    "cycles: inside the circle, an error dies out while the command stays the same; the step controller does not rely "
-    "on that. The slopes of the corrected map are the learnt model's, which knows them less well than its values."
+    "(a) What one step can reach within the command bounds from the target in the middle. (b) Sizes of the multipliers "
+    "of the limit cycle at each target: below 1, an error dies out while the command stays the same; the step "
+    "controller does not rely on that. The slopes of the corrected map are the learnt model's, which knows them less "
+    "well than its values."
 )
 
 
