@@ -94,9 +94,9 @@ def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
     said = stepgap("report", "run")
     assert (said.code, said.out) == (0, "run/report.html\n")
     assert said.err == (
-        "stepgap: left out of the report: the last line of steps.csv (it breaks off); errors (no deployment is finished according to "
-        "summary.json); "
-        "what was learnt (no models/iteration_1.json); settings, gait and replay (no experiment.toml)\n"
+        "stepgap: left out of the report: the last line of steps.csv (it breaks off); errors (no deployment is "
+        "finished according to summary.json); what was learnt (no models/iteration_1.json); settings, gait and replay "
+        "(no experiment.toml)\n"
     )
 
 

@@ -163,6 +163,14 @@ def test_falls(tmp_path: Path) -> None:
     assert "17 hops recorded in 2 deployments on the simulated twin, 2 falls." in page.text
 
 
+def test_a_stop_is_no_fall(tmp_path: Path) -> None:
+    folder = make_run(tmp_path / "run", iterations=0, lasts=(15,))
+    for name, words in {"steps.csv": (",fell", ",stopped"), "summary.json": ("steps_sha256", "former_sha256")}.items():
+        (folder / name).write_text((folder / name).read_text().replace(*words))
+    text = Page(write_report(folder)).text
+    assert "It did not track to the end: deployment 0 ended without an apex (stopped) at step 16." in text
+
+
 def test_run_under_way(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("x",), steps=3)
     write_summary(folder, ("x",), 3, 1)

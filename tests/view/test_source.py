@@ -72,6 +72,7 @@ def test_a_ring_gives_the_hops_that_are_over(run_folder: Path) -> None:
 def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
     table = replay(copy, 0)
     source = Source(copy)
+    assert source.layout
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
     with TickLog(copy / "ticks" / "ticks-0.mcap", LOOP_UNITS) as log:
         state = [np.full(len(table), RigState.HOP), np.zeros(len(table))]
