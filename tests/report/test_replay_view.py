@@ -63,7 +63,8 @@ def test_a_sensed_motion_is_read_from_counts() -> None:
         touchdown_force=20,
         takeoff_length=0.28,
     )
-    units = dict.fromkeys(("boom_horizontal", "boom_vertical", "alpha_1", "alpha_2", "contact_force", "step"), "")
+    names = ["boom_horizontal", "boom_vertical", "alpha_1", "alpha_2", "contact_force", "step"]
+    units: dict[str, str] = dict.fromkeys(names, "")
     ticks = TickTable(units, np.array([[0, 0, 0.1, 0.9, 0, 3], [1000, 8000 / 12, 0.2, 1, 50, 4]]))
     shown = sensed_motion(ticks, layout)
     np.testing.assert_allclose(shown.travel, [0, 1.5 * np.pi / 2], rtol=1e-6)

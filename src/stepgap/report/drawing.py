@@ -11,6 +11,7 @@ LOOK: Final[dict[Any, Any]] = {
     "font.size": 8,
     "lines.linewidth": 1.2,
     "lines.markersize": 5,
+    "lines.markeredgewidth": 0.8,
     "axes.linewidth": 0.7,
     "pdf.fonttype": 42,
 }
@@ -53,6 +54,8 @@ def draw(make: Callable[[], Any], what: str) -> Drawing | str:
 
         with rc_context(LOOK):
             figure = make()
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")  # found once, and the same in all forms
             return Drawing(_saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf"))
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         short = " ".join(str(error).split())[:LONGEST_ERROR]

@@ -206,7 +206,7 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
         band = {"color": SKY, "alpha": 0.5, "linewidth": 0, "label": "95 % band"}
         panel.fill_between(numbers, mean - INTERVAL * std, mean + INTERVAL * std, **band, **fast)
     panel.plot(numbers, mean, color=BLUE, linewidth=1.2, label="predicted mean", **fast)
-    measured = {"color": BLACK, "linestyle": "", "marker": "o", "markersize": 2, "label": "measured"}
+    measured = {"color": BLACK, "linestyle": "", "marker": ".", "markersize": 3.5, "label": "measured"}
     panel.plot(numbers, reached, **measured, **fast)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from stepgap.learning.gaussian_process import leave_one_out
 from stepgap.report.bands import INTERVAL
@@ -30,6 +31,7 @@ def left_out_figure(space: StepSpace, learnt: Learnt) -> Figure:
         name = axis_label(quantity, capital=False)
         square.set(xlabel=f"Map's error of {name}", ylabel=f"Predicted{unit_label(quantity)}")
         square.set_aspect("equal", adjustable="datalim")
+        square.xaxis.set_major_locator(MaxNLocator(4))
         left = surprise(process)
         wide.axhspan(-INTERVAL, INTERVAL, color="0.92", zorder=0)
         wide.axhline(0, color=GREY, linewidth=0.8)
