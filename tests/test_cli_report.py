@@ -4,9 +4,16 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stepgap.cli import main
+from stepgap.experiment import Experiment
+from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick import TICK_UNITS
+from stepgap.plants.tick_log import TickLog
+from stepgap.replay import layout_of, replay
 from tests.command_line import Command, Said, refused
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -42,11 +49,64 @@ def test_a_damaged_replay_is_made_again(finished: Path, stepgap: Command, damage
     assert contents(Path("run")) == contents(finished)
 
 
+def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
+    finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stepgap.report_verb.replay", lambda *_: pytest.fail("simulated again"))
+    settings = [finished / "experiment.toml", "--reference", finished.parent / "targets.csv"]
+    assert stepgap("run", *settings, "--out", "run", "--quiet") == Said(0, "run/report.html\n", "")
+
+
+def test_a_rigs_motion_comes_from_its_tick_logs(
+    finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(finished, "run")
+    shutil.rmtree("run/replay")
+    layout = layout_of(Experiment())
+    for iteration in (0, 1):
+        ticks = replay(finished, iteration)
+        rows = np.column_stack([ticks.rows[:, : len(TICK_UNITS)], np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
+        with TickLog(Path(f"run/ticks/ticks-{iteration}.mcap"), LOOP_UNITS) as log:
+            log.append(rows)
+    settings = Path("run/experiment.toml")
+    settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))
+    said = stepgap("report", "run")
+    assert said.err == "stepgap: left out of the report: replay (.: Is a directory; give an existing TOML file)\n"
+    monkeypatch.setattr("stepgap.report_verb.layout_of", lambda settings: layout)
+    assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
+    for iteration in (0, 1):
+        name = f"replay/deployment_{iteration}.npz"
+        with np.load(finished / name) as simulated, np.load(Path("run") / name) as logged:
+            for channel in ("travel", "height", "alpha_1", "alpha_2", "force"):
+                shown = logged[channel]
+                np.testing.assert_array_equal(shown, simulated[channel][: len(shown)])
+    Path("run/ticks/ticks-0.mcap").unlink()
+    shutil.rmtree("run/replay")
+    said = stepgap("report", "run")
+    assert said.code == 0
+    assert "left out of the report: replay (run/ticks/ticks-0.mcap: No such file" in said.err
+
+
+def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
+    Path("run").mkdir()
+    rows = (finished / "steps.csv").read_text()
+    Path("run/steps.csv").write_text(rows[:-9])
+    said = stepgap("report", "run")
+    assert (said.code, said.out) == (0, "run/report.html\n")
+    assert said.err == (
+        "stepgap: left out of the report: the last line of steps.csv (it breaks off); errors (no deployment is "
+        "finished according to summary.json); what was learnt (no models/iteration_1.json); settings, gait and replay "
+        "(no experiment.toml)\n"
+    )
+
+
 def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     settings = Path("run/experiment.toml")
     settings.write_text(settings.read_text().replace("body_mass = 1.466", "body_mass = 1.5"))
-    assert stepgap("report", "run").code == 0
+    said = stepgap("report", "run")
+    assert said.code == 0
+    assert said.err.startswith("stepgap: left out of the report: replay (run/steps.csv: step 1 of")
     text = Path("run/report.html").read_text(encoding="utf-8")
     assert "There is no replay: run/steps.csv: step 1 of deployment 0 could not be made again" in text
     assert "<script" not in text

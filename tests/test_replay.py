@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,14 @@ from stepgap.hopper.dynamics import masses_of
 from stepgap.hopper.leg import foot, four_bar
 from stepgap.hopper.parameters import CommandBounds, RobotParameters
 from stepgap.learning.step_log import LoggedStep, RecordError, StepWriter, read_step_log
+from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.plants.realtime.states import RigState
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick import TICK_UNITS
+from stepgap.plants.tick_log import TickLog
 from stepgap.plants.tick_table import TickTable
-from stepgap.replay import REPLAY_UNITS, replay, replayed_hops
+from stepgap.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
+from stepgap.report_verb import Report
 from stepgap.rigs.rig import RigFault
 from stepgap.run_plants import plant_on, remade_rig
 from stepgap.step import Reason
@@ -45,7 +50,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RigPlant, "start", watched_start)
         patch.setattr("stepgap.run_plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
-        patch.setattr("stepgap.report_verb.report_run", lambda folder, _: folder)  # it would replay the run
+        patch.setattr("stepgap.report_verb.report_run", lambda folder, *_: Report(folder, ()))  # its figures take time
         return run_of(tmp_path_factory.mktemp("watched")), ticks
 
 
@@ -132,6 +137,58 @@ def test_a_run_on_the_ring_is_made_again_without_the_ring(tmp_path: Path) -> Non
     except RigFault as fault:
         pytest.skip(str(fault))
     assert set(replay(run, 0, every=100)["step"]) == {0, 1, 2, 3}
+
+
+def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
+    """The log of a rig that hops as the twin did: limp, held up, hopping, landing."""
+    ticks = replayed.rows[:, : len(TICK_UNITS)]
+    unread = np.array([ticks[-1, 0], *[np.nan] * (len(TICK_UNITS) - 1)])
+    parts = [(ticks[:30], RigState.READY), (ticks[:20], RigState.STAND), (ticks, RigState.HOP)]
+    parts += [(ticks[-700:], RigState.STOP), (unread[None], RigState.FAULT)]
+    rows = [np.column_stack([part, np.full(len(part), state), np.zeros(len(part))]) for part, state in parts]
+    path = run / "ticks" / f"ticks-{iteration}.mcap"
+    path.unlink(missing_ok=True)
+    with TickLog(path, LOOP_UNITS) as log:
+        log.append(np.concatenate(rows))
+
+
+def steps_of(run: Path, iteration: int) -> list[LoggedStep]:
+    return list(read_step_log(run / "steps.csv", CommandBounds().space()).of_iteration(iteration))
+
+
+def test_ticks_of_a_rigs_log_are_parted_at_apexes(copy: Path, replayed: TickTable) -> None:
+    write_log(copy, replayed, 1)
+    ticks = logged_ticks(copy, steps_of(copy, 1))
+    assert list(ticks.units) == [*LOOP_UNITS, "step"]
+    held = ticks["state"] == RigState.STAND
+    assert np.count_nonzero(held) == 20
+    assert not ticks["step"][held].any()
+    np.testing.assert_array_equal(ticks["step"][~held], replayed["step"])
+
+
+def test_a_rig_that_fell_is_shown_until_it_rests(copy: Path, replayed: TickTable) -> None:
+    fallen = TickTable(replayed.units, replayed.rows[replayed["step"] <= 2][:-100])
+    write_log(copy, fallen, 1)
+    steps = steps_of(copy, 1)[:2]
+    ticks = logged_ticks(copy, [steps[0], replace(steps[1], record=replace(steps[1].record, reason=Reason.FELL))])
+    assert ticks["step"][-1] == 2
+    assert np.count_nonzero(ticks["state"] == RigState.STOP) == 700
+
+
+@pytest.mark.parametrize("spoil", [lambda log: log.unlink(), lambda log: log.write_bytes(log.read_bytes()[:-9])])
+def test_a_log_that_is_not_there_or_not_whole_is_refused(
+    copy: Path, replayed: TickTable, spoil: Callable[[Path], object]
+) -> None:
+    write_log(copy, replayed, 1)
+    spoil(copy / "ticks" / "ticks-1.mcap")
+    with pytest.raises(InputError, match=r"ticks-1\.mcap"):
+        logged_ticks(copy, steps_of(copy, 1))
+
+
+def test_a_log_with_too_few_hops_is_refused(copy: Path, replayed: TickTable) -> None:
+    write_log(copy, TickTable(replayed.units, replayed.rows[replayed["step"] < 2]), 1)
+    with pytest.raises(InputError, match=r"ticks-1\.mcap: has fewer hops than deployment 1"):
+        logged_ticks(copy, steps_of(copy, 1))
 
 
 # Refused

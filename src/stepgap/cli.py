@@ -21,6 +21,7 @@ from cyclopts import App, Parameter, validators
 from stepgap.new_files import check_new, free_name, words_of, write_new, writing
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used, so that --help is quick
+    from stepgap.plants.tick import Tick
     from stepgap.step import StepMap
 
 Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
@@ -206,8 +207,9 @@ def run(
     from stepgap.experiment import load_known, load_reference, read_experiment
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.interrupt import terminated_as_interrupted
+    from stepgap.live_ticks import TickRecorder
     from stepgap.progress import Progress, shown_count, tell_event, telling_events
-    from stepgap.report_verb import report_run
+    from stepgap.report_verb import EVERY, report_run
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
     from stepgap.sim_to_real import run as run_experiment
@@ -233,7 +235,14 @@ def run(
     check_reach(nominal, targets, settings.reference)
     known = load_known(settings, nominal.space)
     live = LiveView(folder, host or "127.0.0.1", port) if view else None
-    plants = choose_plants(settings, targets, arm, folder, live.on_tick if live else None)
+    recorder = TickRecorder(EVERY)
+
+    def on_tick(tick: "Tick") -> None:
+        recorder.on_tick(tick)
+        if live:
+            live.on_tick(tick)
+
+    plants = choose_plants(settings, targets, arm, folder, on_tick)
     if not resume:
         start_folder(folder, settings, targets, known)
     try:
@@ -243,6 +252,7 @@ def run(
         ):
             with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
                 observer = telling_events(progress.observer, nominal.space) if json else progress.observer
+                observer = recorder.observing(observer)
                 run_experiment(
                     nominal,
                     plants.make,
@@ -256,12 +266,14 @@ def run(
                     known,
                 )
             with shown_count("replay", quiet) as tell:
-                written = report_run(folder, tell)
+                written = report_run(folder, tell, recorder.kept)
             try:
                 if json:
-                    tell_event("report", path=str(written))
+                    tell_event("report", path=str(written.path))
                 else:
-                    print(written, flush=True)
+                    print(written.path, flush=True)
+                if written.left_out and not quiet:
+                    _say_left_out(written.left_out)
                 if live:
                     live.stay()
             except KeyboardInterrupt:  # the run is over: this ends its page only
@@ -269,6 +281,11 @@ def run(
     except KeyboardInterrupt:
         again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
         raise KeyboardInterrupt(f"; go on with: {again}") from None
+
+
+def _say_left_out(parts: Sequence[str]) -> None:
+    """Says what a report does without."""
+    _say(f"left out of the report: {'; '.join(parts)}")
 
 
 def _quoted(text: str | None) -> str | None:
@@ -546,7 +563,9 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
         raise _bad_input("--out: goes with several runs; the report of one lies in its folder")
     else:
         with shown_count("replay") as tell:
-            page = report_run(folders[0], tell)
+            page, left_out = report_run(folders[0], tell)
+        if left_out:
+            _say_left_out(left_out)
     print(page)
 
 

@@ -1,6 +1,6 @@
-"""A recorded deployment made again, tick by tick: what went on between the steps, which no record holds."""
+"""What went on between the steps of a deployment: made again, tick by tick, or read from the tick log of a rig."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,13 +8,17 @@ import numpy as np
 
 from stepgap.experiment import Experiment, InputError, read_experiment
 from stepgap.learning.step_log import LoggedStep, RecordError, read_step_log, row_of
+from stepgap.plants.phases import Phase
+from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick import TICK_UNITS, Tick
+from stepgap.plants.tick_log import TickLogError, read_ticks
 from stepgap.plants.tick_table import TickTable
 from stepgap.report.summary import read_summary
+from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout
 from stepgap.rigs.twin.twin import Twin
-from stepgap.run_plants import plant_on, remade_rig
+from stepgap.run_plants import SIMULATED, plant_on, remade_rig
 from stepgap.sim_to_real import versions_here
 from stepgap.step import Array
 
@@ -66,6 +70,47 @@ def replayed_hops(folder: Path, iteration: int, every: int = 1) -> Iterator[Tick
     """The same hop by hop, as they are made; the first one is that before the first recorded step."""
     for ticks in _hops(folder, *_read(folder, iteration), every):
         yield TickTable(REPLAY_UNITS, ticks)
+
+
+def layout_of(settings: Experiment) -> RigLayout:
+    """How to read the counts of an experiment's ticks.
+
+    Raises:
+        InputError: The rig, or the file that describes it, is not there.
+    """
+    if settings.plant in SIMULATED:
+        return remade_rig(settings, 0)[0].layout
+    return load_rig(settings.plant, Path(settings.rig), settings.robot).layout
+
+
+def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
+    """The ticks of a rig's deployment from its log, with a column `step`, as far as the sensors were read.
+
+    They begin when torque is given, and end with the last step, or where the robot had come to rest after a fall. Which
+    step a tick belongs to is told by the apexes passed while the robot hopped; the one before the first recorded step
+    is the hop with which the robot is let go.
+
+    Args:
+        folder: The run folder.
+        steps: Those of the deployment, at least one.
+
+    Raises:
+        InputError: The log is not there, or not a whole one, or has fewer hops than the deployment.
+    """
+    path = folder / "ticks" / f"ticks-{steps[0].iteration}.mcap"
+    try:
+        ticks = TickTable(*read_ticks(path))
+        phase, hopping = ticks["phase"], ticks["state"] == RigState.HOP
+    except (TickLogError, ValueError) as error:
+        raise InputError(str(error)) from None
+    passed = np.flatnonzero((phase[:-1] == Phase.RISING) & (phase[1:] == Phase.FALLING) & hopping[1:]) + 1
+    hop = np.searchsorted(passed, np.arange(len(ticks)))  # the tick just past an apex ends its hop
+    if len(passed) < len(steps):
+        number = steps[0].iteration
+        raise InputError(f"{path}: has fewer hops than deployment {number}, so it is not known which are which")
+    shown = (ticks["state"] >= RigState.STAND) & (hop <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
+    step = (hop + steps[0].step - 1).astype(float)
+    return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, step])[shown])
 
 
 def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:

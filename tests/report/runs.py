@@ -10,6 +10,7 @@ from stepgap.control.reference import Reference
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, column_names, row_of
 from stepgap.plants.model_plant import ModelPlant
+from stepgap.report.motion import RATE, Motion
 from stepgap.sim_to_real import run
 from stepgap.step import Array, Quantity, Reason, StepMap, StepRecord, StepSpace
 from tests.control.maps import LossyHopper
@@ -99,3 +100,10 @@ def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: 
     ]
     content = {"schema": 1, "seed": 0, "iterations": entries, "repeatability": unknown}
     (folder / "summary.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+def motion(frames: int) -> Motion:
+    """A made-up motion whose steps take 0.8 s, from step 0 on."""
+    time = np.arange(frames) / RATE
+    moving = [0.2 * time, 0.5 + 0.1 * np.sin(7 * time), 0.1 * np.cos(7 * time), 1 + 0.3 * np.sin(7 * time)]
+    return Motion(np.floor(time / 0.8), moving[0], moving[1], moving[2], moving[3], np.zeros(frames))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
 from stepgap.report import comparison_html, read_run_folder
 from stepgap.report.comparison import run_names
@@ -33,7 +34,17 @@ def test_runs_side_by_side(folders: list[Path], tmp_path: Path) -> None:
     rows = [row for row in page.source.splitlines() if 'scope="row">seed<' in row or "gains.stiffness" in row]
     assert rows == ['<tr><th scope="row">seed</th><td>0</td><td>1</td></tr>']
     assert '<th scope="row">2</th>' in page.source
-    assert page.source.count("<caption>") == 8
+    assert page.source.count("<caption>") == 7
+
+
+def test_the_papers_band_is_compared_along_its_reference_only(folders: list[Path], tmp_path: Path) -> None:
+    targets = paper_reference().targets
+    like_paper = [
+        read_run_folder(write_run(tmp_path / name, ("speed", "height"), 227, 1, targets=targets)) for name in "ab"
+    ]
+    band = "until the error stays in the paper&#x27;s band"
+    assert band in comparison_html(like_paper)
+    assert band not in comparison_html([like_paper[0], read_run_folder(folders[0])])
 
 
 def test_runs_of_another_state_are_refused(folders: list[Path], tmp_path: Path) -> None:

@@ -10,17 +10,13 @@ import numpy as np
 import pytest
 
 from stepgap.hopper.parameters import RobotParameters
+from stepgap.plants.tick_table import TickTable
 from stepgap.report import Background, read_run_folder, write_report
-from stepgap.report.motion import RATE, Motion, Replay, read_motion, write_motion
+from stepgap.report.motion import RATE, Motion, Replay, read_motion, sensed_motion, write_motion
 from stepgap.report.replay_view import LEVELS, MOST_FRAMES, replay_view
+from stepgap.rigs.rig import RigLayout
 from tests.report.pages import Page, check_alone
-from tests.report.runs import make_run
-
-
-def motion(frames: int) -> Motion:
-    time = np.arange(frames) / RATE
-    moving = [0.2 * time, 0.5 + 0.1 * np.sin(7 * time), 0.1 * np.cos(7 * time), 1 + 0.3 * np.sin(7 * time)]
-    return Motion(np.floor(time / 0.8), moving[0], moving[1], moving[2], moving[3], np.zeros(frames))
+from tests.report.runs import make_run, motion
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +50,29 @@ def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
     check_alone(page)
     names = {given.get("id") for _, given in page.tags}
     assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-words"} <= names
+
+
+def test_a_sensed_motion_is_read_from_counts() -> None:
+    layout = RigLayout(
+        tick=1e-3,
+        boom_length=1.5,
+        pivot_height=0.4,
+        motor_counts=1000,
+        boom_counts_horizontal=4000,
+        boom_counts_vertical=8000,
+        touchdown_force=20,
+        takeoff_length=0.28,
+    )
+    names = ["boom_horizontal", "boom_vertical", "alpha_1", "alpha_2", "contact_force", "step"]
+    units: dict[str, str] = dict.fromkeys(names, "")
+    ticks = TickTable(units, np.array([[0, 0, 0.1, 0.9, 0, 3], [1000, 8000 / 12, 0.2, 1, 50, 4]]))
+    shown = sensed_motion(ticks, layout)
+    np.testing.assert_allclose(shown.travel, [0, 1.5 * np.pi / 2], rtol=1e-6)
+    np.testing.assert_allclose(shown.height, [0.4, 0.4 + 1.5 / 2], rtol=1e-6)
+    assert shown.step.tolist() == [3, 4]
+    assert shown.force.tolist() == [0, 50]
+    with pytest.raises(ValueError, match="finite"):
+        sensed_motion(TickTable(units, np.full((1, 6), np.nan)), layout)
 
 
 def test_a_kept_motion_is_that_of_its_origin(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 import json
 import re
 import shutil
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,14 @@ def page(written: Path) -> Page:
 
 
 @pytest.fixture(scope="module")
+def like_paper(tmp_path_factory: pytest.TempPathFactory) -> Page:
+    """The report of a run along the paper's reference, of which no error is known."""
+    targets = paper_reference().targets
+    folder = tmp_path_factory.mktemp("like_paper") / "run"
+    return Page(write_report(write_run(folder, ("speed", "height"), 227, 5, targets=targets)))
+
+
+@pytest.fixture(scope="module")
 def summary(written: Path) -> dict[str, Any]:
     return json.loads((written / "summary.json").read_text())
 
@@ -50,14 +60,23 @@ def test_page_stands_alone(page: Page) -> None:
 
 def test_numbers_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -> None:
     rows = [row for row in page.cells if any(kind.startswith("run") for kind, _ in row)]
-    assert len(rows) == 2 * 5
-    for name, table in (("speed", rows[:5]), ("height", rows[5:])):
+    assert len(rows) == 2 * 3
+    for name, table in (("speed", rows[:3]), ("height", rows[3:])):
         for iteration, row in enumerate(table):
             ours = [number for kind, number in row if kind.startswith("run")]
-            entry = summary["iterations"][iteration] if iteration < 3 else None
-            assert ours == [entry[measure][name] if entry else None for measure in MEASURES]
-            theirs = [number for kind, number in row if kind.startswith("paper")]
-            assert theirs == [paper.paper_error(measure, name, iteration) for measure in MEASURES]
+            assert ours == [summary["iterations"][iteration][measure][name] for measure in MEASURES]
+
+
+def test_the_papers_numbers_stand_beside_its_own_reference_only(page: Page, like_paper: Page) -> None:
+    rows = [row for row in like_paper.cells if any(kind.startswith("paper") for kind, _ in row)]
+    assert len(rows) == 2 * 5
+    for row, (name, iteration) in zip(rows, product(paper.STATE_NAMES, range(5)), strict=True):
+        theirs = [number for kind, number in row if kind.startswith("paper")]
+        assert theirs == [paper.paper_error(measure, name, iteration) for measure in MEASURES]
+    theirs = ("On the paper's hardware", "For comparison", "The paper's points", "Hops to the paper's band")
+    assert not [words for words in theirs if words in page.text]
+    assert not [words for words in theirs if words not in like_paper.text]
+    assert not [row for row in page.cells if any(kind.startswith("paper") for kind, _ in row)]
 
 
 def test_words_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -> None:
@@ -67,14 +86,15 @@ def test_words_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -> 
         f"RMSE from {decimal(before)} to {decimal(after)} m/s, {decimal(before / after, 2)} times smaller" in page.text
     )
     assert "120 hops recorded in 3 deployments on the simulated twin, no falls." in page.text
-    assert "This run tracked another reference than the paper's" in page.text
+    assert "tracked another reference than the paper's, so the paper's errors are not shown" in page.text
     assert "reference = 'a<b>.csv'" in page.text
     assert "stepgap: 0.1.0" in page.text
     assert "StepGap report: a run & <more>" in page.text
 
 
-def test_only_the_paper_has_hardware(page: Page) -> None:
-    assert set(re.findall(r"(\S+) hardware", page.text)) <= {"paper's", "paper:", "its"}
+def test_only_the_paper_has_hardware(page: Page, like_paper: Page) -> None:
+    assert set(re.findall(r"(\S+) hardware", like_paper.text)) == {"paper's", "paper:", "its"}
+    assert re.findall(r"(\S+) hardware", page.text) == []
     assert "this run: simulated twin" in page.text
 
 
@@ -85,7 +105,7 @@ def test_pictures_are_pictures(written: Path) -> None:
     for name in names[1::2]:
         assert (written / "figures" / name).with_suffix(".pdf").read_bytes().startswith(b"%PDF")
         picture = imread(written / "figures" / name)
-        assert picture.shape[1:] == (1350, 4)
+        assert picture.shape[1:] == (1432, 4)
         assert 0.01 < np.mean(picture[..., :3].min(axis=-1) < 0.9) < 0.5
 
 
@@ -107,20 +127,32 @@ def test_curves_are_the_steps(written: Path) -> None:
     assert 30 <= inside <= 40
 
 
-def test_paper_is_told_apart_from_its_own_reference(written: Path, tmp_path: Path) -> None:
-    targets = paper_reference().targets
-    folder = write_run(tmp_path / "run", ("speed", "height"), steps=227, iterations=5, targets=targets)
-    text = Page(write_report(folder)).text
-    assert "This run tracked the paper's reference." in text
-    assert "No fall, but not every tracking error is known" in text
-    assert "Speed, from deployment 0 to 4: RMSE unknown; MAE unknown." in text
-    assert (folder / "report.html").stat().st_size < 2_000_000
+def test_along_the_papers_reference(like_paper: Page) -> None:
+    assert "The run tracked the paper's reference." in like_paper.text
+    assert "No fall, but not every tracking error is known" in like_paper.text
+    assert "Speed, from deployment 0 to 4: RMSE unknown; MAE unknown." in like_paper.text
+    assert len(like_paper.source) < 2_000_000
+
+
+@pytest.mark.parametrize(
+    ("steps", "falls", "finished", "like"), [(227, 0, 2, True), (50, 0, 2, False), (50, 1, 2, True), (50, 0, 0, True)]
+)
+def test_a_part_of_the_papers_reference_is_another_one(
+    tmp_path: Path, steps: int, falls: int, finished: int, like: bool
+) -> None:
+    folder = write_run(tmp_path / "run", paper.STATE_NAMES, steps, 2, targets=paper_reference().targets[:steps])
+    record = read_run_folder(folder)
+    deployments = tuple(replace(each, falls=falls) for each in record.deployments[:finished])
+    assert replace(record, summary=replace(record.summary, deployments=deployments)).like_paper == like
 
 
 def test_first_deployment_alone(tmp_path: Path) -> None:
     page = Page(write_report(make_run(tmp_path / "run", iterations=0)))
     check_alone(page)
     assert "One deployment so far, so there is nothing to compare with" in page.text
+    assert "Tracking of a single deployment" in page.text
+    assert "first and" not in page.text
+    assert "The map gave no standard deviation" in page.text
 
 
 def test_falls(tmp_path: Path) -> None:
@@ -129,6 +161,14 @@ def test_falls(tmp_path: Path) -> None:
     assert "It did not track to the end: deployment 1 fell at step 1." in page.text
     assert "Deployment 0 fell at step 16; its errors are of the steps before only." in page.text
     assert "17 hops recorded in 2 deployments on the simulated twin, 2 falls." in page.text
+
+
+def test_a_stop_is_no_fall(tmp_path: Path) -> None:
+    folder = make_run(tmp_path / "run", iterations=0, lasts=(15,))
+    for name, words in {"steps.csv": (",fell", ",stopped"), "summary.json": ("steps_sha256", "former_sha256")}.items():
+        (folder / name).write_text((folder / name).read_text().replace(*words))
+    text = Page(write_report(folder)).text
+    assert "It did not track to the end: deployment 0 ended without an apex (stopped) at step 16." in text
 
 
 def test_run_under_way(tmp_path: Path) -> None:

@@ -8,12 +8,15 @@ import pytest
 
 from stepgap.experiment import InputError
 from stepgap.learning.step_log import RecordError, read_step_log
+from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.tick_log import TickLog
 from stepgap.plants.tick_ring import TickRing
+from stepgap.plants.tick_table import TickTable
 from stepgap.replay import replay
 from stepgap.view.geometry import Pose, joints_at
-from stepgap.view.motion import STILL, Hop, hops_of_log, true_hop
+from stepgap.view.motion import STILL, Hop, true_hop
 from stepgap.view.source import RING_FIELDS, Source
 from tests.view.conftest import STEPS
 
@@ -66,25 +69,20 @@ def test_a_ring_gives_the_hops_that_are_over(run_folder: Path) -> None:
     np.testing.assert_allclose(hops[2].poses[:, 0], table["boom_yaw"][table["step"] == 2], atol=2e-3)
 
 
-def test_hops_of_a_tick_log_are_parted_at_apexes(run_folder: Path) -> None:
-    table, source = replay(run_folder, 1), Source(run_folder)
-    assert source.layout
-    hops = hops_of_log(table, source.layout)
-    assert len(hops) == 2 + STEPS
-    for step, hop in enumerate(hops[:-1]):
-        truth = true_hop(type(table)(table.units, table.rows[table["step"] == step]), source.layout)
-        assert hop
-        assert truth
-        assert hop.duration == pytest.approx(truth.duration, abs=0.02)
-
-
 def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
     table = replay(copy, 0)
     source = Source(copy)
+    assert source.layout
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
-    with TickLog(copy / "ticks" / "ticks-0.mcap", TICK_UNITS) as log:
-        log.append(table.rows[:, : len(TICK_UNITS)])
-    assert len(found(source, 0)) == 1 + STEPS
+    with TickLog(copy / "ticks" / "ticks-0.mcap", LOOP_UNITS) as log:
+        state = [np.full(len(table), RigState.HOP), np.zeros(len(table))]
+        log.append(np.column_stack([table.rows[:, : len(TICK_UNITS)], *state]))
+    hops = found(source, 0)
+    for step, hop in enumerate(hops):
+        truth = true_hop(TickTable(table.units, table.rows[table["step"] == step]), source.layout)
+        assert truth
+        assert hop.duration == pytest.approx(truth.duration, abs=0.02)
+    assert len(hops) == 1 + STEPS
     assert source.words == ""
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
     assert [hop.duration for hop in found(source, 1)] == [STILL] * (1 + STEPS)

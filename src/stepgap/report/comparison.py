@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.report import paper
 from stepgap.report.bands import hops_to_band, tracking_errors, tracking_steps
 from stepgap.report.drawing import draw
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
@@ -112,7 +111,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
         for number in numbers
     ]
     found.append(table("Hops and falls", ["deployment", *names], rows))
-    if records[0].space.state_names == paper.STATE_NAMES:
+    if all(record.like_paper for record in records):
         found.append(
             table(
                 "Hops from the first on until the error stays in the paper's band",

@@ -14,8 +14,8 @@ from stepgap.step import Array
 
 
 def error_table(record: RunRecord, row: int, plant: str) -> str:
-    """Errors of one state coordinate by deployment, the paper's beside them."""
-    quantity, hardware = record.space.state[row], record.space.state_names == paper.STATE_NAMES
+    """Errors of one state coordinate by deployment, the paper's beside them where the reference is the paper's."""
+    quantity, hardware = record.space.state[row], record.like_paper
     entries = {deployment.iteration: deployment for deployment in record.deployments}
     places, lines = _places([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
     for iteration in sorted(set(entries) | set(range(paper.LAST_ITERATION + 1) if hardware else ())):
@@ -65,8 +65,8 @@ def _cells(values: Iterable[float | None], kind: str, places: int | None = None)
 
 
 def band_table(record: RunRecord) -> str:
-    """After how many hops the error stayed as small as that of the paper's robot; nothing for another robot."""
-    if record.space.state_names != paper.STATE_NAMES or not record.deployments:
+    """After how many hops the error stayed as small as that of the paper's robot; nothing along another reference."""
+    if not record.like_paper or not record.deployments:
         return ""
     limits = [f"{limit:g} {quantity.unit}" for limit, quantity in zip(PAPER_BAND, record.space.state, strict=True)]
     caption = (

@@ -1,7 +1,6 @@
 """The figures of a run, each like one of the paper's Figs. 4 to 7.
 
-They are drawn without `pyplot`, so that nothing global changes and many may be drawn at once. They can be read without
-colour: by line style and marker.
+They are drawn without `pyplot`, so that none stays open. They can be read without colour: by line style and marker.
 """
 
 from collections.abc import Sequence
@@ -19,8 +18,8 @@ from stepgap.report.bands import INTERVAL
 from stepgap.report.run_folder import RunRecord
 from stepgap.step import Array, Quantity, Reason
 
-WIDTH: Final = 9.0
-"""Of every figure [inches]."""
+WIDTH: Final = 7.16
+"""Of every figure [inches]: both columns of a journal's page, so that letters are printed as large as drawn."""
 
 MOST_VECTORS: Final = 2000
 """Steps beyond which curves are drawn as pixels inside the vector graphic, so that it stays small."""
@@ -35,12 +34,12 @@ LONGEST_NAME: Final = 26
 """Characters of a name that are shown."""
 
 # Colours after Okabe and Ito, told apart by colour-blind readers; dark ones in front of light ones.
-BLACK, BLUE, VERMILLION, SKY, GREY = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676"
+BLACK, BLUE, VERMILLION, SKY, GREY, LIGHT = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676", "#b8b8b8"
 RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
 RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
 RUN_LINES: Final = ("-", "--", "-.", ":")
-FIRST: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.3}
-LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "marker": ".", "markersize": 4}
+FIRST: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.1}
+LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.1, "marker": ".", "markersize": 3}
 
 
 def tracking_figure(record: RunRecord) -> Figure:
@@ -50,7 +49,7 @@ def tracking_figure(record: RunRecord) -> Figure:
     longest = max((record.steps.of_iteration(number) for number in record.steps.iterations), key=len)
     panels[0].set_xlim(0, 1.02 * len(longest) + 1)
     for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
-        reference = {"color": BLACK, "linewidth": 1, "drawstyle": "steps-mid", "label": "reference"}
+        reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
         panel.plot(_numbers(longest), longest.target[:, index], **reference, **_pixels(longest))
         steps = record.steps.of_iteration(first)
         _draw_tracking(panel, steps, index, _name(record, first), {**FIRST, **_pixels(steps)})
@@ -63,10 +62,10 @@ def tracking_figure(record: RunRecord) -> Figure:
 
 
 def error_figure(record: RunRecord) -> Figure:
-    """RMSE and MAE of every state coordinate by deployment, beside the MAE of the paper's hardware (Fig. 5)."""
+    """RMSE and MAE of every state coordinate by deployment; along the paper's reference its hardware's too (Fig. 5)."""
     figure, panels = _panels(len(record.space.state))
     numbers = [deployment.iteration for deployment in record.deployments]
-    hardware = record.space.state_names == paper.STATE_NAMES
+    hardware = record.like_paper
     panels[0].set_xlim(-0.25, max([*numbers, paper.LAST_ITERATION if hardware else 1]) + 0.25)
     for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
         for measure, look in (("rmse", "s-"), ("mae", "o--")):
@@ -135,7 +134,7 @@ def map_figure(record: RunRecord, index: int) -> Figure:
         _mark_changes(lower, last)
     else:
         _note(lower, "These maps give no standard deviation.")
-    lower.set_ylabel(f"Standard deviation{_unit(quantity)}")
+    lower.set_ylabel(f"Standard deviation{unit_label(quantity)}")
     lower.set_title("(b)", loc="left", fontsize="medium")
     _finish(figure, [upper, lower], "Step", own_legends=True)
     return figure
@@ -144,7 +143,7 @@ def map_figure(record: RunRecord, index: int) -> Figure:
 def axis_label(quantity: Quantity, capital: bool = True) -> str:
     """Name of a coordinate with its unit, if that is known."""
     name = plain(quantity.name.replace("_", " "))
-    return f"{name[:1].upper() + name[1:] if capital else name}{_unit(quantity)}"
+    return f"{name[:1].upper() + name[1:] if capital else name}{unit_label(quantity)}"
 
 
 def plain(text: str) -> str:
@@ -153,7 +152,8 @@ def plain(text: str) -> str:
     return (shown if len(shown) <= LONGEST_NAME else f"{shown[: LONGEST_NAME - 1]}…").replace("$", r"\$")
 
 
-def _unit(quantity: Quantity) -> str:
+def unit_label(quantity: Quantity) -> str:
+    """The unit in brackets after a blank; nothing where it is not known."""
     return f" [{plain(quantity.unit)}]" if quantity.unit else ""
 
 
@@ -166,7 +166,7 @@ def _name(record: RunRecord, iteration: int) -> str:
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDTH, 1.0 + 2.5 * count), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 0.8 + 2.0 * count), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
 
@@ -190,7 +190,7 @@ def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: di
     panel.plot(numbers, reached, label=name, **style)
     fell = np.isnan(reached)
     if fell.any():
-        mark = {"color": style["color"], "marker": "X", "linestyle": "", "markersize": 9, "clip_on": False}
+        mark = {"color": style["color"], "marker": "X", "linestyle": "", "markersize": 7, "clip_on": False}
         panel.plot(numbers[fell], steps.state[fell, index], label="no apex after this state", **mark)
 
 
@@ -206,7 +206,7 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
         band = {"color": SKY, "alpha": 0.5, "linewidth": 0, "label": "95 % band"}
         panel.fill_between(numbers, mean - INTERVAL * std, mean + INTERVAL * std, **band, **fast)
     panel.plot(numbers, mean, color=BLUE, linewidth=1.2, label="predicted mean", **fast)
-    measured = {"color": BLACK, "linestyle": "", "marker": "o", "markersize": 2, "label": "measured"}
+    measured = {"color": BLACK, "linestyle": "", "marker": ".", "markersize": 3.5, "label": "measured"}
     panel.plot(numbers, reached, **measured, **fast)
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from matplotlib.ticker import MaxNLocator
 
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet
-from stepgap.report.figures import BLACK, BLUE, GREY, VERMILLION, axis_label
+from stepgap.report.figures import BLACK, BLUE, GREY, VERMILLION, WIDTH, axis_label
 from stepgap.report.reference_gait import ReferenceGait
 from stepgap.step import Array, Reason, StepSpace
 
@@ -75,13 +75,10 @@ def reference_gait_figure(gait: ReferenceGait) -> Figure:
 
     For two state coordinates and two commands.
     """
-    figure = Figure(figsize=(9, 4.6), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
     FigureCanvasAgg(figure)
-    plane, circle = figure.subplots(1, 2, width_ratios=[1.5, 1])
-    angle = np.linspace(0, 2 * np.pi, 200)
-    circle.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=1)
-    circle.axhline(0, color="0.85", lw=0.8, zorder=0)
-    circle.axvline(0, color="0.85", lw=0.8, zorder=0)
+    plane, sizes = figure.subplots(1, 2, width_ratios=[1.5, 1])
+    sizes.axhline(1, color=GREY, linewidth=1)
     looks = ({"color": VERMILLION, "linestyle": "-.", "marker": "x"}, {"color": BLUE, "linestyle": "-", "marker": "o"})
     for each, look in zip(gait.maps, looks, strict=False):
         border, line = each.reachable.boundary, {name: look[name] for name in ("color", "linestyle")}
@@ -91,19 +88,21 @@ def reference_gait_figure(gait: ReferenceGait) -> Figure:
             linewidth=1.3,
             label=f"border of what the {each.name} map reaches",
         )
-        values: NDArray[np.complex128] = np.array(
-            [value for point in each.points if point is not None for value in point.multipliers]
-        )
+        found = [(row, abs(value)) for row, point in enumerate(each.points, 1) if point for value in point.multipliers]
         mark = {"color": look["color"], "marker": look["marker"], "markerfacecolor": "none", "linestyle": ""}
-        circle.plot(values.real, values.imag, **mark, label=f"multipliers, {each.name} map")
+        sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"multipliers, {each.name} map")
     plane.plot(*gait.targets.T, ".", color=BLACK, label="targets")
-    plane.plot(*gait.centre, "s", markersize=9, markerfacecolor="none", color=BLACK, label="where the step starts")
+    plane.plot(*gait.centre, "s", markersize=7, markerfacecolor="none", color=BLACK, label="where the step starts")
     first, second = gait.space.state
     plane.set(xlabel=f"Next {axis_label(first, capital=False)}", ylabel=f"Next {axis_label(second, capital=False)}")
     plane.set_title("(a) What one step can reach", loc="left", fontsize="medium")
-    circle.set(aspect="equal", xlabel="Real part", ylabel="Imaginary part")
-    circle.set_title("(b) Multipliers λ", loc="left", fontsize="medium")
-    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize="small")
+    sizes.set(xlabel="Target, in the order of the reference", ylabel="Size of the multipliers |λ|")
+    sizes.set_ylim(bottom=0)
+    sizes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    sizes.set_title("(b) Stable below 1", loc="left", fontsize="medium")
+    for panel in (plane, sizes):
+        panel.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 

@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from io import BytesIO
+from math import tau
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +13,8 @@ import numpy as np
 
 from stepgap.files import write_whole
 from stepgap.hopper.parameters import RobotParameters
+from stepgap.plants.tick_table import TickTable
+from stepgap.rigs.rig import RigLayout
 from stepgap.step import Array
 
 RATE: Final = 100
@@ -62,6 +65,30 @@ class Replay:
     motions: Mapping[int, Motion]
     robot: RobotParameters
     pivot_height: float
+
+
+def sensed_motion(ticks: TickTable, layout: RigLayout) -> Motion:
+    """A motion as the sensors saw it.
+
+    Args:
+        ticks: With a column `step`, `RATE` of them a second.
+        layout: How to read their counts.
+
+    Raises:
+        ValueError: There is no tick, or one whose sensors were not read.
+    """
+    yaw = ticks["boom_horizontal"] * tau / layout.boom_counts_horizontal
+    pitch = ticks["boom_vertical"] * tau / layout.boom_counts_vertical
+    channels = {
+        "step": ticks["step"],
+        "travel": layout.boom_length * yaw,
+        "height": layout.pivot_height + layout.boom_length * np.sin(pitch),
+        "alpha_1": ticks["alpha_1"],
+        "alpha_2": ticks["alpha_2"],
+        "force": ticks["contact_force"],
+    }
+    # rounded as it is kept, so that the page is the same however the motion was had
+    return Motion(**{name: values.astype(np.float32).astype(float) for name, values in channels.items()})
 
 
 def write_motion(path: Path, motion: Motion, origin: str) -> None:

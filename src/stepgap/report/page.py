@@ -3,12 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-import numpy as np
-
-from stepgap.control.reference import paper_reference
 from stepgap.report import paper
 from stepgap.report.background import Background
-from stepgap.report.bands import coverage, tracking_steps
+from stepgap.report.bands import coverage
 from stepgap.report.drawing import Drawing
 from stepgap.report.error_table import band_table, error_table
 from stepgap.report.html import bullets, page, paragraph, picture, safe, section
@@ -32,14 +29,16 @@ CONTENTS: Final = {
 
 LEFT_OUT_CAPTION: Final = (
     "Leave-one-out: each recorded error of the map as the model predicts it from all the others, at the same "
-    "hyper-parameters. Left: on the line, prediction and record are equal. Right: what is left, in standard deviations "
-    "of the prediction, noise included; the grey band should hold 95 % of the points, with no pattern along the hops."
+    "hyper-parameters. Left: on the line, prediction and record are equal. Right: their difference, in standard "
+    "deviations of the prediction, noise included; the grey band should hold 95 % of the points, with no pattern along "
+    "the hops. A point beyond ±4.5 is drawn there."
 )
 
 GAIT_CAPTION: Final = (
-    "(a) What one step can reach within the command bounds from the target in the middle. (b) Multipliers of all limit "
-    "cycles: inside the circle, an error dies out while the command stays the same; the step controller does not rely "
-    "on that. The slopes of the corrected map are the learnt model's, which knows them less well than its values."
+    "(a) What one step can reach within the command bounds from the target in the middle. (b) Sizes of the multipliers "
+    "of the limit cycle at each target: below 1, an error dies out while the command stays the same; the step "
+    "controller does not rely on that. The slopes of the corrected map are the learnt model's, which knows them less "
+    "well than its values."
 )
 
 
@@ -93,27 +92,43 @@ def report_html(
 
 def captions(record: RunRecord) -> dict[str, str]:
     """What each figure of the steps shows."""
-    hardware = record.space.state_names == paper.STATE_NAMES
-    beside = " The paper's points are of its hardware: its Fig. 5, and its Fig. 4 for deployment 0." if hardware else ""
+    several, like_paper = record.shown[0] != record.shown[-1], record.like_paper
+    which = "in the first and the last deployment" if several else f"in deployment {record.shown[0]}"
+    how = "without and with the learnt correction" if several else "of a single deployment"
     found = {
-        "tracking": "Tracking without and with the learnt correction, as in the paper's Fig. 4: the state at the end "
-        "of each step in the first and the last deployment, and the reference.",
-        "errors": f"Tracking error by deployment, as in the paper's Fig. 5.{beside}",
+        "tracking": f"Tracking {how}, drawn like the paper's Fig. 4: the state at the end of each step {which}, and "
+        "the reference.",
+        "errors": "Tracking error by deployment, drawn like the paper's Fig. 5, on logarithmic axes.",
     }
-    for row, quantity in enumerate(record.space.state):
-        last = record.shown[-1]
-        held = [_held(record, iteration, row) for iteration in record.steps.iterations]
-        like = f", as in the paper's Fig. {6 + row}" if hardware else ""
-        text = f"The map of {quantity.name}{like}. (a) Its mean with 95 % band, noise included, and the measured next "
-        text += f"state, in deployment {last}."
-        if any(held):
-            text += f" The band, drawn before the step was taken, held {', '.join(filter(None, held))}."
-        text += " (b) Standard deviation of the prediction in the first and the last redeployment."
-        if hardware:
-            before, after = paper.LARGEST_STD[quantity.name]
-            text += f" On the paper's hardware it was at most about {before:g}, then {after:g} {quantity.unit}."
-        found[f"map_{row}"] = text
+    if like_paper:
+        found["errors"] += " The paper's points are of its hardware: its Fig. 5, and its Fig. 4 for deployment 0."
+    for row in range(len(record.space.state)):
+        found[f"map_{row}"] = _map_caption(record, row)
     return found
+
+
+def _map_caption(record: RunRecord, row: int) -> str:
+    quantity, last = record.space.state[row], record.shown[-1]
+    like = f", drawn like the paper's Fig. {6 + row}" if record.space.state_names == paper.STATE_NAMES else ""
+    unsure = [number for number in record.shown if record.steps.of_iteration(number).std[:, row].any()]
+    held = [_held(record, iteration, row) for iteration in record.steps.iterations]
+    band = " with 95 % band, noise included," if last in unsure else ""
+    text = f"The map of {quantity.name}{like}. (a) Its mean{band} and the measured next state, in deployment {last}."
+    if any(held):
+        text += f" The band, drawn before the step was taken, held {', '.join(filter(None, held))}."
+    if len(unsure) > 1:
+        text += f" (b) Standard deviation of the prediction in deployments {unsure[0]} and {unsure[-1]}."
+    elif unsure:
+        text += f" (b) Standard deviation of the prediction in deployment {unsure[0]}."
+    else:
+        text += " (b) The map gave no standard deviation, since it had not learnt yet."
+    if record.like_paper and unsure:
+        before, after = paper.LARGEST_STD[quantity.name]
+        text += (
+            f" On the paper's hardware it was at most about {before:g} {quantity.unit} in its first and {after:g} "
+            f"{quantity.unit} in its fourth redeployment."
+        )
+    return text
 
 
 def _held(record: RunRecord, iteration: int, row: int) -> str:
@@ -127,16 +142,14 @@ def _what_is_compared(record: RunRecord, plant: str) -> str:
         f"This run was executed by the {plant}. Errors are next state − target. Steady: from 4 steps after a change of "
         "the target on; transient: the first 4 steps from each change on."
     )
-    if record.space.state_names != paper.STATE_NAMES:
-        return words
-    targets = tracking_steps(record.steps.of_iteration(record.shown[-1])).target
-    wanted = paper_reference().targets
-    same = len(targets) <= len(wanted) and np.array_equal(targets, wanted[: len(targets)])
-    which = "the paper's reference" if same else "another reference than the paper's: compare trends, not numbers"
-    return (
-        f"{words} The paper's numbers are of its hardware, another machine: 227 steps per deployment, read off its "
-        f"Figs. 4 and 5. This run tracked {which}."
-    )
+    if record.like_paper:
+        return (
+            f"{words} The run tracked the paper's reference. The paper's numbers are of its hardware, another machine: "
+            "227 steps per deployment, read off its Figs. 4 and 5."
+        )
+    if record.space.state_names == paper.STATE_NAMES:
+        return f"{words} The run tracked another reference than the paper's, so the paper's errors are not shown."
+    return words
 
 
 def _settings(record: RunRecord, defaults: Mapping[str, Any] | str) -> str:

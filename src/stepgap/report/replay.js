@@ -125,15 +125,15 @@
     dot(here.foot, "#c00000", 0.9 * stroke, motion.force[frame] > 1);
 
     slider.value = frame;
-    const time = (frame / motion.rate).toFixed(2), end = ((motion.frames - 1) / motion.rate).toFixed(0);
+    const time = (frame / motion.rate).toFixed(2), end = ((motion.frames - 1) / motion.rate).toFixed(2);
     words.textContent = `deployment ${motion.deployment}, ${time} s of ${end} s: ` + (entry
       ? `step ${step} of ${motion.last}. Target ${shown(entry[0], "m/s")}, ${shown(entry[1], "m")}; ` +
-        `reached ${shown(entry[2], "m/s")}, ${shown(entry[3], "m")}; command ${shown(entry[4], "N")}, ${shown(entry[5], "N")}.`
+        `reached ${entry[3] === null ? "no apex" : shown(entry[2], "m/s") + ", " + shown(entry[3], "m")}; command ${shown(entry[4], "N")}, ${shown(entry[5], "N")}.`
       : "let go.");
   }
 
   function shown(value, unit) {
-    return value === null ? "no apex" : value.toFixed(unit === "N" ? 1 : 3).replace("-", "\u2212") + " " + unit;
+    return value === null ? "unknown" : value.toFixed(unit === "N" ? 1 : 3).replace("-", "\u2212") + " " + unit;
   }
 
   function choose() {

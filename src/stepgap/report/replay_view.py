@@ -57,8 +57,8 @@ def _legend() -> str:
     return (
         "Drag to turn; the keys ← and → go on by a frame. The leg is drawn as the closed chain it is; the foot is "
         "full while it bears load. Dashed: the height wanted at the next apex. Circles: apexes reached; bars: their "
-        "targets. Between the recorded steps the motion was simulated again from the run's "
-        "seed, and every step came out as recorded, to the last bit."
+        "targets. The motion is what the sensors of boom and motors said; what they do not see, such as the boom's "
+        f"bending, is not in it. Of a second, {RATE} moments are kept."
     )
 
 

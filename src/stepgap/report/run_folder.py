@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog, column_names, digest, read_step_log
-from stepgap.report.paper import UNITS
+from stepgap.report.bands import tracking_steps
+from stepgap.report.paper import STATE_NAMES, UNITS
 from stepgap.report.summary import LARGEST_NUMBER, FinishedDeployment, Summary, read_summary, read_text
 from stepgap.step import Array, Quantity, StepSpace
 
@@ -58,6 +60,19 @@ class RunRecord:
     def shown(self) -> list[int]:
         """Iterations that figures show: the finished ones, or while there are none, those with steps."""
         return [deployment.iteration for deployment in self.deployments] or self.steps.iterations
+
+    @property
+    def like_paper(self) -> bool:
+        """Whether it tracked the paper's state along the paper's reference, so that the paper's errors compare."""
+        if self.space.state_names != STATE_NAMES:
+            return False
+        wanted, fell = paper_reference().targets, {each.iteration for each in self.deployments if each.falls}
+        for number in self.steps.iterations:
+            targets = tracking_steps(self.steps.of_iteration(number)).target
+            broken_off = number in fell or number in self.unfinished
+            if not np.array_equal(targets, wanted[: len(targets)]) or not (broken_off or len(targets) == len(wanted)):
+                return False
+        return True
 
     @property
     def unfinished(self) -> dict[int, int]:

@@ -5,7 +5,7 @@ import numpy as np
 from stepgap.report import paper
 from stepgap.report.run_folder import RunRecord
 from stepgap.report.summary import FinishedDeployment
-from stepgap.step import Array, Quantity
+from stepgap.step import Array, Quantity, Reason
 
 
 def headline(record: RunRecord) -> str:
@@ -14,21 +14,21 @@ def headline(record: RunRecord) -> str:
         return "No deployment is finished yet."
     first, last = record.deployments[0], record.deployments[-1]
     if last.falls:
-        return f"It did not track to the end: deployment {last.iteration} fell at step {last.steps}."
+        return f"It did not track to the end: {_ended(record, last)}."
     to_end = f"the last deployment made all its {_count(last.steps, 'step')} without a fall"
     if first is last:
         return f"One deployment so far, so there is nothing to compare with: {to_end}."
     if (last.errors["rmse"] < first.errors["rmse"]).all():
         return f"It tracked: {to_end}, and every tracking error is smaller than in deployment {first.iteration}."
     if first.falls:
-        return f"It tracked to the end: {to_end}, where deployment {first.iteration} fell at step {first.steps}."
+        return f"It tracked to the end: {to_end}, where {_ended(record, first)}."
     if np.isnan(last.errors["rmse"] - first.errors["rmse"]).any():
         return f"No fall, but not every tracking error is known: {to_end}."
     return f"No fall, but not better in every coordinate: {to_end}."
 
 
 def sentences(record: RunRecord, plant: str) -> list[str]:
-    """Errors, hops and falls, what is still open, and the paper's result.
+    """Errors, hops and falls, what is still open, and the paper's result where its reference was tracked.
 
     Args:
         record: The run.
@@ -39,7 +39,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
         first, last = record.deployments[0], record.deployments[-1]
         found += [_change(first, last, row, quantity) for row, quantity in enumerate(record.space.state)]
     found += [
-        f"Deployment {deployment.iteration} fell at step {deployment.steps}; its errors are of the steps before only."
+        f"{_title(_ended(record, deployment))}; its errors are of the steps before only."
         for deployment in record.deployments
         if deployment.falls
     ]
@@ -53,7 +53,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
         f"its {_count(steps, 'step')} so far are in none of the errors."
         for iteration, steps in record.unfinished.items()
     ]
-    if record.space.state_names == paper.STATE_NAMES:
+    if record.like_paper:
         found.append(_paper_result())
     return found
 
@@ -84,7 +84,8 @@ def _change(first: FinishedDeployment, last: FinishedDeployment, row: int, quant
         outcome = f", {_times(factor)}" if np.isfinite(factor) else ""
         known = f"from {decimal(before)} to {decimal(after)}{_unit(quantity)}{outcome}"
         parts.append(f"{measure.upper()} {known if np.isfinite(before - after) else 'unknown'}")
-    return f"{_title(quantity)}, from deployment {first.iteration} to {last.iteration}: {'; '.join(parts)}."
+    title = _title(quantity.name.replace("_", " "))
+    return f"{title}, from deployment {first.iteration} to {last.iteration}: {'; '.join(parts)}."
 
 
 def _times(factor: float) -> str:
@@ -127,9 +128,15 @@ def _count(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
 
 
-def _title(quantity: Quantity) -> str:
-    name = quantity.name.replace("_", " ")
-    return name[:1].upper() + name[1:]
+def _ended(record: RunRecord, deployment: FinishedDeployment) -> str:
+    """How a deployment ended before its time."""
+    reason = list(record.steps.of_iteration(deployment.iteration))[-1].record.reason
+    how = "fell" if reason == Reason.FELL else f"ended without an apex ({reason.status})"
+    return f"deployment {deployment.iteration} {how} at step {deployment.steps}"
+
+
+def _title(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _unit(quantity: Quantity) -> str:

@@ -2,14 +2,13 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
-from stepgap.learning.step_log import LoggedStep
+from stepgap.live_ticks import HopCount
 from stepgap.plants.tick import TICK_UNITS, Tick
 from stepgap.plants.tick_ring import TickRing
-from stepgap.sim_to_real import Deployment, Observer
+from stepgap.sim_to_real import Observer
 from stepgap.view.motion import EVERY
 
 ROWS = 2**16
@@ -30,26 +29,18 @@ class LiveView:
 
     def __init__(self, folder: Path, host: str, port: int | None):
         self._folder, self._host, self._port = folder, host, port
-        self._iteration, self._hop, self._count = 0, 0, 0
+        self._hops, self._count = HopCount(), 0
 
     def on_tick(self, tick: Tick) -> None:
         """Passes one of `EVERY` ticks on."""
         if self._count % EVERY == 0:
-            self._ring.push((self._iteration, self._hop, *tick.row()))
+            self._ring.push((self._hops.iteration, self._hops.hop, *tick.row()))
         self._count += 1
+        self._hops.on_tick(tick)
 
     def observing(self, observer: Observer) -> Observer:
         """The observer, which now also counts steps and deployments for the ticks."""
-
-        def on_step(logged: LoggedStep) -> None:
-            self._hop += 1
-            observer.on_step(logged)
-
-        def on_deployment(deployment: Deployment) -> None:
-            self._iteration, self._hop = deployment.iteration + 1, 0
-            observer.on_deployment(deployment)
-
-        return replace(observer, on_step=on_step, on_deployment=on_deployment)
+        return self._hops.observing(observer)
 
     def stay(self) -> None:
         """Waits, when the run is over, until somebody ends the page."""

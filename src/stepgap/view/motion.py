@@ -7,7 +7,6 @@ import numpy as np
 
 from stepgap.hopper.leg import knee_angle, leg_of
 from stepgap.hopper.parameters import Gains, RobotParameters
-from stepgap.plants.phases import Phase
 from stepgap.plants.tick_table import TickTable
 from stepgap.rigs.rig import RigLayout
 from stepgap.step import Array
@@ -67,13 +66,6 @@ def sensed_hop(table: TickTable, layout: RigLayout) -> Hop | None:
     none = np.zeros(len(table))
     poses = np.column_stack([yaw, pitch, table["alpha_1"], table["alpha_2"], none, none])
     return Hop(table["time"] - table["time"][0], poses, none)
-
-
-def hops_of_log(table: TickTable, layout: RigLayout) -> list[Hop | None]:
-    """The hops of a deployment's ticks, parted where an apex was passed; the first is that after the release."""
-    phase = table["phase"]
-    passed = np.flatnonzero((phase[:-1] == Phase.RISING) & (phase[1:] == Phase.FALLING)) + 1
-    return [sensed_hop(TickTable(table.units, rows[::EVERY]), layout) for rows in np.split(table.rows, passed)]
 
 
 def still_hop(robot: RobotParameters, gains: Gains, pivot_height: float, state: Array) -> Hop:

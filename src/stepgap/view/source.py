@@ -17,16 +17,14 @@ from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.learner import next_context
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
-from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, read_step_log
+from stepgap.learning.step_log import LoggedStep, StepLog, read_step_log
 from stepgap.plants.tick import TICK_UNITS
-from stepgap.plants.tick_log import TickLogError, read_ticks
 from stepgap.plants.tick_ring import TickRing
 from stepgap.plants.tick_table import TickTable
-from stepgap.replay import replayed_hops
-from stepgap.rigs.entry_points import load_rig
+from stepgap.replay import layout_of, logged_ticks, replayed_hops
 from stepgap.rigs.rig import RigLayout
-from stepgap.run_plants import SIMULATED, remade_rig
-from stepgap.view.motion import EVERY, Hop, hops_of_log, sensed_hop, still_hop, true_hop
+from stepgap.run_plants import SIMULATED
+from stepgap.view.motion import EVERY, Hop, sensed_hop, still_hop, true_hop
 
 RING_FIELDS = 2 + len(TICK_UNITS)
 """Of a row of the ring: deployment, hop, tick."""
@@ -154,12 +152,11 @@ class Source:
         return self._models[iteration]
 
     def _find_layout(self) -> RigLayout | None:
-        settings = self.settings
-        if settings.plant in SIMULATED:
-            return remade_rig(settings, 0)[0].layout
         try:
-            return load_rig(settings.plant, Path(settings.rig), settings.robot).layout
+            return layout_of(self.settings)
         except InputError:
+            if self.settings.plant in SIMULATED:
+                raise
             return None
 
     def _read_steps(self) -> bool:
@@ -199,7 +196,7 @@ class Source:
         """Fills in the motion, hop by hop; whatever goes wrong is said on the page."""
         try:
             find(iteration, self._motion[iteration])
-        except (ValueError, OSError, RecordError, TickLogError) as error:
+        except (ValueError, OSError) as error:
             self._words = str(error)
 
     def _remake(self, iteration: int, hops: list[Hop | None]) -> None:
@@ -210,13 +207,13 @@ class Source:
                 return
 
     def _load(self, iteration: int, hops: list[Hop | None]) -> None:
-        path = self.folder / "ticks" / f"ticks-{iteration}.mcap"
         if self.layout is None:
             raise InputError(f"plant '{self.settings.plant}' is not known here, so its counts cannot be read")
-        found = hops_of_log(TickTable(*read_ticks(path)), self.layout)
-        if len(found) < self.hop_count(iteration):
-            raise InputError(f"{path}: has fewer hops than deployment {iteration}, so it is not known which are which")
-        hops.extend(found)
+        steps = self.steps(iteration)
+        ticks = logged_ticks(self.folder, steps)
+        for step in range(steps[0].step - 1, steps[-1].step + 1):
+            rows = ticks.rows[ticks["step"] == step]
+            hops.append(sensed_hop(TickTable(ticks.units, rows[::EVERY]), self.layout))
 
 
 def _read_model(path: Path) -> Residual | None:
