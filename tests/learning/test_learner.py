@@ -31,6 +31,9 @@ def hops(reality: StepMap, count: int, seed: int, iteration: int = 0, first: int
     return steps
 
 
+DEFAULT = LearningSettings().residual
+
+
 def log_of(steps: list[LoggedStep]) -> StepLog:
     return StepLog(NOMINAL.space, steps)
 
@@ -43,7 +46,7 @@ def taught(learner: Learner, steps: list[LoggedStep]) -> Learner:
     return learner
 
 
-def fitted(steps: list[LoggedStep], kind: ResidualKind = LearningSettings().residual):
+def fitted(steps: list[LoggedStep], kind: ResidualKind = DEFAULT):
     return fit_residual(kind, observe(log_of(steps), NOMINAL))
 
 
@@ -102,7 +105,7 @@ def test_a_fit_that_is_taken_over_knows_every_step() -> None:
     for regression in learner.residual.regressions:
         assert isinstance(regression, GaussianProcessRegression)
         assert len(regression.process.points) == 46
-    expected = fit_residual(ONLINE.residual, observe(log_of(known + new[:4]), NOMINAL), start=fitted(known))
+    expected = fit_residual(DEFAULT, observe(log_of(known + new[:4]), NOMINAL), start=fitted(known))
     context = np.zeros(7)
     for logged in new[4:]:
         record = logged.record
@@ -126,13 +129,13 @@ def test_calibration_teaches_its_steps_and_no_more() -> None:
 def test_a_correction_that_predicts_worse_is_left_out_until_it_is_better() -> None:
     learner = Learner(NOMINAL, log_of(hops(REALITY, 40, seed=0)), LearningSettings(), iteration=1)
     with learner:
-        assert learner.step_map().residual.kind == LearningSettings().residual
+        assert learner.step_map().residual.kind == DEFAULT
         for logged in hops(NOMINAL, WATCHED, seed=5, iteration=1):
             learner.observe(logged)
         assert learner.step_map().residual.kind == "none"
         for logged in hops(REALITY, WATCHED, seed=6, iteration=1, first=WATCHED + 1):
             learner.observe(logged)
-        assert learner.step_map().residual.kind == LearningSettings().residual
+        assert learner.step_map().residual.kind == DEFAULT
 
 
 def test_steps_that_failed_are_remembered() -> None:
