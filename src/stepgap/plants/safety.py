@@ -27,7 +27,6 @@ class Limited(IntFlag):
     LOST_FRAMES = 256
     STALE = 512
     LATE = 1024
-    DRIVE = 2048
     EMERGENCY_STOP = 4096
 
     @property
@@ -178,8 +177,6 @@ def _unhealthy(limits: SafetyLimits, health: Health, lost: int, stale: int, late
         reason |= Limited.STALE
     if late > limits.late_ticks:
         reason |= Limited.LATE
-    if not health.drives_enabled:
-        reason |= Limited.DRIVE
     if health.emergency_stop:
         reason |= Limited.EMERGENCY_STOP
     return reason

@@ -20,12 +20,10 @@ from stepgap.rigs.ethercat.cia402 import (
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings, read_rig_settings
 from stepgap.rigs.limits import SafetyLimits
-from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, RigLayout
 
 ERROR_CODE, LARGEST_TORQUE, RATED_TORQUE = 0x603F, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
-
-LOST = Health(frame_lost=True, stale=True)
 
 STATES_EVERY = 50
 """Good frames from one look at the slaves' states to the next."""
@@ -66,6 +64,7 @@ class EthercatRig(Rig):
             touchdown_force=contact.touchdown_force,
             takeoff_length=contact.takeoff_length,
             frames_per_tick=settings.frames_per_tick,
+            sampled_at_write=True,
         )
         self._motors = (settings.motor_1, settings.motor_2)
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
