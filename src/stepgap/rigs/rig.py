@@ -117,7 +117,7 @@ class Rig(ABC):
 
     @property
     def health(self) -> Health:
-        """How the last `read` went; a rig that may repeat a reading says so here, and raises `RigFault` for all else."""
+        """How the last `read` went: whoever may repeat a reading says so here; all else is a `RigFault`."""
         return HEALTHY
 
     @abstractmethod

@@ -230,3 +230,21 @@ def test_a_counter_that_wraps_is_followed(count: int, bits: int, data: st.DataOb
     shown = (count + step) % 2**bits
     assert unwrapped(shown, count, bits) == count + step
     assert unwrapped(shown - 2**bits, count, bits) == count + step, "read with a sign or without"
+
+
+@pytest.mark.parametrize(
+    ("answers", "says"),
+    [
+        ([None, None, True, None, None, True], ""),
+        ([None, None, None], "slaves did not tell their states, asked 3 times in a row"),
+        ([None, False], "a slave has left OP"),
+    ],
+)
+def test_a_lost_answer_about_states_is_not_taken_for_a_slave_that_left_op(answers: list, says: str) -> None:
+    with live_ring() as ring, rig_of() as rig:
+        left = [True, *answers]
+        rig._bus.in_operation = lambda: left.pop(0) if left else True
+        _, message = ticks_until_fault(rig, 200)
+        assert message.partition(":")[0] == says
+        assert left == []
+        assert ring.look().enabled == [not says, not says]

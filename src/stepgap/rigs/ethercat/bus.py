@@ -117,12 +117,13 @@ class Bus:
         """
         self._write(number, index, 0, layout, value)
 
-    def in_operation(self) -> bool:
-        """Whether every slave says that it is in OP; one frame more.
+    def in_operation(self) -> bool | None:
+        """Whether every slave says that it is in OP, None where not all of them answer; one frame more.
 
         A slave may leave OP and yet be counted, its inputs frozen, since its memory is still there.
         """
-        return self._master.read_state() == self._soem.OP_STATE
+        state = self._master.read_state()
+        return state == self._soem.OP_STATE if state else None
 
     def complaint(self) -> str:
         """What slaves say that are not in OP, one line; not for the time of a tick."""

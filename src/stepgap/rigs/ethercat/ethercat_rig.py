@@ -79,7 +79,7 @@ class EthercatRig(Rig):
         )
         self._contact = settings.position(contact.slave)
         self._connected, self._fault = False, ""
-        self._lost, self._under_way, self._good_frames, self._outside_op = 0, False, 0, 0
+        self._lost, self._under_way, self._good_frames, self._unanswered = 0, False, 0, 0
         self._reading = Reading(0, 0, 0, 0, 0.0)
 
     @property
@@ -115,7 +115,7 @@ class EthercatRig(Rig):
         except RigFault:
             self.close()
             raise
-        self._lost, self._under_way, self._good_frames, self._outside_op = 0, False, 0, 0
+        self._lost, self._under_way, self._good_frames, self._unanswered = 0, False, 0, 0
 
     def read(self) -> Reading:
         """Counts and force of the last frame, or of an earlier one while no more than the budget are lost.
@@ -208,13 +208,19 @@ class EthercatRig(Rig):
         self._reading = Reading(motor_1, motor_2, horizontal, vertical, force)
 
     def _look_after_states(self) -> None:
-        """Now and then asks whether all slaves are in OP; twice in a row, since a reply may be lost."""
+        """Now and then asks whether all slaves are in OP, and goes on asking where a reply is lost."""
         self._good_frames += 1
-        if self._outside_op or self._good_frames % STATES_EVERY == 0:
-            self._outside_op = 0 if self._bus.in_operation() else self._outside_op + 1
-        if self._outside_op > 1:
+        if not self._unanswered and self._good_frames % STATES_EVERY:
+            return
+        in_operation = self._bus.in_operation()
+        self._unanswered = self._unanswered + 1 if in_operation is None else 0
+        if in_operation is False:
             fault = self._trip("a slave has left OP")
-            raise RigFault(f"{fault}: {self._bus.complaint()}")
+        elif self._unanswered > self._settings.limits.lost_frames:
+            fault = self._trip(f"slaves did not tell their states, asked {self._unanswered} times in a row")
+        else:
+            return
+        raise RigFault(f"{fault}: {self._bus.complaint()}")
 
     def _command(self, drive: int, units: int, controlword: int) -> None:
         self._bus.set_outputs(drive, {"target_torque": units, "controlword": controlword, "mode": CYCLIC_TORQUE})
