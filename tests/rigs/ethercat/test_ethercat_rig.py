@@ -110,6 +110,43 @@ def test_it_can_be_connected_again() -> None:
             rig.read()
 
 
+def test_a_second_master_is_refused_and_the_first_one_goes_on() -> None:
+    with live_ring() as ring, rig_of() as first:
+        with pytest.raises(RigFault, match=f"another process is the master of {INTERFACE} already"):
+            rig_of().connect()
+        assert ticks_until_fault(first, 20) == (20, "")
+        assert ring.look().enabled == [True, True]
+        first.close()
+        with rig_of() as second:
+            assert ticks_until_fault(second, 20) == (20, "")
+
+
+def test_whatever_ends_a_bring_up_the_bus_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with live_ring() as ring:
+        for method in ("_check_drives", "_lead", "_take"):
+            with monkeypatch.context() as patch:
+                patch.setattr(EthercatRig, method, interrupted)
+                with pytest.raises(KeyboardInterrupt):
+                    rig_of().connect()
+            assert ring.look().enabled == [False, False]
+        with rig_of() as rig:
+            assert ticks_until_fault(rig, 20) == (20, "")
+
+
+def test_a_drive_that_no_longer_tells_its_error_does_not_hide_the_fault() -> None:
+    def refused(*_: object) -> int:
+        raise RigFault("no answer")
+
+    with live_ring(DriveFault(cycles_to_connect() + 3, "drive_2")), rig_of() as rig:
+        rig._bus.read_object = refused
+        _, message = ticks_until_fault(rig, 20)
+    assert message.startswith("slave 2 'drive_2' takes no torque any more: slave 1 'drive_1' is ")
+    assert "slave 2 'drive_2' is fault, mode 10, its error is not known" in message
+
+
 def changed(name: str, **changes: object) -> RigSettings:
     slaves = tuple(replace(slave, **changes) if slave.name == name else slave for slave in SETTINGS.slaves)
     return replace(SETTINGS, slaves=slaves)

@@ -112,7 +112,7 @@ class EthercatRig(Rig):
             self._lead(Wanted.RESET, lambda states: State.FAULT not in states)
             self._lead(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
             self._take()
-        except RigFault:
+        except BaseException:
             self.close()
             raise
         self._lost, self._under_way, self._good_frames, self._unanswered = 0, False, 0, 0
@@ -244,14 +244,17 @@ class EthercatRig(Rig):
 
     def _drive_words(self) -> str:
         """What the drives say of themselves; not for the time of a tick."""
-        words = []
-        for drive in self._drives:
-            values = self._bus.inputs(drive)
-            text = f"{self._bus.label(drive)} is {state_of(values['statusword']).value}, mode {values['mode_display']}"
-            if error := self._bus.read_object(drive, ERROR_CODE, _U16):
-                text += f", error 0x{error:04X}"
-            words.append(text)
+        words = [self._words_of(drive) for drive in self._drives]
         return "; ".join([*words, *filter(None, [self._bus.emergencies()])])
+
+    def _words_of(self, drive: int) -> str:
+        values = self._bus.inputs(drive)
+        text = f"{self._bus.label(drive)} is {state_of(values['statusword']).value}, mode {values['mode_display']}"
+        try:
+            error = self._bus.read_object(drive, ERROR_CODE, _U16)
+        except RigFault:  # a drive without power, say; it must not hide why it is asked
+            return f"{text}, its error is not known"
+        return f"{text}, error 0x{error:04X}" if error else text
 
 
 class _Angle:
