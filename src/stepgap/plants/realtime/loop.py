@@ -147,6 +147,8 @@ class ControlLoop:
     def _enter(self, state: RigState) -> None:
         if state == self._state:
             return
+        if state in (RigState.STAND, RigState.OFF) and self._state <= RigState.READY:
+            self._board.words = ""  # what the kernel refused is known by now, and no fault
         self._state, self._entered = state, self._control.time
         self._powered = state in MOVING or (self._powered and state == RigState.FAULT)  # a limp robot does not brake
         if state == RigState.HOP:

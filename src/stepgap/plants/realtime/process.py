@@ -58,9 +58,16 @@ class RealtimeSetup:
         return HopControl(rig.layout, self.robot, self.gains, limits)
 
 
-def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str) -> None:
-    """Connects the rig and ticks by the wall clock until it is off; what it has to say is on the board."""
-    board, ring, parent = Board.attach(board_name), TickRing.attach(ring_name), os.getppid()
+def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: int) -> None:
+    """Connects the rig and ticks by the wall clock until it is off; what it has to say is on the board.
+
+    Args:
+        setup: What to do.
+        board_name: Of the board to attach to.
+        ring_name: Of the ring that takes the ticks.
+        parent: Process that started this one and, while that lives, is its parent.
+    """
+    board, ring = Board.attach(board_name), TickRing.attach(ring_name)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other one asks for the landing
     try:
         board.state = RigState.CONNECT

@@ -44,7 +44,7 @@ class Bus:
         self._inputs = [Packing(pdos.inputs) for pdos in sets]
         self._timeout = round(settings.reply_timeout * 1e6)
         self._sockets: set[int] = set()
-        self._claim = socket.socket(socket.AF_UNIX)
+        self._claim: socket.socket | None = None
         self._emergencies: list[Any] = []
 
     def connect(self, prepare: Callable[[], None]) -> None:
@@ -54,7 +54,8 @@ class Bus:
             prepare: Called while the slaves are in PREOP and may be asked and told by SDO without haste.
 
         Raises:
-            RigFault: There is no such interface, no pysoem, another master has the bus, or it is not as the settings say.
+            RigFault: There is no such interface or no pysoem, another master has the bus, or it is not as the settings
+                say.
         """
         self._soem = _pysoem()
         self._soem.settings.timeouts.ret = REPLY_TIMEOUT
@@ -154,7 +155,8 @@ class Bus:
             master.state = self._soem.INIT_STATE
             master.write_state()
             master.close()
-        self._claim.close()
+        if self._claim:
+            self._claim.close()
 
     def label(self, number: int) -> str:
         """A slave as messages name it."""
