@@ -13,7 +13,7 @@ class SafetyLimits:
 
     Attributes:
         torque: Largest motor torque [N·m].
-        torque_step: Largest change of a motor torque from one tick to the next [N·m].
+        torque_step: Largest change of a motor torque from one tick to the next [N·m]; only what goes, goes at once.
         joint_speed: Largest speed of a top link [rad/s]; a hop of the reference stays below 40.
         stretch_angle: α₂ below which the leg may not be stretched further [rad].
         lean_angle: Largest |α₁| [rad].

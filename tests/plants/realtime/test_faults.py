@@ -44,7 +44,7 @@ SETTINGS = replace(
     emulated_settings(LAYOUT, ROBOT, RingSettings(inputs_after_tick=True), INTERFACE),
     limits=LIMITS,
     watchdog=WATCHDOG,
-    reply_timeout=0.02,
+    reply_timeout=0.045,  # a busy machine may keep the ring waiting, whose time stands still meanwhile
 )
 COLUMN = {name: place for place, name in enumerate(LOOP_UNITS)}
 COMMAND = (-4.0, -3.0)
