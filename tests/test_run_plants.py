@@ -15,7 +15,7 @@ from stepgap import run_plants
 from stepgap.cli import main
 from stepgap.control.reference import Reference
 from stepgap.experiment import Experiment, InputError, read_experiment, write_experiment
-from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, veth_pair
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.rig import RigFault
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "rig.toml"
@@ -28,7 +28,7 @@ def raw_ethernet() -> None:
     """Skips where a ring cannot be had."""
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
     try:
-        with veth_pair(f"sgp{os.getpid() % 10**6}") as end, raw_socket(end):
+        with wire(f"sgp{os.getpid() % 10**6}"):
             pass
     except NoNetwork as reason:
         pytest.skip(str(reason))
