@@ -22,7 +22,7 @@ class SafetyLimits:
         longest_leg: Largest leg length ℓ [m].
         lowest_hip: Smallest height of the hip [m].
         highest_hip: Largest height of the hip [m].
-        lost_frames: Ticks in a row whose frame may be lost.
+        lost_frames: Frames in a row that may be lost.
         stale_ticks: Ticks in a row whose reading may be that of the tick before.
         late_ticks: Ticks in a row that may be missed.
         brake_damping: With which the motors brake when the robot leaves its bounds [N·m·s/rad].

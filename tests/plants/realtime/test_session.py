@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from stepgap.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.plants.realtime.board import Board
+from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
 from stepgap.plants.realtime.session import Session
@@ -131,7 +131,7 @@ def test_ctrl_c_while_it_lands_takes_the_torque_off_and_keeps_every_tick(made):
 
     def interrupted(timeout=None):
         if timeout and timeout > 1:
-            session.board.request = 0  # as if it had not come to it yet
+            session.board.request = Request.NOTHING  # as if it had not come to it yet
             raise KeyboardInterrupt
         join(timeout)
 

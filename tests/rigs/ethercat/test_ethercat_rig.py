@@ -136,12 +136,12 @@ def test_whatever_ends_a_bring_up_the_bus_is_released(monkeypatch: pytest.Monkey
             assert ticks_until_fault(rig, 20) == (20, "")
 
 
-def test_a_drive_that_no_longer_tells_its_error_does_not_hide_the_fault() -> None:
+def test_a_drive_that_no_longer_tells_its_error_does_not_hide_the_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> int:
         raise RigFault("no answer")
 
     with live_ring(DriveFault(cycles_to_connect() + 3, "drive_2")), rig_of() as rig:
-        rig._bus.read_object = refused
+        monkeypatch.setattr(rig._bus, "read_object", refused)
         _, message = ticks_until_fault(rig, 20)
     assert message.startswith("slave 2 'drive_2' takes no torque any more: slave 1 'drive_1' is ")
     assert "slave 2 'drive_2' is fault, mode 10, its error is not known" in message

@@ -226,6 +226,11 @@ class RigSettings:
             f"be positive and less than watchdog = {self.watchdog}",
         )
         require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
+        self._check_slaves()
+        self._check_uses()
+
+    def _check_slaves(self) -> None:
+        """Refuses names that are not distinct, and sets of PDOs that are not there."""
         names = [slave.name for slave in self.slaves]
         require(len(set(names)) == len(names), "slaves", names, "have names that differ")
         written = [each.name for each in self.pdo_sets]
@@ -233,6 +238,9 @@ class RigSettings:
         sets = self._sets()
         for number, slave in enumerate(self.slaves, start=1):
             require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
+
+    def _check_uses(self) -> None:
+        """Refuses slaves that cannot be what the tables say, or are two things at once."""
         for table, outputs, inputs in (
             ("motor_1", MOTOR_OUTPUTS, MOTOR_INPUTS),
             ("motor_2", MOTOR_OUTPUTS, MOTOR_INPUTS),
