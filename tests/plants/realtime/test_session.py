@@ -118,9 +118,10 @@ def test_ticks_that_are_lost_are_told_and_end_the_deployment(monkeypatch):
         wait_until(session.over)
         with pytest.raises(RigFault, match="ticks are missing in the log"):
             session.check()
+        ticks = session.board.ticks
     finally:
         session.close()
-    assert sink.rows[0][0] > 0, "the first ones are not there"
+    assert len(sink.rows) < ticks
 
 
 def test_ctrl_c_while_it_lands_takes_the_torque_off_and_keeps_every_tick(made):
