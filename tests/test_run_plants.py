@@ -3,9 +3,11 @@
 import csv
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,8 @@ from stepgap import run_plants
 from stepgap.cli import main
 from stepgap.control.reference import Reference
 from stepgap.experiment import Experiment, InputError, read_experiment, write_experiment
-from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, veth_pair
+from stepgap.rig_verbs.check import Check, Timing, fingerprint, write_check
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.rig import RigFault
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "rig.toml"
@@ -28,7 +31,7 @@ def raw_ethernet() -> None:
     """Skips where a ring cannot be had."""
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
     try:
-        with veth_pair(f"sgp{os.getpid() % 10**6}") as end, raw_socket(end):
+        with wire(f"sgp{os.getpid() % 10**6}"):
             pass
     except NoNetwork as reason:
         pytest.skip(str(reason))
@@ -93,6 +96,36 @@ def test_nobody_at_the_keyboard_means_no_torque(monkeypatch: pytest.MonkeyPatch,
         with pytest.raises(RigFault, match="nobody pressed Enter"):
             run_plants.ask_to_hold()
     assert "Hold the robot up" in capsys.readouterr().err
+
+
+def test_what_was_typed_before_somebody_was_asked_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = os.openpty()
+
+    class Screen(StringIO):
+        def write(self, text: str) -> int:
+            if "Hold the robot up" in text:
+                os.write(ours, b"\n")
+            return len(text)
+
+    os.write(ours, b"\n")
+    with os.fdopen(theirs) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        monkeypatch.setattr(sys, "stderr", Screen())
+        run_plants.ask_to_hold()
+        assert select.select([theirs], [], [], 0)[0] == [], "the first one was not taken, the second one was"
+    os.close(ours)
+
+
+def test_settings_that_change_during_a_run_give_no_torque(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_bytes(EXAMPLE.read_bytes())
+    timing = Timing(6000, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0)
+    write_check(rig, fingerprint(rig), Check(1e-3, 2, timing, 0, "", ""))
+    plants = run_plants.choose_plants(Experiment(plant="ethercat", rig=str(rig)), REFERENCE, True, tmp_path)
+    plants.make(np.random.default_rng(0))
+    rig.write_text(rig.read_text("utf-8").replace("torque = 38.0", "torque = 39.0"), "utf-8")
+    with pytest.raises(InputError, match="the settings have changed since"):
+        plants.make(np.random.default_rng(0))
 
 
 def test_sigterm_ends_a_run_as_ctrl_c_does(tmp_path: Path) -> None:

@@ -1,10 +1,12 @@
 """The verbs of `stepgap rig`: from an emulated ring to a real robot that is ready to hop."""
 
+import shlex
 import sys
 from math import isfinite
 from pathlib import Path
+from typing import Annotated
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
 from stepgap.cli import DEBUG_HELP, Overrides, Program, says_if_it_compiles
 from stepgap.strict_toml import InputError
@@ -140,7 +142,7 @@ def dry_run_(
 def emulate(
     experiment: Path | None = None,
     /,
-    *,
+    *words: Annotated[str, Parameter(allow_leading_hyphen=True, show=False)],
     interface: str = "stepgap0",
     lock_step: bool = False,
     hold: float = 5.0,
@@ -152,11 +154,14 @@ def emulate(
 
     Args:
         experiment: TOML file of settings, whose [robot] and [gap] are the twin's.
+        words: None; a command goes after --.
         interface: Name of the network interface that a master opens; without it stepgap0.
         lock_step: Let time go on with every frame; without it, by the clock.
         hold: How long the twin is held in the air when its drives have been enabled [s]; without it 5.
         settings: File for the rig.toml that fits it; without it emulated.toml.
     """
+    if words:
+        _refuse_words(experiment, words)
     from stepgap.experiment import read_experiment
     from stepgap.rig_verbs.emulate import emulate as verb
     from stepgap.rigs.ethercat.emulator.ring import RingSettings
@@ -167,6 +172,16 @@ def emulate(
     code = verb(read_experiment(experiment, overrides or []), ring, interface, hold, settings, program or [])
     if code:
         sys.exit(code)
+
+
+def _refuse_words(experiment: Path | None, words: tuple[str, ...]) -> None:
+    """Says how a command is written, which is what words too many most likely are."""
+    of_command = experiment and experiment.suffix != ".toml"
+    before, command = ([], [str(experiment), *words]) if of_command else ([str(experiment)] * bool(experiment), words)
+    if command[0].startswith("-"):
+        raise InputError(f"{command[0]}: no option of rig emulate; what belongs to a command goes with it after --")
+    typed = shlex.join(["stepgap", "rig", "emulate", *before, "--", *command])
+    raise InputError(f"{command[0]}: a command goes after --; type `{typed}`, options of rig emulate before the --")
 
 
 def _check_seconds(seconds: float) -> None:

@@ -151,9 +151,14 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
         raise InputError(
             f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` does everything but torque"
         )
-    checked(Path(settings.rig))
     setup = RealtimeSetup(make_rig, settings.robot, settings.gains, settings.command)
-    return Plants(lambda rng: RealtimePlant(setup, logs, ask_to_hold), replays=False)
+
+    def make(_: np.random.Generator) -> Plant:
+        checked(Path(settings.rig))  # before each: every deployment reads the file anew
+        return RealtimePlant(setup, logs, ask_to_hold)
+
+    checked(Path(settings.rig))
+    return Plants(make, replays=False)
 
 
 def ask_to_hold() -> None:
@@ -162,6 +167,10 @@ def ask_to_hold() -> None:
     Raises:
         RigFault: Nobody answers.
     """
+    if sys.stdin.isatty():
+        import termios  # a terminal's; Windows has none
+
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before is no answer
     print(
         "Hold the robot up, its foot clear of the ground, and press Enter: it takes its landing posture within half a "
         "second. Then let it go. Ctrl-C lands it.",

@@ -53,8 +53,24 @@ def test_no_speed_is_given_before_the_flight_is_long_enough():
     assert fit.speed() == pytest.approx(0.2)
 
 
+def test_a_flight_of_two_late_samples_has_no_speed_yet():
+    fit = FlightFit()
+    for time in (0.06, 0.12):
+        fit.add(time, 0.2 * time, 0.3)
+        assert math.isnan(fit.speed())
+
+
 def test_joint_rates_follow_a_ramp_after_their_span():
-    rates = JointRates(tick=1e-3, span=2)
-    seen = [rates.update(0.5 * i * 1e-3, -2.0 * i * 1e-3) for i in range(5)]
+    rates = JointRates(span=2)
+    seen = [rates.update(i * 1e-3, 0.5 * i * 1e-3, -2.0 * i * 1e-3) for i in range(5)]
     assert seen[:2] == [(0.0, 0.0), (0.0, 0.0)]
     assert seen[4] == pytest.approx((0.5, -2.0))
+
+
+def test_readings_that_are_lost_or_late_leave_the_rates_of_a_ramp_alone():
+    rates, now, rng = JointRates(), 0.0, np.random.default_rng(1)
+    for tick in range(200):
+        lost = tick > 3 and rng.random() < 0.3
+        reading = now if lost else tick * 1e-3 + rng.uniform(0, 5e-4)
+        seen, now = rates.update(reading, 4.0 * reading, -7.0 * reading), reading
+        assert tick < 2 or seen == pytest.approx((4.0, -7.0))

@@ -7,7 +7,7 @@ from stepgap.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.hopper.apex_map import ApexMap
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.rig import RigFault
+from stepgap.rigs.rig import Reading, RigFault
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.rigs.twin.twin import Twin
 from stepgap.step import Reason, StepFailed
@@ -127,6 +127,22 @@ def test_torque_that_the_drives_refuse_is_taken_off_the_applied_command():
         record = plant.take_step(np.array([0.0, 15.0]))
     assert record.command[1] == 15.0
     assert record.applied[1] < 14.0
+
+
+@pytest.mark.parametrize("sensor", Reading._fields)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
+    """Also the contact force, of which no torque is computed: without it no landing is seen."""
+    twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
+    read, broken = twin.read, False
+    twin.read = lambda: read()._replace(**{sensor: bad} if broken else {})
+    with RigPlant(twin, ROBOT, GAINS, BOUNDS) as plant:
+        plant.start()
+        broken = True
+        record = plant.take_step(COMMAND)
+        assert (record.reason, plant.fault[:36]) == (Reason.STOPPED, "the sensors tell what is no number: ")
+        with pytest.raises(RigFault):
+            twin.write(0.0, 0.0)
 
 
 def test_every_tick_is_reported_with_torques_within_the_limit():

@@ -49,8 +49,7 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_for_good():
     for values in (torques, motions):
         bad = rng.random(values.shape) < 0.002
         values[bad] = rng.choice(odd, bad.sum())
-    health = rng.random((ticks, 5)) < [0.2, 0.2, 0.2, 0.005, 0.005]
-    health[:, 3] ^= True
+    health = rng.random((ticks, 4)) < [0.2, 0.2, 0.2, 0.005]
     watch, seen = Watch(), set()
     late = rng.integers(1, 4, ticks).tolist()
     for torque, motion, well, ticks_late in zip(torques.tolist(), motions.tolist(), health.tolist(), late, strict=True):
@@ -67,6 +66,8 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_for_good():
                 if limited & ~BRAKED
                 else all(torque * speed <= 0 for torque, speed in zip(applied, turning, strict=True))
             )
+            step = TIGHT.torque_step * (1 + 1e-12)
+            assert all(abs(now) <= abs(then) + step for now, then in zip(applied, before, strict=True))
             assert checked.watch.stopped == limited
         else:
             limits = TIGHT.torque_step * (1 + 1e-12)
@@ -144,7 +145,11 @@ def test_one_long_delay_counts_as_all_the_ticks_it_took():
 
 
 def test_motors_brake_before_torque_goes_off_where_sensors_can_be_relied_on():
-    limits, watch, torques = replace(TIGHT, brake_ticks=3, brake_damping=0.5), Watch(20.0, 20.0), []
+    limits, watch, torques = (
+        replace(TIGHT, brake_ticks=3, brake_damping=0.5, torque_step=math.inf),
+        Watch(20.0, 20.0),
+        [],
+    )
     for rates in [(4.0, 6.0), (-4.0, 6.0), (200.0, 0.0), (4.0, 6.0)]:
         hip_height = 0.5 if torques else 1.0
         checked = check(38, 38, limits, watch, rate_1=rates[0], rate_2=rates[1], hip_height=hip_height)
@@ -160,8 +165,18 @@ def test_motors_brake_before_torque_goes_off_where_sensors_can_be_relied_on():
         watch = checked.watch
 
 
-def test_a_drive_without_torque_and_the_emergency_stop_stop_at_once():
-    assert check(1, 1, health=Health(drives_enabled=False))[:3] == (0, 0, Limited.DRIVE)
+def test_a_brake_grows_by_the_largest_step_and_what_drives_a_motor_on_goes_at_once():
+    watch, torques = Watch(38.0, -38.0), []
+    for speed in (40.0, 40.0, 40.0, 40.0, 2.5, -40.0, 40.0):
+        checked = check(0, 0, TIGHT, watch, rate_1=speed, hip_height=1.0)
+        torques.append(checked[:2])
+        watch = checked.watch
+    first, second = zip(*torques, strict=True)
+    assert first == (-5.0, -10.0, -15.0, -20.0, -2.0, 5.0, -5.0)
+    assert second == (-32.0, -32.0, -32.0, -32.0, -2.0, 5.0, -5.0), "it braked already, with more than it takes"
+
+
+def test_the_emergency_stop_stops_at_once():
     assert check(1, 1, health=Health(emergency_stop=True))[:3] == (0, 0, Limited.EMERGENCY_STOP)
 
 

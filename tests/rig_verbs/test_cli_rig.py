@@ -179,6 +179,10 @@ WRONG = [
     (["calibrate", "none.toml", "--leg-length", "0.26", "--height", "0.5", "--alpha-1", "5"], "in radians"),
     (["calibrate", "none.toml", "--leg-length", "0.26", "--height", "0.5"], "none.toml: No such file or directory"),
     (["emulate", "--gap.preset", "none"], "[gap] motor_counts = inf: a ring carries whole counts"),
+    (["emulate", "stepgap", "rig", "check", "e.toml"], "type `stepgap rig emulate -- stepgap rig check e.toml`"),
+    (["emulate", "stepgap", "rig", "check", "e.toml", "--seconds", "5"], "-- stepgap rig check e.toml --seconds 5`"),
+    (["emulate", "mine.toml", "sh", "-c", "a b"], "type `stepgap rig emulate mine.toml -- sh -c 'a b'`"),
+    (["emulate", "mine.toml", "--intreface", "x"], "--intreface: no option of rig emulate"),
     (["emulate", "--hold", "inf"], "--hold inf: it must lie between"),
     (["emulate", "--robot.boom_length", "0.05"], "make no twin"),
     (["emulate", "--settings", "broken.toml"], "broken.toml: exists and describes another rig"),
@@ -205,8 +209,8 @@ def seen(text: str) -> None:
 
 
 def test_a_command_runs_beside_the_ring_and_its_exit_code_is_taken(tmp_path: Path) -> None:
-    code = "import socket, sys; socket.if_nametoindex('sgtest'); print(sys.argv[1:]); sys.exit(7)"
-    arguments = ["--interface", "sgtest", "--gap.boom_pivot_height", "0.41", "--lock-step"]
+    code = f"import socket, sys; socket.if_nametoindex('{INTERFACE}t'); print(sys.argv[1:]); sys.exit(7)"
+    arguments = ["--interface", f"{INTERFACE}t", "--gap.boom_pivot_height", "0.41", "--lock-step"]
     command = emulate(*arguments, "--", sys.executable, "-c", code, "--gap.delay", "0")
     said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     seen(said.stderr)
@@ -214,11 +218,11 @@ def test_a_command_runs_beside_the_ring_and_its_exit_code_is_taken(tmp_path: Pat
     assert said.stdout == "emulated.toml\n['--gap.delay', '0']\n"
     settings = read_rig_settings(tmp_path / "emulated.toml")
     layout = replace(LAYOUT, tick=1e-3, pivot_height=0.41)
-    assert settings == emulated_settings(layout, RobotParameters(), RingSettings(), "sgtest")
+    assert settings == emulated_settings(layout, RobotParameters(), RingSettings(), f"{INTERFACE}t")
 
 
 def test_it_ends_at_ctrl_c(tmp_path: Path) -> None:
-    command = emulate("--interface", "sgctrl")
+    command = emulate("--interface", f"{INTERFACE}c")
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout
         assert process.stderr
@@ -227,7 +231,38 @@ def test_it_ends_at_ctrl_c(tmp_path: Path) -> None:
         error = process.stderr.read()
         seen(error)
         assert process.wait(60) == 0, error
-        assert lines[1].startswith("EtherCAT ring on sgctrl: drive_1, drive_2, coupler")
+        assert lines[1].startswith(f"EtherCAT ring on {INTERFACE}c: drive_1, drive_2, coupler")
+
+
+def test_sigterm_ends_the_command_beside_the_ring_too(tmp_path: Path) -> None:
+    code = "import os, time; print(os.getpid(), flush=True); time.sleep(100)"
+    command = emulate("--interface", f"{INTERFACE}s", "--", sys.executable, "-c", code)
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        assert process.stderr
+        process.stdout.readline()
+        beside = process.stdout.readline()
+        process.send_signal(signal.SIGTERM)
+        error = process.stderr.read()
+        seen(error)
+        assert process.wait(60) == 128 + signal.SIGTERM, error
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(beside), 0)
+
+
+def test_sigterm_ends_a_dry_run_as_ctrl_c_does_with_a_whole_log(rig_file: Path) -> None:
+    command = [sys.executable, "-c", MAIN, "rig", "dry-run", str(rig_file)]
+    with subprocess.Popen(
+        command, cwd=rig_file.parent, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as dry:
+        assert dry.stderr
+        while "READY" not in (line := dry.stderr.readline()):
+            if "stopped the robot: late" in line:
+                pytest.skip("this machine is too busy for 100 ticks a second")
+            assert line, "it ended"
+        dry.send_signal(signal.SIGTERM)
+        assert dry.wait(60) == 0
+    assert len(read_ticks(rig_file.parent / "dry-run/ticks-0.mcap")[1]) > 20
 
 
 OTHER_USER = """
@@ -241,18 +276,18 @@ main()
 
 
 def test_who_is_not_root_goes_to_a_network_of_its_own_with_the_command(tmp_path: Path) -> None:
-    start = [sys.executable, "-c", OTHER_USER, "rig", "emulate", "--interface", "sgself"]
+    start = [sys.executable, "-c", OTHER_USER, "rig", "emulate", "--interface", f"{INTERFACE}u"]
     outside = {name: value for name, value in os.environ.items() if name != "INSIDE"}
     run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True, timeout=60, env=outside)
     alone = run(start)
     assert alone.returncode == 1
     assert alone.stderr.startswith("stepgap: only root can make a network interface")
-    assert "rig emulate --interface sgself -- stepgap rig check emulated.toml`" in alone.stderr
+    assert f"rig emulate --interface {INTERFACE}u -- stepgap rig check emulated.toml`" in alone.stderr
     code = "import socket, sys; print([name for _, name in socket.if_nameindex()]); sys.exit(5)"
     said = run([*start, "--", sys.executable, "-c", code])
     if "unshare" in said.stderr:
         pytest.skip(said.stderr)
     assert (said.returncode, said.stderr) == (5, "")
     names = said.stdout
-    assert "sgself" in names
+    assert f"{INTERFACE}u" in names
     assert "eth" not in names, "it sees no interface of the machine"

@@ -47,10 +47,10 @@ class FlightFit:
         return bool(self._ys) and self._ys[-1] < self._highest - APEX_DROP
 
     def speed(self) -> float:
-        """Forward speed of the free body [m/s]; NaN before SPEED_DELAY."""
-        if not self._times or self._times[-1] < SPEED_DELAY:
-            return nan
+        """Forward speed of the free body [m/s]; NaN before SPEED_DELAY, or of fewer samples than a parabola needs."""
         count = len(self._times)
+        if count < 3 or self._times[-1] < SPEED_DELAY:
+            return nan
         return (count * self._sum_tx - self._sum_t * self._sum_x) / (count * self._sum_tt - self._sum_t**2)
 
     def apex_height(self) -> float:
@@ -62,18 +62,24 @@ class FlightFit:
 
 
 class JointRates:
-    """Rates of the leg angles from motor counts, over the last `span` ticks."""
+    """Rates of the leg angles from motor counts, over the last `span` readings and the time that these took.
 
-    def __init__(self, tick: float, span: int = 2):
-        self._duration = tick * span
-        self._past: list[tuple[float, float]] = []
-        self._span = span
+    Without a new reading they stay. Of a motion whose acceleration is at most a, they are wrong by no more than a times
+    the age of the oldest of those readings, beside what the counts round.
+    """
 
-    def update(self, alpha_1: float, alpha_2: float) -> tuple[float, float]:
-        """Takes the angles of this tick [rad]; returns (α̇₁, α̇₂) [rad/s]."""
+    def __init__(self, span: int = 2):
+        self._past: list[tuple[float, float, float]] = []
+        self._span, self._rates = span, (0.0, 0.0)
+
+    def update(self, time: float, alpha_1: float, alpha_2: float) -> tuple[float, float]:
+        """Takes a reading's time [s] and angles [rad]; returns (α̇₁, α̇₂) [rad/s], zero until there are enough."""
         past = self._past
-        past.append((alpha_1, alpha_2))
-        if len(past) <= self._span:
-            return 0.0, 0.0
-        old_1, old_2 = past.pop(0)
-        return (alpha_1 - old_1) / self._duration, (alpha_2 - old_2) / self._duration
+        if past and time <= past[-1][0]:
+            return self._rates
+        past.append((time, alpha_1, alpha_2))
+        if len(past) > self._span:
+            before, old_1, old_2 = past.pop(0)
+            took = round(time - before, 12)  # or the time since the start would show in the last digits
+            self._rates = (alpha_1 - old_1) / took, (alpha_2 - old_2) / took
+        return self._rates

@@ -1,9 +1,9 @@
 """What a tick of hopping computes: sensor values in, torques out; it knows neither rig nor clock.
 
-A tick is `sense`, then one of the torques, then `check`, and after the torques were written `close_tick`.
+A tick is `begin_tick`, `sense`, then one of the torques, then `check`, and after the torques were written `close_tick`.
 """
 
-from math import inf, isnan, sin, tau
+from math import inf, isfinite, isnan, sin, tau
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from stepgap.plants.phases import Phase, next_phase
 from stepgap.plants.safety import Checked, Motion, Watch, brakes, check_torque
 from stepgap.plants.tick import Tick
 from stepgap.rigs.limits import SafetyLimits
-from stepgap.rigs.rig import HEALTHY, Health, Reading, RigLayout
+from stepgap.rigs.rig import HEALTHY, Health, Reading, RigFault, RigLayout
 from stepgap.step import Array, Reason
 
 STEP_TIMEOUT = 4.0
@@ -91,9 +91,10 @@ class HopControl:
     def __init__(self, layout: RigLayout, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
         self._layout, self._limits = layout, limits
         self._law, self._masses = joint_law(robot, gains), masses_of(robot)
-        self._time, self._phase, self._phase_start = 0.0, Phase.FALLING, 0.0
+        self._time = self._due = self._sampled = 0.0
+        self._phase, self._phase_start = Phase.FALLING, 0.0
         self._speed, self._x_start = 0.0, 0.0
-        self._fit, self._rates = FlightFit(), JointRates(layout.tick)
+        self._fit, self._rates = FlightFit(), JointRates()
         self._watch, self._reason = Watch(), Reason.OK
         self._begin_hop()
 
@@ -104,8 +105,13 @@ class HopControl:
 
     @property
     def time(self) -> float:
-        """Since the start [s]."""
+        """When this tick began, since the start [s]."""
         return self._time
+
+    @property
+    def due(self) -> float:
+        """When the next tick is to begin, since the start [s]."""
+        return self._due
 
     @property
     def phase(self) -> Phase:
@@ -133,18 +139,37 @@ class HopControl:
         self._begin_hop()
         self._deadline = inf
 
-    def sense(self, reading: Reading) -> Motion:
-        """Takes the sensor values of this tick and moves on to the next phase where it is due."""
+    def begin_tick(self, late: float = 0.0) -> None:
+        """Moves time on to a tick; one that begins more than a tick late [s] moves all later ones."""
+        tick, self._time = self._layout.tick, self._due + late
+        self._due = (self._time if late > tick else self._due) + tick
+
+    def sense(self, reading: Reading, *, stale: bool = False, age: float = 0.0) -> Motion:
+        """Takes the sensor values of this tick and moves on to the next phase where it is due.
+
+        Args:
+            reading: The sensor values.
+            stale: They are those of the tick before once more.
+            age: By how much a reading that is not is older than this tick [s].
+
+        Raises:
+            RigFault: One is no number.
+        """
         layout = self._layout
+        if not isfinite(sum(reading)):
+            raise RigFault(f"the sensors tell what is no number: {reading}")
+        self._sampled = self._sampled if stale else self._time - age
         phi_1 = reading.motor_1 * tau / layout.motor_counts
         phi_2 = reading.motor_2 * tau / layout.motor_counts
         alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)
-        rate_1, rate_2 = self._rates.update(alpha_1, alpha_2)
+        rate_1, rate_2 = self._rates.update(self._sampled, alpha_1, alpha_2)
         x = layout.boom_length * reading.boom_horizontal * tau / layout.boom_counts_horizontal
         y = layout.pivot_height + layout.boom_length * sin(reading.boom_vertical * tau / layout.boom_counts_vertical)
         self._leg = leg = LegState(*_leg_state(self._masses, alpha_1, alpha_2, rate_1, rate_2))
         self._reading, before = reading, self._phase
-        self._update_phase(reading.contact_force, x, y)
+        if self._phase in (Phase.RISING, Phase.FALLING) and not stale:
+            self._fit.add(self._sampled - self._phase_start, x - self._x_start + leg.shift_x, y + leg.shift_y)
+        self._update_phase(reading.contact_force, x)
         self._left_ground = self._left_ground or before == Phase.PUSHING != self._phase
         self._motion = Motion(alpha_1, alpha_2, rate_1, rate_2, leg.length, y)
         return self._motion
@@ -185,7 +210,7 @@ class HopControl:
         return checked
 
     def close_tick(self, asked: Torques, applied: Torques, checked: Checked) -> Tick:
-        """Takes what was really applied [N·m], judges the tick, and moves time on."""
+        """Takes what was really applied [N·m] and judges the tick."""
         motion = self._motion
         if self._phase == Phase.PUSHING:
             self._count_loss(asked[0] - applied[0], asked[1] - applied[1])
@@ -193,11 +218,9 @@ class HopControl:
             self._reason = Reason.STOPPED
         elif uprightness(self._law.leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0:
             self._reason = Reason.FELL
-        tick = Tick(
+        return Tick(
             self._time, self._reading, self._phase, motion.alpha_1, motion.alpha_2, asked, applied, checked.limited
         )
-        self._time += self._layout.tick
-        return tick
 
     def finished_hop(self) -> tuple[Array, Array] | None:
         """State at the apex just passed and command force lost on the way there [N], both of shape (2,), or None.
@@ -226,11 +249,9 @@ class HopControl:
         self._speed = speed
         return np.array([speed, self._fit.apex_height() - self._leg.shift_y])
 
-    def _update_phase(self, contact_force: float, x: float, y: float) -> None:
-        """Takes the flight's sample and moves on to the next phase."""
+    def _update_phase(self, contact_force: float, x: float) -> None:
+        """Moves on to the next phase where it is due."""
         leg, layout = self._leg, self._layout
-        if self._phase in (Phase.RISING, Phase.FALLING):
-            self._fit.add(self._time - self._phase_start, x - self._x_start + leg.shift_x, y + leg.shift_y)
         phase = next_phase(
             self._phase,
             apex_passed=self._fit.apex_passed,
@@ -243,7 +264,7 @@ class HopControl:
         if phase == Phase.LOADING != self._phase:
             self._deadline = min(self._deadline, self._time + STEP_TIMEOUT)
         if phase == Phase.RISING != self._phase:
-            self._fit, self._phase_start, self._x_start = FlightFit(), self._time, x
+            self._fit, self._phase_start, self._x_start = FlightFit(), self._sampled, x
         self._phase = phase
 
     def _flight_speed(self) -> float:

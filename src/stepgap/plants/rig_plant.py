@@ -104,7 +104,8 @@ class RigPlant(Plant):
 
     def _tick(self, command: tuple[float, float]) -> None:
         control, rig = self._control, self._rig
-        control.sense(rig.read())
+        control.begin_tick()
+        control.sense(rig.read(), stale=rig.health.stale)
         asked = control.hop_torque(command)
         checked = control.check(asked, rig.health)
         applied = rig.write(checked.torque_1, checked.torque_2)

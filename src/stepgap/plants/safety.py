@@ -27,7 +27,6 @@ class Limited(IntFlag):
     LOST_FRAMES = 256
     STALE = 512
     LATE = 1024
-    DRIVE = 2048
     EMERGENCY_STOP = 4096
 
     @property
@@ -121,7 +120,7 @@ def check_torque(
         stopped |= beyond
     if stopped:
         after = Watch(0.0, 0.0, lost, stale, late, stopped, watch.braked + 1)
-        torque_1, torque_2 = _brake(limits, motion) if brakes(limits, after) else (0.0, 0.0)
+        torque_1, torque_2 = _brake(limits, watch, motion) if brakes(limits, after) else (0.0, 0.0)
         return Checked(torque_1, torque_2, stopped, after._replace(torque_1=torque_1, torque_2=torque_2))
 
     limited = Limited.NOTHING
@@ -130,12 +129,11 @@ def check_torque(
         limited |= Limited.STRETCH
     most = limits.torque
     if abs(torque_1) > most or abs(torque_2) > most:
-        torque_1, torque_2 = min(most, max(-most, torque_1)), min(most, max(-most, torque_2))
+        torque_1, torque_2 = _within(most, torque_1), _within(most, torque_2)
         limited |= Limited.TORQUE
     step = limits.torque_step
     if abs(torque_1 - watch.torque_1) > step or abs(torque_2 - watch.torque_2) > step:
-        torque_1 = min(watch.torque_1 + step, max(watch.torque_1 - step, torque_1))
-        torque_2 = min(watch.torque_2 + step, max(watch.torque_2 - step, torque_2))
+        torque_1, torque_2 = _within(step, torque_1, watch.torque_1), _within(step, torque_2, watch.torque_2)
         limited |= Limited.TORQUE_STEP
     return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late))
 
@@ -145,11 +143,20 @@ def brakes(limits: SafetyLimits, watch: Watch) -> bool:
     return bool(watch.stopped) and not watch.stopped & ~BRAKED and watch.braked <= limits.brake_ticks
 
 
-def _brake(limits: SafetyLimits, motion: Motion) -> tuple[float, float]:
-    """Torques against the motors' turning, within limits [N·m]."""
-    most, damping = limits.torque, limits.brake_damping
+def _brake(limits: SafetyLimits, watch: Watch, motion: Motion) -> tuple[float, float]:
+    """Torques against the motors' turning, within limits [N·m]: what drives a motor on goes at once, a brake grows."""
     speed_1, speed_2 = motion.rate_1 + motion.rate_2, motion.rate_1 - motion.rate_2
-    return min(most, max(-most, -damping * speed_1)), min(most, max(-most, -damping * speed_2))
+    return _brake_motor(limits, watch.torque_1, speed_1), _brake_motor(limits, watch.torque_2, speed_2)
+
+
+def _brake_motor(limits: SafetyLimits, before: float, speed: float) -> float:
+    brake = _within(limits.torque, -limits.brake_damping * speed)
+    return _within(abs(brake), _within(limits.torque_step, brake, before if before * brake > 0 else 0.0))
+
+
+def _within(most: float, value: float, centre: float = 0.0) -> float:
+    """The value, or what is nearest to it no farther than `most` from the centre."""
+    return min(centre + most, max(centre - most, value))
 
 
 def _out_of_range(limits: SafetyLimits, motion: Motion, torques: float) -> Limited:
@@ -178,8 +185,6 @@ def _unhealthy(limits: SafetyLimits, health: Health, lost: int, stale: int, late
         reason |= Limited.STALE
     if late > limits.late_ticks:
         reason |= Limited.LATE
-    if not health.drives_enabled:
-        reason |= Limited.DRIVE
     if health.emergency_stop:
         reason |= Limited.EMERGENCY_STOP
     return reason

@@ -1,10 +1,12 @@
 """Rows of numbers from a real-time process to another one, through shared memory, without waiting."""
 
+import os
 import struct
 import sys
 from collections.abc import Sequence
 from multiprocessing import resource_tracker
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -56,10 +58,13 @@ class TickRing:
         Args:
             fields: Numbers in a row.
             rows: Rows that the reader may be behind without losing one.
+
+        Raises:
+            OSError: There is not so much memory.
         """
         if fields < 1 or rows < 1:
             raise ValueError(f"a ring of {rows} rows of {fields} numbers; both must be 1 or more")
-        memory = SharedMemory(create=True, size=_size(fields, rows))
+        memory = created_memory(_size(fields, rows))
         struct.pack_into("3Q", _bytes(memory), 0, MARK, fields, rows)
         return cls(memory, fields, rows, created=True)
 
@@ -131,6 +136,25 @@ def _size(fields: int, rows: int) -> int:
 def _bytes(memory: SharedMemory) -> memoryview:
     assert memory.buf is not None, "closed"
     return memory.buf
+
+
+def created_memory(size: int) -> SharedMemory:
+    """New shared memory, all of it there: or a full /dev/shm would end a process when it first writes to some page.
+
+    Raises:
+        OSError: There is not so much of it [bytes].
+    """
+    memory = SharedMemory(create=True, size=size)
+    file = Path("/dev/shm", memory.name)  # where Linux has it
+    try:
+        if file.exists():
+            with file.open("r+b") as backing:
+                os.posix_fallocate(backing.fileno(), 0, size)
+    except OSError:
+        memory.close()
+        memory.unlink()
+        raise
+    return memory
 
 
 def attached_memory(name: str) -> SharedMemory:

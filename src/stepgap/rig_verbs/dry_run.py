@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.table import Table
 
 from stepgap.hopper.parameters import Gains, RobotParameters
+from stepgap.interrupt import terminated_as_interrupted
 from stepgap.plants.hop_control import HopControl
 from stepgap.plants.phases import Phase
 from stepgap.plants.realtime.loop import LOOP_UNITS
@@ -89,7 +90,7 @@ def dry_run(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains, s
     describe = _describer(rig, robot, gains, frames)
     session = Session(limp_setup(make_rig, robot, gains, frames), log)
     try:
-        with _shown(round(1 / rig.layout.tick)) as show:
+        with terminated_as_interrupted(), _shown(round(1 / rig.layout.tick)) as show:
             while log.count < wanted and not session.over():
                 sleep(LOOK_EVERY)
                 show(describe(log, session), log.count)

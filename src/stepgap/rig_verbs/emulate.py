@@ -59,7 +59,7 @@ def emulate(
 
 
 def run_program(program: Sequence[str]) -> int:
-    """Runs a command line to its end, also when Ctrl-C makes it end; its exit code as shells have it.
+    """Runs a command line to its end, also when Ctrl-C or SIGTERM makes it end; its exit code as shells have it.
 
     Raises:
         InputError: There is no such program.
@@ -68,12 +68,16 @@ def run_program(program: Sequence[str]) -> int:
         process = subprocess.Popen(program)
     except OSError as error:
         raise InputError(f"-- {shlex.join(program)}: cannot be run: {error.strerror}") from None
-    while True:
-        try:
-            code = process.wait()
-            return code if code >= 0 else 128 - code
-        except KeyboardInterrupt:
-            continue  # the program got it, too
+    before = signal.signal(signal.SIGTERM, lambda *_: process.terminate())  # it came to this process alone
+    try:
+        while True:
+            try:
+                code = process.wait()
+                return code if code >= 0 else 128 - code
+            except KeyboardInterrupt:
+                continue  # the program got it, too
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _make_machine(experiment: Experiment, hold: float) -> TwinMachine:

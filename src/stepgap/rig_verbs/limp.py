@@ -8,6 +8,7 @@ from time import sleep
 import numpy as np
 
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.interrupt import terminated_as_interrupted
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
@@ -50,10 +51,11 @@ def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
     kept, refused = _Memory(), ""
     session = Session(setup, kept)
     try:
-        while kept.count < count and not session.over():
-            sleep(LOOK_EVERY)
-            if session.board.state in (RigState.CALIBRATE, RigState.READY):
-                refused = refused or session.words()
+        with terminated_as_interrupted():
+            while kept.count < count and not session.over():
+                sleep(LOOK_EVERY)
+                if session.board.state in (RigState.CALIBRATE, RigState.READY):
+                    refused = refused or session.words()
         fault = ended(session)
     finally:
         session.close()

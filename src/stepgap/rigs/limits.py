@@ -13,7 +13,7 @@ class SafetyLimits:
 
     Attributes:
         torque: Largest motor torque [N·m].
-        torque_step: Largest change of a motor torque from one tick to the next [N·m].
+        torque_step: Largest change of a motor torque from one tick to the next [N·m]; only what goes, goes at once.
         joint_speed: Largest speed of a top link [rad/s]; a hop of the reference stays below 40.
         stretch_angle: α₂ below which the leg may not be stretched further [rad].
         lean_angle: Largest |α₁| [rad].
@@ -22,7 +22,7 @@ class SafetyLimits:
         longest_leg: Largest leg length ℓ [m].
         lowest_hip: Smallest height of the hip [m].
         highest_hip: Largest height of the hip [m].
-        lost_frames: Ticks in a row whose frame may be lost.
+        lost_frames: Frames in a row that may be lost.
         stale_ticks: Ticks in a row whose reading may be that of the tick before.
         late_ticks: Ticks in a row that may be missed.
         brake_damping: With which the motors brake when the robot leaves its bounds [N·m·s/rad].

@@ -27,6 +27,7 @@ class RigLayout:
         takeoff_length: Leg length at which the leg is taken to leave the ground [m] (Sec. 3.4);
             infinite where only the contact force tells.
         frames_per_tick: Frames of a bus in a tick; those between two ticks repeat the torques.
+        sampled_at_write: A reading is of the moment of the last write, whose frame brings it back, not of the read.
     """
 
     tick: float
@@ -38,6 +39,7 @@ class RigLayout:
     touchdown_force: float
     takeoff_length: float
     frames_per_tick: int = 1
+    sampled_at_write: bool = False
 
 
 class Reading(NamedTuple):
@@ -65,19 +67,20 @@ class Health(NamedTuple):
         frame_lost: The bus gave no valid frame.
         stale: The reading is that of the tick before.
         late: Whole ticks by which this one began past its due time.
-        drives_enabled: Both drives say that they take torques.
         emergency_stop: Somebody asked for the software stop.
     """
 
     frame_lost: bool = False
     stale: bool = False
     late: int = 0
-    drives_enabled: bool = True
     emergency_stop: bool = False
 
 
 HEALTHY = Health()
 """A tick without complaint."""
+
+LOST = Health(frame_lost=True, stale=True)
+"""A tick whose frame was lost, so that the reading is that of the tick before."""
 
 
 class RigFault(Exception):
@@ -114,7 +117,7 @@ class Rig(ABC):
 
     @property
     def health(self) -> Health:
-        """How the last `read` went; without complaint for rigs that raise `RigFault` where anything is wrong."""
+        """How the last `read` went: whoever may repeat a reading says so here; all else is a `RigFault`."""
         return HEALTHY
 
     @abstractmethod

@@ -16,7 +16,7 @@ from stepgap.rigs.ethercat.emulator.emulator import PRIORITY
 from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
 from stepgap.rigs.ethercat.emulator.machine import Machine, TwinMachine
-from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, veth_pair
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
 from stepgap.rigs.rig import Reading
 from stepgap.rigs.twin.reality_gap import RealityGap
@@ -129,7 +129,7 @@ def _serve(
     machine = make_machine()
     ring = Ring(machine, RingSettings(inputs_after_tick=True, faults=faults))
     try:
-        with veth_pair(interface) as end, raw_socket(end) as raw:
+        with wire(interface) as raw:
             pipe.send("")
             while True:
                 ready = select([raw, pipe], [], [])[0]

@@ -110,6 +110,43 @@ def test_it_can_be_connected_again() -> None:
             rig.read()
 
 
+def test_a_second_master_is_refused_and_the_first_one_goes_on() -> None:
+    with live_ring() as ring, rig_of() as first:
+        with pytest.raises(RigFault, match=f"another process is the master of {INTERFACE} already"):
+            rig_of().connect()
+        assert ticks_until_fault(first, 20) == (20, "")
+        assert ring.look().enabled == [True, True]
+        first.close()
+        with rig_of() as second:
+            assert ticks_until_fault(second, 20) == (20, "")
+
+
+def test_whatever_ends_a_bring_up_the_bus_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with live_ring() as ring:
+        for method in ("_check_drives", "_lead", "_take"):
+            with monkeypatch.context() as patch:
+                patch.setattr(EthercatRig, method, interrupted)
+                with pytest.raises(KeyboardInterrupt):
+                    rig_of().connect()
+            assert ring.look().enabled == [False, False]
+        with rig_of() as rig:
+            assert ticks_until_fault(rig, 20) == (20, "")
+
+
+def test_a_drive_that_no_longer_tells_its_error_does_not_hide_the_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> int:
+        raise RigFault("no answer")
+
+    with live_ring(DriveFault(cycles_to_connect() + 3, "drive_2")), rig_of() as rig:
+        monkeypatch.setattr(rig._bus, "read_object", refused)
+        _, message = ticks_until_fault(rig, 20)
+    assert message.startswith("slave 2 'drive_2' takes no torque any more: slave 1 'drive_1' is ")
+    assert "slave 2 'drive_2' is fault, mode 10, its error is not known" in message
+
+
 def changed(name: str, **changes: object) -> RigSettings:
     slaves = tuple(replace(slave, **changes) if slave.name == name else slave for slave in SETTINGS.slaves)
     return replace(SETTINGS, slaves=slaves)
@@ -230,3 +267,21 @@ def test_a_counter_that_wraps_is_followed(count: int, bits: int, data: st.DataOb
     shown = (count + step) % 2**bits
     assert unwrapped(shown, count, bits) == count + step
     assert unwrapped(shown - 2**bits, count, bits) == count + step, "read with a sign or without"
+
+
+@pytest.mark.parametrize(
+    ("answers", "says"),
+    [
+        ([None, None, True, None, None, True], ""),
+        ([None, None, None], "slaves did not tell their states, asked 3 times in a row"),
+        ([None, False], "a slave has left OP"),
+    ],
+)
+def test_a_lost_answer_about_states_is_not_taken_for_a_slave_that_left_op(answers: list, says: str) -> None:
+    with live_ring() as ring, rig_of() as rig:
+        left = [True, *answers]
+        rig._bus.in_operation = lambda: left.pop(0) if left else True
+        _, message = ticks_until_fault(rig, 200)
+        assert message.partition(":")[0] == says
+        assert left == []
+        assert ring.look().enabled == [not says, not says]

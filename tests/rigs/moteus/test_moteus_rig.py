@@ -129,6 +129,19 @@ def test_missing_answers_pass_within_the_budget(mute: dict[int, set[int]], survi
                     act()
 
 
+def test_a_repeated_reading_is_said_to_be_one(bench: tuple[Controllers, MoteusRig]) -> None:
+    controllers, rig = bench
+    rig.connect()
+    said = []
+    controllers.mute = {len(controllers.torques) + 3: {1}}
+    for _ in range(6):
+        rig.write(0.0, 0.0)
+        before = rig.read()
+        said.append(rig.health.stale)
+        assert rig.read() == before
+    assert said.count(True) == 1
+
+
 def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(bench: tuple[Controllers, MoteusRig]) -> None:
     controllers, rig = bench
     rig.connect()

@@ -10,7 +10,7 @@ from multiprocessing.shared_memory import SharedMemory
 from typing import NamedTuple, Self
 
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick_ring import attached_memory
+from stepgap.plants.tick_ring import attached_memory, created_memory
 from stepgap.step import Reason
 
 LONGEST_TEXT = 512
@@ -84,7 +84,7 @@ class Board:
     @classmethod
     def create(cls) -> Self:
         """A new board, everything zero: no request, OFF, no command."""
-        board = cls(SharedMemory(create=True, size=8 * Field.TEXT + LONGEST_TEXT))
+        board = cls(created_memory(8 * Field.TEXT + LONGEST_TEXT))
         board._words[Field.COMMAND_NUMBER] = board._words[Field.HOP_NUMBER] = -1
         return board
 
@@ -186,7 +186,7 @@ class Board:
 
     @words.setter
     def words(self, words: str) -> None:
-        encoded = words.encode()[:LONGEST_TEXT]
+        encoded = words.encode("utf-8", "replace")[:LONGEST_TEXT]
         self._text[: len(encoded)] = encoded
         self._words[Field.TEXT_LENGTH] = len(encoded)
 

@@ -12,7 +12,7 @@ from stepgap.plants.realtime.pace import Pace
 from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
 from stepgap.plants.safety import Limited
 from stepgap.plants.tick import TICK_UNITS
-from stepgap.rigs.rig import Rig, RigFault
+from stepgap.rigs.rig import Health, Rig, RigFault
 from stepgap.step import Reason
 
 LOOP_UNITS = MappingProxyType({**TICK_UNITS, "state": "", "late": "s"})
@@ -70,7 +70,7 @@ class ControlLoop:
         self._lower, self._upper = (bounds.fx_lower, bounds.fy_lower), (bounds.fx_upper, bounds.fy_upper)
         self._state, self._entered, self._powered = RigState.CALIBRATE, 0.0, False
         self._hop, self._command, self._missed = 0, None, 0
-        self._applied, self._count, self._stop_asked = (0.0, 0.0), 0, False
+        self._applied, self._written, self._count, self._stop_asked = (0.0, 0.0), 0.0, 0, False
 
     @property
     def state(self) -> RigState:
@@ -78,15 +78,18 @@ class ControlLoop:
         return self._state
 
     def run(self, pace: Pace) -> None:
-        """Ticks until the robot is off, whatever happens."""
-        late = 0.0
+        """Ticks until the robot is off, whatever happens.
+
+        Frames between two ticks that come late are made up for, so that only ticks can be late.
+        """
+        late, frames = 0.0, self._rig.layout.frames_per_tick
         try:
             while self.tick(late):
-                late = pace()
-                for _ in range(self._rig.layout.frames_per_tick - 1):
-                    if not self._repeat():
+                due = self._control.due
+                for left in range(frames - 1, 0, -1):
+                    if not self._repeat(pace(due - self._tick_time * left / frames)):
                         return
-                    late = max(late, pace())
+                late = pace(due) - due
         finally:
             self._rig.close()
 
@@ -96,24 +99,27 @@ class ControlLoop:
 
     def tick(self, late: float = 0.0) -> bool:
         """One tick, begun late by so much [s]; False when the robot is off."""
+        control = self._control
         missed = int(late / self._tick_time)
         self._board.count_tick(late, missed)
+        control.begin_tick(late)
         try:
-            self._control.sense(self._rig.read())
-            return self._act(late, missed)
+            reading = self._rig.read()
+            health = self._rig.health._replace(late=missed, emergency_stop=self._board.emergency_stop)
+            age = control.time - self._written if self._rig.layout.sampled_at_write else 0.0
+            control.sense(reading, stale=health.stale, age=age)
+            return self._act(health, late)
         except RigFault as fault:
-            self._fail(str(fault))
-            self._log((self._control.time, *UNKNOWN, self._state, late))
-            return False
+            return self._give_up(fault, control.time, late)
 
-    def _act(self, late: float, missed: int) -> bool:
-        control, board = self._control, self._board
+    def _act(self, health: Health, late: float) -> bool:
+        control = self._control
         self._enter(next_state(self._state, self._signals()))
         asked = self._torque()
-        health = self._rig.health._replace(late=missed, emergency_stop=board.emergency_stop)
         wanted = asked if self._state in MOVING else (0.0, 0.0)
         checked = control.check(wanted, health)
         self._applied = self._rig.write(*(checked[:2] if self._powered else (0.0, 0.0)))
+        self._written = control.time
         tick = control.close_tick(asked, self._applied, checked)
         self._log((*tick.row(), self._state, late))
         if checked.limited.stops:
@@ -141,6 +147,8 @@ class ControlLoop:
     def _enter(self, state: RigState) -> None:
         if state == self._state:
             return
+        if state in (RigState.STAND, RigState.OFF) and self._state <= RigState.READY:
+            self._board.words = ""  # what the kernel refused is known by now, and no fault
         self._state, self._entered = state, self._control.time
         self._powered = state in MOVING or (self._powered and state == RigState.FAULT)  # a limp robot does not brake
         if state == RigState.HOP:
@@ -190,15 +198,21 @@ class ControlLoop:
             self._stop_asked = True
         self._hop, self._command = self._hop + 1, None
 
-    def _repeat(self) -> bool:
-        """A frame between two ticks; False where the rig fails."""
+    def _repeat(self, now: float) -> bool:
+        """A frame between two ticks [s]; False where the rig fails."""
         try:
             self._rig.read()
             self._rig.write(*self._applied)
         except RigFault as fault:
-            self._fail(str(fault))
-            return False
+            return self._give_up(fault, now, 0.0)
+        self._written = now
         return True
+
+    def _give_up(self, fault: RigFault, now: float, late: float) -> bool:
+        """The rig has failed, so that there is no more to do than to tell of it [s]; False."""
+        self._fail(str(fault))
+        self._log((now, *UNKNOWN, self._state, late))
+        return False
 
     def _fail(self, words: str) -> None:
         """The latched fault; the first one's words are kept, and a hop under way is told to have been stopped."""

@@ -6,8 +6,8 @@ import os
 from collections.abc import Callable
 from time import perf_counter, sleep
 
-Pace = Callable[[], float]
-"""Waits for the next tick's due time and says by how much it begins late [s]."""
+Pace = Callable[[float], float]
+"""Waits until a time since the start and says when it returns; both [s]."""
 
 SPIN = 1.5e-4
 """Time before a due time from which on the clock is watched instead of sleeping [s]."""
@@ -19,29 +19,22 @@ MCL_CURRENT_AND_FUTURE = 3
 
 
 class WallClock:
-    """A `Pace` that sleeps until shortly before a due time, then spins.
+    """A `Pace` that sleeps until shortly before a due time, then spins; it starts when it is made."""
 
-    A tick that begins more than a period late moves all later ones: none is made up for.
+    def __init__(self) -> None:
+        self._start = perf_counter()
 
-    Args:
-        period: Of a tick [s].
-    """
-
-    def __init__(self, period: float):
-        self._period, self._due = period, perf_counter()
-
-    def __call__(self) -> float:
-        """Waits; how late it is [s]."""
-        self._due += self._period
-        left = self._due - perf_counter() - SPIN
+    def __call__(self, due: float) -> float:
+        """Waits."""
+        left = due - self._now() - SPIN
         if left > 0:
             sleep(left)
-        while (now := perf_counter()) < self._due:
+        while (now := self._now()) < due:
             pass
-        late = now - self._due
-        if late > self._period:
-            self._due = now
-        return late
+        return now
+
+    def _now(self) -> float:
+        return perf_counter() - self._start
 
 
 def ask_for_realtime() -> list[str]:

@@ -4,7 +4,6 @@ import os
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf
 
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.estimator import FlightFit
@@ -29,7 +28,7 @@ class RealtimeSetup:
         gains: Joint controller.
         bounds: Range of the command.
         loop: Times and budgets.
-        make_pace: Makes what waits for the ticks, from the time between two frames [s].
+        make_pace: Makes what waits for the ticks.
     """
 
     make_rig: Callable[[], Rig]
@@ -37,15 +36,17 @@ class RealtimeSetup:
     gains: Gains
     bounds: CommandBounds
     loop: LoopSettings = LoopSettings()
-    make_pace: Callable[[float], Pace] = WallClock
+    make_pace: Callable[[], Pace] = WallClock
 
     def control(self, rig: Rig) -> HopControl:
         """The joint control of a rig, all of it compiled: a first call would take longer than a tick."""
         limits = rig.limits or SafetyLimits.of(self.robot)
         trial = HopControl(rig.layout, self.robot, self.gains, limits)
-        turn = int(rig.layout.motor_counts / 8)
-        for counts in range(turn, turn // 2, -turn // 50):  # a leg that stretches on the ground, through all its laws
-            trial.sense(Reading(counts, -counts, 0, 0, inf))
+        turn = rig.layout.motor_counts / 8
+        for ticks in range(25):  # a leg that stretches on the ground, through all its laws
+            counts = turn * (1 - ticks / 50)
+            trial.begin_tick()
+            trial.sense(Reading(counts, -counts, 0, 0, 2 * rig.layout.touchdown_force + 1))
             for torque in (trial.posture_torque(), trial.landing_torque(0.5), trial.hop_torque((1.0, 1.0))):
                 checked = trial.check(torque)
             trial.close_tick(torque, (0.0, 0.0), checked)
@@ -57,9 +58,16 @@ class RealtimeSetup:
         return HopControl(rig.layout, self.robot, self.gains, limits)
 
 
-def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str) -> None:
-    """Connects the rig and ticks by the wall clock until it is off; what it has to say is on the board."""
-    board, ring, parent = Board.attach(board_name), TickRing.attach(ring_name), os.getppid()
+def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: int) -> None:
+    """Connects the rig and ticks by the wall clock until it is off; what it has to say is on the board.
+
+    Args:
+        setup: What to do.
+        board_name: Of the board to attach to.
+        ring_name: Of the ring that takes the ticks.
+        parent: Process that started this one and, while that lives, is its parent.
+    """
+    board, ring = Board.attach(board_name), TickRing.attach(ring_name)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other one asks for the landing
     try:
         board.state = RigState.CONNECT
@@ -72,7 +80,7 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str) -> None:
                 rig, control, setup.bounds, board, ring.push, setup.loop, alive=lambda: os.getppid() == parent
             )
             signal.signal(signal.SIGTERM, lambda *_: loop.ask_to_stop())
-            loop.run(setup.make_pace(rig.layout.tick / rig.layout.frames_per_tick))
+            loop.run(setup.make_pace())
     except Exception as error:
         # whatever it is, the one who waits must learn of it; the rig is off by now
         board.words = str(error) if isinstance(error, RigFault | ValueError) else f"{type(error).__name__}: {error}"

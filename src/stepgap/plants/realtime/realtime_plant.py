@@ -44,7 +44,7 @@ class RealtimePlant(Plant):
 
     @property
     def fault(self) -> str:
-        """Why the last deployment ended before its time; empty while it has not."""
+        """Why the last deployment ended before its time, or what failed as it landed; empty while nothing has."""
         return self._fault
 
     def start(self) -> Array:
@@ -94,8 +94,8 @@ class RealtimePlant(Plant):
         """Lands the robot, torque off."""
         if self._session:
             self._session, session = None, self._session
-            self._fault = self._fault or session.words()
             session.close()
+            self._fault = self._fault or session.words()
 
     def _await_hop(self, session: Session) -> Hop:
         """The present hop, when it has ended."""

@@ -1,5 +1,7 @@
 """A real-time process from start to end: its shared memory, its ticks, its last words."""
 
+import os
+from contextlib import ExitStack, suppress
 from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from threading import Event, Thread
@@ -37,7 +39,7 @@ class TickSink(Protocol):
         """Makes sure of what it took."""
 
     def close(self) -> None:
-        """No more will come."""
+        """No more will come; may be called twice."""
 
 
 class Session:
@@ -45,29 +47,37 @@ class Session:
 
     Args:
         setup: What the process is to do.
-        sink: Takes every tick, from a thread of its own, and is closed in the end. If it fails with `TickLogError`, as
-            on a full disk, the robot is landed.
+        sink: Takes every tick, from a thread of its own, and is closed in the end, in whatever way that comes. If it
+            fails, as on a full disk, or does not keep up, the robot is landed.
+
+    Raises:
+        RigFault: There is no shared memory left.
     """
 
     def __init__(self, setup: RealtimeSetup, sink: TickSink):
         self._patience = setup.loop.landing_time + LAST_WORDS
-        self.board, self._ring = Board.create(), TickRing.create(len(LOOP_UNITS), KEPT_ROWS)
         self._over, self._sink_error = Event(), ""
+        self._last_words: str | None = None
         self._drain = Thread(target=self._move_ticks, args=(sink,), daemon=True)
-        arguments = setup, self.board.name, self._ring.name
-        self._process: BaseProcess = get_context("spawn").Process(target=run_realtime, args=arguments, daemon=True)
-        self._process.start()
-        self._drain.start()
+        with ExitStack() as stack:
+            stack.callback(sink.close)
+            try:
+                self.board = Board.create()
+                stack.callback(self.board.unlink)
+                stack.callback(self.board.close)
+                self._ring = stack.enter_context(TickRing.create(len(LOOP_UNITS), KEPT_ROWS))
+            except OSError as error:
+                raise RigFault(f"no shared memory for the ticks: {error.strerror}; make room in /dev/shm") from None
+            arguments = setup, self.board.name, self._ring.name, os.getpid()
+            self._process: BaseProcess = get_context("spawn").Process(target=run_realtime, args=arguments, daemon=True)
+            self._process.start()
+            self._drain.start()
+            self._kept = stack.pop_all()
 
     @property
     def process_id(self) -> int:
         """Of the real-time process."""
         return self._process.pid or 0
-
-    @property
-    def lost_ticks(self) -> int:
-        """Ticks that came too fast for the sink."""
-        return self._ring.lost
 
     def over(self) -> bool:
         """Whether the process has ended, in whatever way."""
@@ -75,6 +85,8 @@ class Session:
 
     def words(self) -> str:
         """What there is to say of the end; before it, of what the kernel refused."""
+        if self._last_words is not None:
+            return self._last_words
         code = self._process.exitcode
         killed = f"the real-time process was killed by signal {-code}" if code is not None and code < 0 else ""
         return self._sink_error or killed or self.board.words
@@ -99,9 +111,18 @@ class Session:
             raise RigFault(self._sink_error)
 
     def close(self) -> None:
-        """Asks for the landing and waits for the end; a process that does not come to it is killed."""
+        """Asks for the landing and waits for the end, every tick kept; a process that does not come to it is killed.
+
+        Ctrl-C meanwhile is the software stop.
+        """
         self.board.request = Request.STOP
-        self._process.join(self._patience)
+        try:
+            self._process.join(self._patience)
+        finally:
+            self._end()
+
+    def _end(self) -> None:
+        """The end of a process that is over, or that must be now."""
         if self._process.is_alive():
             self.board.stop_at_once()
             self._process.join(1.0)
@@ -109,9 +130,8 @@ class Session:
             self._process.join()
         self._over.set()
         self._drain.join()
-        for memory in (self._ring, self.board):
-            memory.close()
-            memory.unlink()
+        self._last_words = self.words()
+        self._kept.close()
 
     def _move_ticks(self, sink: TickSink) -> None:
         """Moves ticks into the sink until all is over."""
@@ -120,10 +140,18 @@ class Session:
             while not over:
                 over = self._over.wait(DRAIN_EVERY)
                 sink.append(self._ring.drain())
+                if self._ring.lost and not self._sink_error:
+                    self._land(f"{self._ring.lost} ticks are missing in the log, which was not written fast enough")
                 looks += 1
                 if looks % FLUSH_EVERY == 0:
                     sink.flush()
             sink.close()
-        except TickLogError as error:
-            self._sink_error = str(error)
-            self.board.request = Request.STOP
+        except Exception as error:
+            # whatever it is, a robot whose ticks are not kept must not go on
+            self._land(str(error) if isinstance(error, TickLogError) else f"the log of ticks failed: {error!r}")
+            with suppress(Exception):
+                sink.close()
+
+    def _land(self, sink_error: str) -> None:
+        self._sink_error = sink_error
+        self.board.request = Request.STOP

@@ -1,6 +1,7 @@
 """The bus seen from the master: brought up only if it is what the settings say, then one frame a tick."""
 
 import os
+import socket
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -43,6 +44,7 @@ class Bus:
         self._inputs = [Packing(pdos.inputs) for pdos in sets]
         self._timeout = round(settings.reply_timeout * 1e6)
         self._sockets: set[int] = set()
+        self._claim: socket.socket | None = None
         self._emergencies: list[Any] = []
 
     def connect(self, prepare: Callable[[], None]) -> None:
@@ -52,10 +54,23 @@ class Bus:
             prepare: Called while the slaves are in PREOP and may be asked and told by SDO without haste.
 
         Raises:
-            RigFault: There is no such interface, no pysoem, or the bus is not as the settings say.
+            RigFault: There is no such interface or no pysoem, another master has the bus, or it is not as the settings
+                say.
         """
         self._soem = _pysoem()
         self._soem.settings.timeouts.ret = REPLY_TIMEOUT
+        self._claim = _claimed(self._settings.interface)
+        try:
+            self._bring_up(self._open(), prepare)
+        except (self._soem.SdoError, self._soem.MailboxError, self._soem.PacketError, self._soem.WkcError) as error:
+            self.close()
+            raise RigFault(f"the bus cannot be brought up: {error!r}") from None
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> Any:
+        """The master on its interface."""
         master = self._soem.Master()
         master.always_release_gil = True  # an emulated ring may live in this process
         before = _sockets()
@@ -67,21 +82,17 @@ class Bus:
                 "it must exist, and raw Ethernet needs root or the capability CAP_NET_RAW"
             ) from None
         self._master, self._sockets = master, _sockets() - before
+        return master
+
+    def _bring_up(self, master: Any, prepare: Callable[[], None]) -> None:
         self._emergencies.clear()
-        try:
-            self._check_identities(master.config_init())
-            for device in master.slaves:
-                device.add_emergency_callback(self._emergencies.append)  # without, a transfer that meets one fails
-            for number in range(len(self._settings.slaves)):
-                self._configure(number)
-            prepare()
-            self._start(master)
-        except RigFault:
-            self.close()
-            raise
-        except (self._soem.SdoError, self._soem.MailboxError, self._soem.PacketError, self._soem.WkcError) as error:
-            self.close()
-            raise RigFault(f"the bus cannot be brought up: {error!r}") from None
+        self._check_identities(master.config_init())
+        for device in master.slaves:
+            device.add_emergency_callback(self._emergencies.append)  # without, a transfer that meets one fails
+        for number in range(len(self._settings.slaves)):
+            self._configure(number)
+        prepare()
+        self._start(master)
 
     def set_outputs(self, number: int, values: dict[str, int]) -> None:
         """Values for a slave, sent with the next frame; exactly its bytes, for more would reach the next slave's."""
@@ -117,12 +128,13 @@ class Bus:
         """
         self._write(number, index, 0, layout, value)
 
-    def in_operation(self) -> bool:
-        """Whether every slave says that it is in OP; one frame more.
+    def in_operation(self) -> bool | None:
+        """Whether every slave says that it is in OP, None where not all of them answer; one frame more.
 
         A slave may leave OP and yet be counted, its inputs frozen, since its memory is still there.
         """
-        return self._master.read_state() == self._soem.OP_STATE
+        state = self._master.read_state()
+        return state == self._soem.OP_STATE if state else None
 
     def complaint(self) -> str:
         """What slaves say that are not in OP, one line; not for the time of a tick."""
@@ -138,12 +150,13 @@ class Bus:
 
     def close(self) -> None:
         """All slaves to INIT, the interface released; may be called twice."""
-        if self._master is None:
-            return
         master, self._master = self._master, None
-        master.state = self._soem.INIT_STATE
-        master.write_state()
-        master.close()
+        if master is not None:
+            master.state = self._soem.INIT_STATE
+            master.write_state()
+            master.close()
+        if self._claim:
+            self._claim.close()
 
     def label(self, number: int) -> str:
         """A slave as messages name it."""
@@ -301,6 +314,22 @@ def _pysoem() -> Any:
         return import_module("pysoem")
     except ModuleNotFoundError:
         raise RigFault("an EtherCAT rig needs pysoem: pip install 'stepgap[ethercat]'") from None
+
+
+def _claimed(interface: str) -> socket.socket:
+    """What only one process at a time can have for an interface, until it closes it or ends, in whatever way.
+
+    A name of Linux's abstract sockets: it belongs to the network namespace, as the interface does.
+    """
+    claim = socket.socket(socket.AF_UNIX)
+    try:
+        claim.bind(f"\0stepgap-master-of-{interface}")
+    except OSError:
+        claim.close()
+        raise RigFault(
+            f"another process is the master of {interface} already; two would fight over the drives"
+        ) from None
+    return claim
 
 
 def _identity(vendor: int, product: int) -> str:

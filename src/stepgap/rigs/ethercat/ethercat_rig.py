@@ -20,12 +20,10 @@ from stepgap.rigs.ethercat.cia402 import (
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings, read_rig_settings
 from stepgap.rigs.limits import SafetyLimits
-from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, RigLayout
 
 ERROR_CODE, LARGEST_TORQUE, RATED_TORQUE = 0x603F, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
-
-LOST = Health(frame_lost=True, stale=True)
 
 STATES_EVERY = 50
 """Good frames from one look at the slaves' states to the next."""
@@ -66,6 +64,7 @@ class EthercatRig(Rig):
             touchdown_force=contact.touchdown_force,
             takeoff_length=contact.takeoff_length,
             frames_per_tick=settings.frames_per_tick,
+            sampled_at_write=True,
         )
         self._motors = (settings.motor_1, settings.motor_2)
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
@@ -80,7 +79,7 @@ class EthercatRig(Rig):
         )
         self._contact = settings.position(contact.slave)
         self._connected, self._fault = False, ""
-        self._lost, self._under_way, self._good_frames, self._outside_op = 0, False, 0, 0
+        self._lost, self._under_way, self._good_frames, self._unanswered = 0, False, 0, 0
         self._reading = Reading(0, 0, 0, 0, 0.0)
 
     @property
@@ -113,10 +112,10 @@ class EthercatRig(Rig):
             self._lead(Wanted.RESET, lambda states: State.FAULT not in states)
             self._lead(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
             self._take()
-        except RigFault:
+        except BaseException:
             self.close()
             raise
-        self._lost, self._under_way, self._good_frames, self._outside_op = 0, False, 0, 0
+        self._lost, self._under_way, self._good_frames, self._unanswered = 0, False, 0, 0
 
     def read(self) -> Reading:
         """Counts and force of the last frame, or of an earlier one while no more than the budget are lost.
@@ -209,13 +208,19 @@ class EthercatRig(Rig):
         self._reading = Reading(motor_1, motor_2, horizontal, vertical, force)
 
     def _look_after_states(self) -> None:
-        """Now and then asks whether all slaves are in OP; twice in a row, since a reply may be lost."""
+        """Now and then asks whether all slaves are in OP, and goes on asking where a reply is lost."""
         self._good_frames += 1
-        if self._outside_op or self._good_frames % STATES_EVERY == 0:
-            self._outside_op = 0 if self._bus.in_operation() else self._outside_op + 1
-        if self._outside_op > 1:
+        if not self._unanswered and self._good_frames % STATES_EVERY:
+            return
+        in_operation = self._bus.in_operation()
+        self._unanswered = self._unanswered + 1 if in_operation is None else 0
+        if in_operation is False:
             fault = self._trip("a slave has left OP")
-            raise RigFault(f"{fault}: {self._bus.complaint()}")
+        elif self._unanswered > self._settings.limits.lost_frames:
+            fault = self._trip(f"slaves did not tell their states, asked {self._unanswered} times in a row")
+        else:
+            return
+        raise RigFault(f"{fault}: {self._bus.complaint()}")
 
     def _command(self, drive: int, units: int, controlword: int) -> None:
         self._bus.set_outputs(drive, {"target_torque": units, "controlword": controlword, "mode": CYCLIC_TORQUE})
@@ -239,14 +244,17 @@ class EthercatRig(Rig):
 
     def _drive_words(self) -> str:
         """What the drives say of themselves; not for the time of a tick."""
-        words = []
-        for drive in self._drives:
-            values = self._bus.inputs(drive)
-            text = f"{self._bus.label(drive)} is {state_of(values['statusword']).value}, mode {values['mode_display']}"
-            if error := self._bus.read_object(drive, ERROR_CODE, _U16):
-                text += f", error 0x{error:04X}"
-            words.append(text)
+        words = [self._words_of(drive) for drive in self._drives]
         return "; ".join([*words, *filter(None, [self._bus.emergencies()])])
+
+    def _words_of(self, drive: int) -> str:
+        values = self._bus.inputs(drive)
+        text = f"{self._bus.label(drive)} is {state_of(values['statusword']).value}, mode {values['mode_display']}"
+        try:
+            error = self._bus.read_object(drive, ERROR_CODE, _U16)
+        except RigFault:  # a drive without power, say; it must not hide why it is asked
+            return f"{text}, its error is not known"
+        return f"{text}, error 0x{error:04X}" if error else text
 
 
 class _Angle:

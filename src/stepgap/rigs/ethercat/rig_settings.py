@@ -1,5 +1,6 @@
 """What stands on the bus and what its numbers mean: `rig.toml`, read strictly."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import floor, inf, isfinite
@@ -101,7 +102,7 @@ class Encoder:
 
     def __post_init__(self) -> None:
         counts = self.counts_per_turn
-        require(isfinite(counts) and counts > 0, "counts_per_turn", counts, "be positive")
+        require(1 <= counts <= 2**32, "counts_per_turn", counts, "lie between 1 and 2³²")
         require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
         require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
 
@@ -123,8 +124,8 @@ class Motor(Encoder):
     def __post_init__(self) -> None:
         super().__post_init__()
         rated, limit = self.rated_torque, self.torque_limit
-        require(isfinite(rated) and rated > 0, "rated_torque", rated, "be positive")
-        require(isfinite(self.gear) and self.gear > 0, "gear", self.gear, "be positive")
+        require(1e-3 <= rated < 2**32 / 1000, "rated_torque", rated, "be what 0x6076 can hold, 0.001 to 4294967")
+        require(1e-3 <= self.gear <= 1e4, "gear", self.gear, "lie between 0.001 and 10000")
         most = 32 * self.torque_unit * 1000
         require(
             0 < limit <= most, "torque_limit", limit, f"be positive and at most 32 times the rated torque, {most:g}"
@@ -167,7 +168,7 @@ class Contact:
     def __post_init__(self) -> None:
         scale, force, length = self.newton_per_count, self.touchdown_force, self.takeoff_length
         require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
-        require(isfinite(force) and force >= 0, "touchdown_force", force, "be finite and not negative")
+        require(0 <= force <= 1e6, "touchdown_force", force, "lie between 0 and 1e6")
         require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
         require(length > 0, "takeoff_length", length, "be positive")
 
@@ -213,7 +214,8 @@ class RigSettings:
     pdo_sets: tuple[WrittenPdoSet, ...] = ()
 
     def __post_init__(self) -> None:
-        require(bool(self.interface.strip()), "interface", self.interface, "name a network interface, such as 'eth0'")
+        named = re.fullmatch(r"[!-.0-~]{1,15}", self.interface)  # SOEM copies whatever it gets into 16 bytes
+        require(bool(named), "interface", self.interface, "name a network interface, such as 'eth0'")
         require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
         require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
         require(1 <= self.frames_per_tick <= 10, "frames_per_tick", self.frames_per_tick, "lie between 1 and 10")
@@ -224,11 +226,21 @@ class RigSettings:
             f"be positive and less than watchdog = {self.watchdog}",
         )
         require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
+        self._check_slaves()
+        self._check_uses()
+
+    def _check_slaves(self) -> None:
+        """Refuses names that are not distinct, and sets of PDOs that are not there."""
         names = [slave.name for slave in self.slaves]
         require(len(set(names)) == len(names), "slaves", names, "have names that differ")
+        written = [each.name for each in self.pdo_sets]
+        require(len(set(written)) == len(written), "pdo_sets", written, "have names that differ")
         sets = self._sets()
         for number, slave in enumerate(self.slaves, start=1):
             require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
+
+    def _check_uses(self) -> None:
+        """Refuses slaves that cannot be what the tables say, or are two things at once."""
         for table, outputs, inputs in (
             ("motor_1", MOTOR_OUTPUTS, MOTOR_INPUTS),
             ("motor_2", MOTOR_OUTPUTS, MOTOR_INPUTS),

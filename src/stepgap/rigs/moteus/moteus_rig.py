@@ -14,7 +14,7 @@ from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.moteus.can_bus import CanBus, Registers
 from stepgap.rigs.moteus.joint import JointCommand, JointState
 from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor, read_moteus_settings
-from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, RigLayout
 
 POSITION_COUNTS = 2**16
 """Counts a turn in which moteus keeps the position of its output."""
@@ -107,6 +107,11 @@ class MoteusRig(Rig):
     def limits(self) -> SafetyLimits:
         """What the safety function allows this robot."""
         return self._settings.limits
+
+    @property
+    def health(self) -> Health:
+        """Whether the last answers were lost, so that the reading is an older one."""
+        return LOST if self._lost else HEALTHY
 
     @property
     def joints(self) -> tuple[JointState, JointState]:

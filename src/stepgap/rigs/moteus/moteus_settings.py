@@ -102,7 +102,7 @@ class Contact:
         require(self.port in (1, 2), "port", self.port, "be 1 or 2")
         require(1 <= self.pin <= 5, "pin", self.pin, "lie between 1 and 5")
         require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
-        require(isfinite(force) and force >= 0, "touchdown_force", force, "be finite and not negative")
+        require(0 <= force <= 1e6, "touchdown_force", force, "lie between 0 and 1e6")
         require(0 <= self.zero <= 4096, "zero", self.zero, "lie between 0 and 4096")
         require(self.takeoff_length > 0, "takeoff_length", self.takeoff_length, "be positive")
 

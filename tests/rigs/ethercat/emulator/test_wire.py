@@ -2,8 +2,10 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +19,7 @@ from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.ethercat.emulator.emulator import emulated
 from stepgap.rigs.ethercat.emulator.faults import DriveFault, LostFrames, PowerLost, Silence, WrongMapping
 from stepgap.rigs.ethercat.emulator.machine import Machine, TwinMachine
-from stepgap.rigs.ethercat.emulator.network import RING_END, NoNetwork, raw_socket, veth_pair
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, wire
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
 from stepgap.rigs.twin.reality_gap import RealityGap
 from stepgap.rigs.twin.twin import Twin
@@ -48,7 +50,7 @@ def make_twin() -> Machine:
 @pytest.fixture(scope="module", autouse=True)
 def _network() -> None:
     try:
-        with veth_pair(INTERFACE) as end, raw_socket(end):
+        with wire(INTERFACE):
             pass
     except NoNetwork as reason:
         pytest.skip(str(reason))
@@ -226,18 +228,18 @@ def interfaces() -> set[str]:
 
 def test_nothing_is_left_behind():
     with emulated(INTERFACE, Flywheels, RingSettings()):
-        assert {INTERFACE, INTERFACE + RING_END} <= interfaces()
-    assert not {INTERFACE, INTERFACE + RING_END} & interfaces()
+        assert INTERFACE in interfaces()
+    assert INTERFACE not in interfaces()
 
 
 def test_a_ring_that_is_there_already_is_said():
-    said = pytest.raises(NoNetwork, match=f"exists.*ip link del {INTERFACE}")
-    with veth_pair(INTERFACE), said, emulated(INTERFACE, Flywheels, RingSettings()):
+    said = pytest.raises(NoNetwork, match=f"{INTERFACE}.*exists; end the emulator that has it")
+    with wire(INTERFACE), said, emulated(INTERFACE, Flywheels, RingSettings()):
         pass
 
 
 def test_a_name_too_long_is_refused():
-    with pytest.raises(NoNetwork, match="1 to 10 characters"), veth_pair("eleven-long"):
+    with pytest.raises(NoNetwork, match="1 to 10 characters"), wire("eleven-long"):
         pass
 
 
@@ -278,6 +280,35 @@ def test_a_signal_ends_it_and_takes_the_interface_away(number):
         process.send_signal(number)
         assert process.wait() == 0
     assert INTERFACE not in interfaces()
+
+
+def test_what_is_killed_leaves_no_interface_either():
+    with run_program(PROGRAM.format(interface=INTERFACE)) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("EtherCAT ring")
+        process.kill()
+    for _ in range(500):  # the kernel takes a namespace away when it has time
+        if INTERFACE not in interfaces():
+            break
+        time.sleep(0.02)
+    assert INTERFACE not in interfaces()
+    with wire(INTERFACE):
+        assert INTERFACE in interfaces()
+
+
+def test_a_thread_is_back_in_its_network_while_the_ring_is_in_another():
+    before = interfaces()
+    with wire(INTERFACE):
+        assert interfaces() == before | {INTERFACE}
+        assert {name for _, name in socket.if_nameindex()} == interfaces()
+
+
+def test_where_no_namespace_may_be_made_the_pair_is_in_one(monkeypatch):
+    """As in a container with CAP_NET_ADMIN alone."""
+    monkeypatch.setattr("stepgap.rigs.ethercat.emulator.network.CLONE_NEWNET", 1)  # which unshare refuses
+    with wire(INTERFACE):
+        assert {INTERFACE, f"{INTERFACE}-ring"} <= interfaces()
+    assert not {INTERFACE, f"{INTERFACE}-ring"} & interfaces()
 
 
 def test_a_namespace_of_its_own_hides_it():

@@ -13,7 +13,7 @@ from time import monotonic_ns
 from stepgap.interrupt import terminated_as_interrupted
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
 from stepgap.rigs.ethercat.emulator.machine import Machine
-from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, veth_pair
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
 
 LARGEST_LAG = 100
@@ -49,7 +49,7 @@ def run_emulator(
     ring = Ring(machine, settings)
     _ask_for_realtime()
     names = ", ".join(slave.device.name for slave in ring.slaves)
-    with terminated_as_interrupted(), suppress(KeyboardInterrupt), veth_pair(interface) as end, raw_socket(end) as raw:
+    with terminated_as_interrupted(), suppress(KeyboardInterrupt), wire(interface) as raw:
         say(f"EtherCAT ring on {interface}: {names}")
         period = None if settings.lock_step else round(machine.period * 1e9)
         _serve(ring, raw, stop, period)

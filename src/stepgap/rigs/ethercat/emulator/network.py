@@ -1,5 +1,6 @@
 """A wire in software: a veth pair, one end for the master, one for the ring; Linux only."""
 
+import ctypes
 import os
 import shutil
 import socket
@@ -23,19 +24,25 @@ ADVICE = (
 )
 
 
+CLONE_NEWNET = 0x40000000
+
+
 class NoNetwork(Exception):
     """The network interface cannot be had; the message says what to do."""
 
 
 @contextmanager
-def veth_pair(name: str) -> Iterator[str]:
+def wire(name: str) -> Iterator[socket.socket]:
     """Makes a veth pair, up on both ends, and takes it away in the end.
+
+    Where the kernel grants one, the ring's end lies in a network namespace that only its socket keeps alive: both ends
+    then go with the process, even if it is killed.
 
     Args:
         name: Of the master's end; the ring's end is called NAME-ring.
 
     Yields:
-        The name of the ring's end.
+        A socket at the ring's end.
 
     Raises:
         NoNetwork: It cannot be made.
@@ -43,13 +50,33 @@ def veth_pair(name: str) -> Iterator[str]:
     other = name + RING_END
     if not name or len(other) > LONGEST_NAME:
         raise NoNetwork(f"the interface's name must have 1 to {LONGEST_NAME - len(RING_END)} characters, not '{name}'")
-    _ip("link", "add", name, "type", "veth", "peer", "name", other)
+    with _other_namespace() as ours:
+        _ip("link", "add", other, "type", "veth", "peer", "name", name, *ours)
+        _ip("link", "set", other, "up")
+        raw = raw_socket(other)
+    with raw:
+        try:
+            _ip("link", "set", name, "up")
+            yield raw
+        finally:
+            _ip("link", "del", name)
+
+
+@contextmanager
+def _other_namespace() -> Iterator[Sequence[str]]:
+    """This thread in a network namespace of its own, if it may; `ip`'s words for where it was, else none."""
+    here, libc = os.open("/proc/thread-self/ns/net", os.O_RDONLY), ctypes.CDLL(None, use_errno=True)
     try:
-        for end in (name, other):
-            _ip("link", "set", end, "up")
-        yield other
+        if libc.unshare(CLONE_NEWNET):
+            yield ()
+            return
+        try:
+            yield "netns", f"/proc/{os.getpid()}/fd/{here}"
+        finally:
+            if libc.setns(here, CLONE_NEWNET):
+                raise OSError(ctypes.get_errno(), "cannot go back to the network namespace")
     finally:
-        _ip("link", "del", name)
+        os.close(here)
 
 
 def raw_socket(interface: str) -> socket.socket:
@@ -99,5 +126,5 @@ def _ip(*arguments: str) -> None:
         said = outcome.stderr.strip()
         if "not permitted" in said:
             raise NoNetwork(f"ip {' '.join(arguments)}: {said}: {ADVICE}")
-        again = f"; if an emulator was killed, `ip link del {arguments[2]}` takes its interface away"
-        raise NoNetwork(f"ip {' '.join(arguments)}: {said}" + (again if "exists" in said else ""))
+        exists = "; end the emulator that has it, or take it away by `ip link del`" if "exists" in said else ""
+        raise NoNetwork(f"ip {' '.join(arguments)}: {said}{exists}")

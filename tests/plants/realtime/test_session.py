@@ -1,0 +1,191 @@
+"""A real-time process and what belongs to it, when something fails on the way; a rig that never moves."""
+
+import multiprocessing
+import subprocess
+import sys
+import time
+from multiprocessing import get_context
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.plants.realtime.board import Board, Request
+from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
+from stepgap.plants.realtime.session import Session
+from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick_log import TickLogError
+from stepgap.plants.tick_ring import TickRing
+from stepgap.rigs.rig import Reading, RigFault, RigLayout
+from stepgap.rigs.still_rig import StillRig
+
+SHARED = Path("/dev/shm")
+
+
+def still_rig():
+    return StillRig(RigLayout(0.01, 1.85, 0.4, 16384, 5000, 16384, 5.0, 0.273), Reading(2048, -2048, 0, 400, 0.0))
+
+
+SETUP = RealtimeSetup(still_rig, RobotParameters(), Gains(), CommandBounds())
+
+
+class Sink:
+    """Keeps ticks, and fails when told to."""
+
+    def __init__(self, error=None):
+        self.rows, self.closed, self._error = [], 0, error
+
+    def append(self, rows):
+        self.rows += rows.tolist()
+        if self._error and self.rows:
+            raise self._error
+
+    def flush(self): ...
+
+    def close(self):
+        self.closed += 1
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Shared memory that this process makes."""
+    found = []
+
+    class Watched(SharedMemory):
+        def __init__(self, *args, **more):
+            super().__init__(*args, **more)
+            found.append(SHARED / self.name)
+
+    monkeypatch.setattr("stepgap.plants.tick_ring.SharedMemory", Watched)
+    return found
+
+
+def wait_until(condition):
+    for _ in range(6000):
+        if condition():
+            return
+        time.sleep(0.01)
+    pytest.fail("it never came")
+
+
+@pytest.mark.parametrize("stage", ["board", "ring", "process"])
+def test_what_fails_on_the_way_leaves_nothing_behind(stage, monkeypatch, made):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    setup, sink = SETUP, Sink()
+    if stage == "process":
+        setup = RealtimeSetup(lambda: still_rig(), RobotParameters(), Gains(), CommandBounds())  # cannot be pickled
+    else:
+        monkeypatch.setattr(*((Board, "create") if stage == "board" else (TickRing, "create")), full)
+    with pytest.raises(
+        Exception, match="pickle" if stage == "process" else "no shared memory .* No space left"
+    ) as found:
+        Session(setup, sink)
+    assert stage == "process" or isinstance(found.value, RigFault)
+    assert sink.closed
+    assert len(made) == ("board", "ring", "process").index(stage)
+    assert not any(path.exists() for path in made)
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize(
+    "error", [TickLogError("ticks-0.mcap: No space left on device"), ValueError("a time of nan s")]
+)
+def test_a_sink_that_fails_in_whatever_way_ends_the_deployment(error):
+    sink = Sink(error)
+    session = Session(SETUP, sink)
+    try:
+        wait_until(session.over)
+        with pytest.raises(RigFault, match=str(error)):
+            session.check()
+    finally:
+        session.close()
+    assert sink.closed
+    assert str(error) in session.words()
+
+
+def test_ticks_that_are_lost_are_told_and_end_the_deployment(monkeypatch):
+    """The reader stands still until the ring has come round."""
+    monkeypatch.setattr("stepgap.plants.realtime.session.KEPT_ROWS", 3)
+    monkeypatch.setattr("stepgap.plants.realtime.session.DRAIN_EVERY", 0.2)
+    sink = Sink()
+    session = Session(SETUP, sink)
+    try:
+        wait_until(session.over)
+        with pytest.raises(RigFault, match="ticks are missing in the log"):
+            session.check()
+        ticks = session.board.ticks
+    finally:
+        session.close()
+    assert len(sink.rows) < ticks
+
+
+def test_ctrl_c_while_it_lands_takes_the_torque_off_and_keeps_every_tick(made):
+    sink = Sink()
+    session = Session(SETUP, sink)
+    wait_until(lambda: session.board.state == RigState.READY)
+    join = session._process.join
+
+    def interrupted(timeout=None):
+        if timeout and timeout > 1:
+            session.board.request = Request.NOTHING  # as if it had not come to it yet
+            raise KeyboardInterrupt
+        join(timeout)
+
+    session._process.join = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        session.close()
+    assert session.over()
+    assert "emergency stop" in session.words()
+    assert sink.closed
+    rows = np.array(sink.rows)
+    assert rows[-1, list(LOOP_UNITS).index("state")] in (RigState.READY, RigState.FAULT)
+    assert len(made) == 2
+    assert not any(path.exists() for path in made)
+
+
+def test_a_parent_that_died_before_the_process_had_begun_is_missed():
+    """Its number is told; who asks only when it runs would take the reaper of orphans for its parent."""
+    board, ring = Board.create(), TickRing.create(len(LOOP_UNITS), 10)
+    process = get_context("spawn").Process(target=run_realtime, args=(SETUP, board.name, ring.name, 2**22))
+    try:
+        process.start()
+        process.join(60)
+        assert process.exitcode == 0
+        assert board.state == RigState.OFF
+        assert board.ticks > 0
+    finally:
+        process.kill()
+        board.close()
+        board.unlink()
+        ring.close()
+        ring.unlink()
+
+
+FULL = """
+from stepgap.plants.realtime.board import Board
+from stepgap.plants.tick_ring import TickRing
+board = Board.create()
+try:
+    TickRing.create(16, 20_000)
+except OSError as error:
+    print(error.strerror)
+board.close()
+board.unlink()
+"""
+
+
+def test_a_full_shared_memory_is_found_when_it_is_made_and_not_by_a_signal_in_mid_hop(tmp_path):
+    mount = 'mount -t tmpfs -o size=64k none /dev/shm && exec "$@"'
+    command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", mount, "sh", sys.executable, "-c", FULL]
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    except FileNotFoundError:
+        pytest.skip("no unshare here")
+    if "unshare:" in said.stderr or "mount:" in said.stderr:
+        pytest.skip(said.stderr)
+    assert (said.returncode, said.stdout, said.stderr) == (0, "No space left on device\n", "")

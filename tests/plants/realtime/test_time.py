@@ -1,0 +1,156 @@
+"""The loop's time, where frames are lost and ticks come late: no clock here, the pace says what time it is."""
+
+from math import sin, tau
+
+import numpy as np
+import pytest
+
+from stepgap.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.plants.hop_control import HopControl
+from stepgap.plants.realtime.board import Board, Request
+from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
+from stepgap.rigs.limits import SafetyLimits
+from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, RigLayout
+
+ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
+LIMITS = SafetyLimits(torque=38.0, late_ticks=50)
+TICK, COUNTS = 1e-3, 2**24
+SWING, FREQUENCY = 0.3, 20.0
+"""Amplitude [rad] and angular frequency [rad/s] of both angles; as fast as a hop's."""
+FASTEST, HARDEST = SWING * FREQUENCY, SWING * FREQUENCY**2
+"""Largest rate [rad/s] and its largest change [rad/s²]."""
+COLUMN = {name: place for place, name in enumerate(LOOP_UNITS)}
+
+
+class SwingingRig(Rig):
+    """A leg that swings whatever torque it gets; it is sensed when the torques are written, unless a frame is lost."""
+
+    def __init__(self, frames=1, lost=lambda: False):
+        self._layout = RigLayout(TICK, 1.85, 0.4, COUNTS, 5000, 16384, 5.0, 0.273, frames, True)
+        self.now, self.written, self._lost, self._health = 0.0, [], lost, HEALTHY
+        self._reading = self._flying = self._sense()
+        self.fails_after = 10**9
+
+    def _sense(self):
+        lean = SWING * sin(FREQUENCY * self.now)
+        fold = 1.0 + SWING * sin(FREQUENCY * self.now)
+        scale = COUNTS / tau
+        return Reading(scale * (lean + fold), scale * (lean - fold), 0, 0, 0.0)
+
+    @property
+    def layout(self):
+        return self._layout
+
+    @property
+    def health(self):
+        return self._health
+
+    def connect(self): ...
+
+    def read(self):
+        if self._lost():
+            self._health = Health(stale=True)
+        else:
+            self._health, self._reading = HEALTHY, self._flying
+        return self._reading
+
+    def write(self, torque_1, torque_2):
+        if len(self.written) >= self.fails_after:
+            raise RigFault("it broke")
+        self.written.append((torque_1, torque_2))
+        self._flying = self._sense()
+        return torque_1, torque_2
+
+    def close(self): ...
+
+
+class WatchedControl(HopControl):
+    """Keeps what it sensed, and when."""
+
+    sensed: list
+
+    def sense(self, reading, **more):
+        motion = super().sense(reading, **more)
+        self.sensed.append((self.time, motion.rate_1, motion.rate_2))
+        return motion
+
+
+def swing(rig, ticks, late=lambda: 0.0):
+    """Ticks a limp rig; the board's counts of ticks and missed ones, what was sensed, and the log."""
+    control, board, rows = WatchedControl(rig.layout, ROBOT, GAINS, LIMITS), Board.create(), []
+    control.sensed = []
+    loop = ControlLoop(rig, control, BOUNDS, board, rows.append)
+
+    def pace(due):
+        rig.now = max(rig.now, due) + late()
+        if len(rows) == ticks:
+            board.request = Request.STOP
+        return rig.now
+
+    loop.run(pace)
+    counted = board.ticks, board.missed_ticks
+    board.close()
+    board.unlink()
+    return counted, np.array(control.sensed), np.array(rows)
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+@pytest.mark.parametrize("loss", [0.0, 0.1])
+@pytest.mark.parametrize("stall", [0.0, 0.006])
+def test_rates_stay_true_through_lost_frames_and_late_ticks(frames, loss, stall):
+    rng, in_a_row = np.random.default_rng(4), 0
+
+    def lost():
+        nonlocal in_a_row
+        in_a_row = in_a_row + 1 if in_a_row < 2 and rng.random() < loss else 0
+        return in_a_row > 0
+
+    def late():
+        return rng.exponential(stall) if rng.random() < 0.1 / frames else 0.0
+
+    rig = SwingingRig(frames, lost)
+    _, sensed, rows = swing(rig, 2000, late)
+    time, *rates = sensed.T
+    true = FASTEST * np.cos(FREQUENCY * time)
+    begun = np.concatenate([np.zeros(8), rows[:, 0]])[: len(time) + 8]
+    oldest = time - begun[2 : len(time) + 2]  # two readings more than one for the bus, and two lost in a row each time
+    for rate in rates:
+        error = np.abs(rate - true)[8:]
+        assert (error <= HARDEST * oldest[8:] + 1e-3).all()
+        assert np.sqrt(np.mean(error**2)) < 0.2 * FASTEST
+
+
+def test_time_goes_on_while_ticks_are_missed():
+    stalls = iter([0.0] * 100 + [0.0075] + [0.0] * 10_000)
+    (ticks, missed), _, rows = swing(SwingingRig(), 200, lambda: next(stalls))
+    assert (ticks, missed) == (len(rows), 7)
+    assert np.diff(rows[:, 0])[100] == pytest.approx(TICK + 0.0075)
+    np.testing.assert_allclose(np.delete(np.diff(rows[:, 0]), 100), TICK)
+    assert rows[101, COLUMN["late"]] == pytest.approx(0.0075)
+
+
+def test_delays_of_the_frames_between_two_ticks_add_up():
+    """Each of four frames comes less than a tick late, the tick after them by more than three."""
+    stalls = iter([0.0] * 40 + [0.9e-3] * 4 + [0.0] * 10_000)
+    (_, missed), _, rows = swing(SwingingRig(frames=4), 100, lambda: next(stalls))
+    late = rows[:, COLUMN["late"]]
+    assert late.max() == pytest.approx(4 * 0.9e-3 - 0.75e-3)
+    assert missed == 2
+
+
+def test_a_short_stall_of_a_fast_bus_is_made_up_for_and_makes_no_tick_late():
+    stalls = iter([0.0] * 40 + [0.6e-3] + [0.0] * 10_000)
+    rig = SwingingRig(frames=4)
+    (_, missed), _, rows = swing(rig, 100, lambda: next(stalls))
+    assert missed == 0
+    np.testing.assert_allclose(rows[:, 0], TICK * np.arange(len(rows)), atol=1e-12)
+    assert len(rig.written) == pytest.approx(4 * len(rows), abs=4), "no frame is left out"
+
+
+def test_a_rig_that_fails_between_two_ticks_leaves_a_row_that_says_so():
+    rig = SwingingRig(frames=4)
+    rig.fails_after = 41
+    _, _, rows = swing(rig, 100)
+    assert len(rows) == 12
+    assert np.isnan(rows[-1, COLUMN["applied_1"]])
+    assert rows[-1, 0] == pytest.approx(10.25e-3)
