@@ -46,7 +46,7 @@ FIRST_STEPS = 20
 """Steps that the uncorrected robot of a draw must manage, or else it is drawn again."""
 
 CALIBRATION = 20
-"""Hops of the method that begins with some whose commands are chosen for what they teach."""
+"""Hops of the methods that begin with some whose commands are chosen for what they teach."""
 
 INTERVAL = 1.96
 """Standard deviations on either side that hold 95 % of a normal distribution."""
@@ -136,13 +136,8 @@ def _residual(trial: Trial, log: StepLog, kind: ResidualKind) -> StepLog:
     return trial.redeployed[key]
 
 
-def _online(trial: Trial, log: StepLog) -> StepLog:
-    return trial.deploy(Learner(trial.nominal, StepLog(log.space), LearningSettings(online=True), 0), 0)
-
-
-def _calibrated(trial: Trial, log: StepLog) -> StepLog:
-    learning = LearningSettings(calibration=CALIBRATION)
-    return trial.deploy(Learner(trial.nominal, StepLog(log.space), learning, 0), 0, CALIBRATION)
+def _from_the_first_hop(trial: Trial, log: StepLog, learning: LearningSettings) -> StepLog:
+    return trial.deploy(Learner(trial.nominal, StepLog(log.space), learning, 0), 0, learning.calibration)
 
 
 SKIPPED = {} if hasattr(mujoco.sysid, "optimize") else {"sysid": "needs the packages of stepgap[sysid]"}
@@ -161,8 +156,12 @@ REDEPLOYED: dict[str, Method] = {
 }
 """Methods that learn from deployment 0."""
 
-FROM_THE_FIRST_HOP: dict[str, Method] = {"online": _online, "calibrated": _calibrated}
-"""Methods that make deployment 0 themselves, both with the default residual."""
+FROM_THE_FIRST_HOP: dict[str, Method] = {
+    "online": partial(_from_the_first_hop, learning=LearningSettings(online=True)),
+    "calibrated": partial(_from_the_first_hop, learning=LearningSettings(calibration=CALIBRATION)),
+    "calibrated_online": partial(_from_the_first_hop, learning=LearningSettings(online=True, calibration=CALIBRATION)),
+}
+"""Methods that make deployment 0 themselves, all with the default residual."""
 
 METHODS = REDEPLOYED | FROM_THE_FIRST_HOP
 

@@ -599,3 +599,9 @@ class TestSaved:
 def test_unsound_data_are_refused(points: Array, values: Array, scale: Array, named: str) -> None:
     with pytest.raises(ValueError, match=f"^{named} must be"):
         fit_gaussian_process(points, values, scale)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
+def test_an_unsound_value_scale_is_refused(scale: float) -> None:
+    with pytest.raises(ValueError, match=r"^value_scale must be"):
+        fit_gaussian_process(np.zeros((3, 4)), np.zeros(3), SCALE, scale)

@@ -138,6 +138,24 @@ def test_a_correction_that_predicts_worse_is_left_out_until_it_is_better() -> No
         assert learner.step_map().residual.kind == DEFAULT
 
 
+def test_a_correction_is_judged_with_the_shift_that_it_is_deployed_with() -> None:
+    """The robot errs the other way round by now: what was learnt is wrong, what drifts makes up for it."""
+    robot, opposite = LossyHopper(drift=0.1), LossyHopper(drift=0.02)
+    learner = Learner(NOMINAL, log_of(hops(robot, 40, seed=0)), LearningSettings(), iteration=1)
+    with learner:
+        left_out, corrected, uncorrected = 0, [], []
+        for logged in hops(opposite, 100, seed=5, iteration=1):
+            record, deployed = logged.record, learner.step_map()
+            learner.observe(logged)
+            if logged.step > 3 * WATCHED:
+                left_out += deployed.residual.kind == "none"
+                corrected.append(record.next_state - deployed(record.state, record.applied))
+                uncorrected.append(record.next_state - NOMINAL(record.state, record.applied))
+    scale = NOMINAL.space.state_scale
+    assert left_out == 0
+    assert np.linalg.norm(corrected / scale) < 0.3 * np.linalg.norm(uncorrected / scale)
+
+
 def test_steps_that_failed_are_remembered() -> None:
     (logged,) = hops(REALITY, 1, seed=0)
     failed = replace(logged, record=replace(logged.record, next_state=np.full(2, np.nan), reason=Reason.FELL))

@@ -19,7 +19,7 @@ from threadpoolctl import ThreadpoolController
 
 from stepgap.learning.cholesky import factorise
 from stepgap.learning.covariance import covariance_matrix, evidence_gradient, kernel, kernel_descent
-from stepgap.learning.gaussian_process import GaussianProcess, HyperParameters, checked_data, condition
+from stepgap.learning.gaussian_process import GaussianProcess, HyperParameters, checked_data, condition, require
 from stepgap.learning.least_squares import LeastSquares, fit_least_squares
 from stepgap.step import Array
 
@@ -86,10 +86,14 @@ def fit_gaussian_process(
         basis: Constant, or constant and slopes whose size the data choose.
         start: Hyper-parameters of a former fit, from which this one then begins, besides a single cold start.
         last_length_scale: Length scale of the last input, where it is given and not to be searched.
+
+    Raises:
+        ValueError: Data or scales are not finite, or their sizes do not fit.
     """
     points, values, input_scale = checked_data(points, values, input_scale)
     if value_scale is None:
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
+    require(0 < value_scale < math.inf, "value_scale", "positive and finite")
     least_noise = LEAST_NOISE * value_scale
     evidence = Evidence(points / input_scale, values, points.shape[1], least_noise, value_scale, last_length_scale)
     cold = cold_starts(points.shape[1], basis)
