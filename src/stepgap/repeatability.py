@@ -17,7 +17,7 @@ PLACES = 20
 SETTLING = 6
 """Steps towards a target before the one that is repeated."""
 
-REPEATS = 6
+REPEATS = 12
 """How often it is repeated."""
 
 
