@@ -396,3 +396,8 @@ print({HEAVY} & sys.modules.keys(), file=sys.stderr)
 """
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
     assert done.stderr.splitlines()[-1] == "set()"
+
+
+@pytest.mark.parametrize("arguments", [["run", "one.toml", "two.toml"], ["doctor", "two.toml"]])
+def test_what_is_too_much_is_named(arguments: list[str], stepgap: Command) -> None:
+    refused(stepgap(*arguments), "two.toml: more than this verb takes")

@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         bad_input = _is_bad_input(error)
         foreseen = bad_input or type(error).__module__.startswith("stepgap.")
-        say(f"{words_of(error)}{_hint(error)}" if foreseen else f"{type(error).__name__}: {error}")
+        say(f"{_words(error)}{_hint(error)}" if foreseen else f"{type(error).__name__}: {error}")
         sys.exit(2 if bad_input else 1)
 
 
@@ -84,6 +84,13 @@ def _is_bad_input(error: Exception) -> bool:
 def _is_forbidden(error: Exception) -> bool:
     """Whether the user named a file or folder that is another's to read or write."""
     return isinstance(error, PermissionError) and error.filename is not None
+
+
+def _words(error: Exception) -> str:
+    """What a foreseen error says."""
+    if isinstance(error, cyclopts.UnusedCliTokensError) and error.unused_tokens:
+        return f"{' '.join(error.unused_tokens)}: more than this verb takes; --help shows what it does"
+    return words_of(error)
 
 
 def _hint(error: Exception) -> str:

@@ -53,7 +53,7 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     watched_page.keep_screenshot("view_tracking")
 
     page.get_by_text("What was learnt").click()
-    expect(body).to_contain_text("as deployment 1 began (gp)")
+    expect(body).to_contain_text("as deployment 1 began (gp_on_linear)")
     choose(watched_page, "Along", "fx")
     expect(page.locator(".uplot:visible").first).to_be_visible()
     page.wait_for_timeout(500)

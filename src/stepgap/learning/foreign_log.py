@@ -147,5 +147,6 @@ def _number(cell: str, place: str) -> float:
     except ValueError:
         value = np.inf
     if not abs(value) <= LARGEST_NUMBER:
-        raise RecordError(f"{place}: {cell!r:.40}; it must be a number within ±{LARGEST_NUMBER:g}, or empty")
+        right = f"a number within ±{LARGEST_NUMBER:g}, such as 0.5, or empty"
+        raise RecordError(f"{place}: {cell!r:.40}; it must be {right}")
     return value

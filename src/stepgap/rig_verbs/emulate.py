@@ -44,17 +44,21 @@ def emulate(
     """
     make_machine = partial(_make_machine, experiment, hold)
     layout = _layout_behind_ring(experiment, hold)
-    _write_settings(
-        settings_file, tomli_w.dumps(to_table(emulated_settings(layout, experiment.robot, ring, interface)))
-    )
+    text = tomli_w.dumps(to_table(emulated_settings(layout, experiment.robot, ring, interface)))
     if os.geteuid() != 0:
         _leave_for_namespace(settings_file, program)
+
+    def tell(line: str) -> None:
+        _write_settings(settings_file, text)
+        print(f"{line}; Ctrl-C ends it", flush=True)
+
     if not program:
-        run_emulator(interface, make_machine(), ring, lambda line: print(f"{line}; Ctrl-C ends it", flush=True))
+        run_emulator(interface, make_machine(), ring, tell)
         return 0
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # handed down to the ring: Ctrl-C is for the program
     with emulated(interface, make_machine, ring):
         signal.signal(signal.SIGINT, before)
+        _write_settings(settings_file, text)
         return run_program(program)
 
 
@@ -108,8 +112,10 @@ def _write_settings(file: Path, text: str) -> None:
             stream.write(text)
     except FileExistsError:
         raise InputError(f"{file}: exists and describes another rig; choose another --settings") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: cannot be written: {error}; choose another --settings") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{file}: exists and is no text; choose another --settings") from None
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written: {error.strerror}; choose another --settings") from None
     print(file, flush=True)
 
 

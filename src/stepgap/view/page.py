@@ -264,7 +264,7 @@ def _step_table(logged: LoggedStep, source: Source) -> str:
     rows = ["| | target | predicted | apex |", "|---|---:|---:|---:|"]
     for index, quantity in enumerate(space.state):
         values = (logged.target[index], logged.predicted[index], record.next_state[index])
-        rows.append(f"| {named(quantity)} | {' | '.join(f'{value:.3f}' for value in values)} |")
+        rows.append(f"| {named(quantity)} | {' | '.join(f'{value:z.3f}' for value in values)} |")
     asked = ", ".join(
         f"{quantity.name} {value:.1f} {quantity.unit}".replace("-", "−")
         for quantity, value in zip(space.command, record.command, strict=True)

@@ -1,5 +1,6 @@
 """Serves the page until somebody ends it."""
 
+import errno
 import io
 import socket
 import sys
@@ -53,7 +54,7 @@ def _is_free(host: str, port: int) -> bool:
     except PermissionError:
         raise InputError(f"--port {port}: not allowed to you; choose one from 1024 on") from None
     except OSError as error:
-        if error.errno == 99:  # EADDRNOTAVAIL
+        if error.errno == errno.EADDRNOTAVAIL:
             raise InputError(f"--host {host}: not an address of this machine; 0.0.0.0 stands for all of them") from None
         return False
     return True
