@@ -116,14 +116,14 @@ def test_apexes_lie_where_the_steps_say(run_folder: Path, replayed: TickTable) -
 
 
 def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
-    (tmp_path / "experiment.toml").write_text("seed = 4\n")
+    (tmp_path / "experiment.toml").write_text("seed = 4\n[gap]\nground_friction = 0.05\n")  # ice
     settings, none = read_experiment(tmp_path / "experiment.toml"), np.zeros(2)
     rig, _ = remade_rig(settings, 0)
     with StepWriter(tmp_path / "steps.csv", settings.command.space()) as writer, plant_on(settings, rig) as plant:
         plant.start()
         reason, step = Reason.OK, 0
         while reason == Reason.OK and step < 20:
-            record, step = plant.take_step(np.array([-30.0, -20.0])), step + 1
+            record, step = plant.take_step(np.array([30.0, -20.0])), step + 1
             writer.append(LoggedStep(0, step, none, none, none, record))
             reason = record.reason
     assert reason != Reason.OK
