@@ -16,6 +16,8 @@ from stepgap.strict_toml import InputError
 
 if TYPE_CHECKING:
     from stepgap.plants.tick import Tick
+    from stepgap.report_verb import Report
+    from stepgap.view.live import LiveView
 
 
 @says_if_it_compiles
@@ -66,7 +68,7 @@ def run(
     from stepgap.hopper.apex_map import ApexMap
     from stepgap.interrupt import terminated_as_interrupted
     from stepgap.live_ticks import TickRecorder
-    from stepgap.progress import Progress, shown_count, tell_event, telling_events
+    from stepgap.progress import Progress, shown_count, telling_events
     from stepgap.report_verb import EVERY, report_run
     from stepgap.run_plants import choose_plants
     from stepgap.run_verb import check_reach, dated_folder, folder_to_resume, start_folder
@@ -104,10 +106,7 @@ def run(
     if not resume:
         start_folder(folder, settings, targets, known)
     try:
-        with (
-            terminated_as_interrupted(),
-            live or nullcontext(),
-        ):
+        with terminated_as_interrupted(), live or nullcontext():
             with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
                 observer = telling_events(progress.observer, nominal.space) if json else progress.observer
                 observer = recorder.observing(observer)
@@ -125,20 +124,27 @@ def run(
                 )
             with shown_count("replay", quiet) as tell:
                 written = report_run(folder, tell, recorder.kept)
-            try:
-                if json:
-                    tell_event("report", path=str(written.path))
-                else:
-                    print(written.path, flush=True)
-                if written.left_out and not quiet:
-                    _say_left_out(written.left_out)
-                if live:
-                    live.stay()
-            except KeyboardInterrupt:  # the run is over: this ends its page only
-                print(file=sys.stderr)
+            _tell_and_stay(written, json, quiet, live)
     except KeyboardInterrupt:
         again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
         raise KeyboardInterrupt(f"; go on with: {again}") from None
+
+
+def _tell_and_stay(report: "Report", json: bool, quiet: bool, live: "LiveView | None") -> None:
+    """Says where the report is, and keeps the live page until Ctrl-C, which by now can only end that."""
+    from stepgap.progress import tell_event
+
+    try:
+        if json:
+            tell_event("report", path=str(report.path))
+        else:
+            print(report.path, flush=True)
+        if report.left_out and not quiet:
+            _say_left_out(report.left_out)
+        if live:
+            live.stay()
+    except KeyboardInterrupt:
+        print(file=sys.stderr)
 
 
 def report(folders: list[Path], /, *, out: Path | None = None) -> None:

@@ -95,9 +95,7 @@ class Learner:
             return
         residual = self._residual.given(context)
         left = error - residual.mean(point)
-        missed = (
-            left - self._drift.offset
-        )  # the error of the very map that step_map() gives, or would if it were trusted
+        missed = left - self._drift.offset  # by the correction with the shift that it is deployed with
         self._advantage.append(float(np.sum((error / scale) ** 2) - np.sum((missed / scale) ** 2)))
         if self._learning.drift and residual.kind != "none":
             self._drift = self._drift.followed(left)
