@@ -49,14 +49,15 @@ def any_step(draw: st.DrawFn) -> LoggedStep:
     reason = draw(st.sampled_from(list(Reason)))
     next_state = draw(PAIR) if reason == Reason.OK else NO_STATE
     predicted = draw(st.one_of(PAIR, st.just(NO_STATE)))
-    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, reason)
+    place = draw(st.one_of(FINITE, st.just(math.nan)))
+    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, reason, place)
     return LoggedStep(0, 1, draw(PAIR), predicted, draw(PAIR), record)
 
 
 def numbers_of(logged: LoggedStep) -> bytes:
     record = logged.record
     arrays = (record.state, logged.target, record.command, record.applied, record.next_state)
-    return np.concatenate([*arrays, logged.predicted, logged.std]).tobytes()
+    return np.concatenate([*arrays, logged.predicted, logged.std, [record.next_place]]).tobytes()
 
 
 @given(logged=any_step())
@@ -74,11 +75,11 @@ def test_the_columns_are_the_contract(tmp_path: Path) -> None:
     header, *rows = (tmp_path / "steps.csv").read_text().splitlines()
     assert header == (
         "iteration,step,speed,height,target_speed,target_height,fx,fy,applied_fx,applied_fy,"
-        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,status"
+        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,next_place,status"
     )
     assert header.split(",") == column_names(SPACE)
-    assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,0.11,0.55,0.2,0.58,0.0,0.0,ok"
-    assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,nan,nan,0.2,0.58,0.0,0.0,fell"
+    assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,0.11,0.55,0.2,0.58,0.0,0.0,nan,ok"
+    assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,nan,nan,0.2,0.58,0.0,0.0,nan,fell"
 
 
 def test_the_log_by_columns() -> None:
@@ -140,7 +141,7 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
         (lambda text: text.replace("0.55", "nan", 1), 2, "not finite"),
         (lambda text: text.replace("0.12000000000000001", "inf"), 3, "not finite"),
         (lambda text: text.replace(",ok", ",fine", 1), 2, "unknown status 'fine'"),
-        (lambda text: text.replace(",ok", ",ok,", 1), 2, "18 columns instead of 17"),
+        (lambda text: text.replace(",ok", ",ok,", 1), 2, "19 columns instead of 18"),
         (lambda text: text.replace("0,2,", "0,3,"), 3, "step 3 of deployment 0 where step 2 of deployment 0"),
         (lambda text: text.replace("0,2,", "0,1,"), 3, "step 1 of deployment 0"),
         (lambda text: text.replace("0,2,", "2,1,"), 3, "or step 1 of deployment 1"),

@@ -117,13 +117,14 @@ def test_steps_that_are_no_step_log(folder: Path, content: bytes) -> None:
     ("row", "message"),
     [
         ("", "RUN/steps.csv: no step yet; it must have a header and at least one row"),
-        ("0,1,2\n", "RUN/steps.csv, line 2: not the next step (3 columns instead of 15)"),
-        ("0,1,nan,0,0,0,0,0,0,0,0,0,1,1,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,2\n", "RUN/steps.csv, line 2: not the next step (3 columns instead of 16)"),
+        ("0,1,nan,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
         ("0,1,0,0,0,0,0,0,0,0,0,0,1,1,flew\n", "RUN/steps.csv, line 2: not the next step"),
-        ("0,2,0,0,0,0,0,0,0,0,0,0,1,1,ok\n", "RUN/steps.csv, line 2: not the next step"),
-        ("-1,1,0,0,0,0,0,0,0,0,0,0,1,1,ok\n", "RUN/steps.csv, line 2: not the next step"),
-        ("0,1,0,0,0,0,0,0,0,0,0,0,1,-1,ok\n", "std_… negative"),
-        ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,ok\n", "a state is beyond ±1e+09"),
+        ("0,2,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("-1,1,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,0,0,0,0,0,0,0,0,0,0,1,1,inf,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,0,0,0,0,0,0,0,0,0,0,1,-1,0,ok\n", "std_… negative"),
+        ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,0,ok\n", "a state is beyond ±1e+09"),
     ],
 )
 def test_steps_that_are_wrong(folder: Path, row: str, message: str) -> None:
@@ -134,7 +135,7 @@ def test_steps_that_are_wrong(folder: Path, row: str, message: str) -> None:
 
 
 def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
-    rows = "0,1,0,0,0,0,0,0,0,0,nan,inf,1,1,ok\n0,2,0,0,0,0,0,0,nan,nan,0,0,1,1,fell\n"
+    rows = "0,1,0,0,0,0,0,0,0,0,nan,inf,1,1,0.5,ok\n0,2,0,0,0,0,0,0,nan,nan,0,0,1,1,nan,fell\n"
     (folder / "summary.json").unlink()
     header = (folder / "steps.csv").read_text().splitlines(keepends=True)[0]
     (folder / "steps.csv").write_text(header + rows)
@@ -220,7 +221,7 @@ def test_steps_changed_after_the_summary(folder: Path) -> None:
     edit_summary(folder, lambda content: content.update(steps_sha256=digest(record.steps)))
     assert read_run_folder(folder).shown == record.shown
     path = folder / "steps.csv"
-    path.write_text(path.read_text().replace(",0.0,0.0,ok", ",0.0,0.5,ok", 1))
+    path.write_text(path.read_text().replace(",0.0,0.0,nan,ok", ",0.0,0.5,nan,ok", 1))
     assert "RUN/summary.json: steps.csv was changed after it was written" in complaint(folder)
 
 

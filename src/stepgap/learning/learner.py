@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from math import nan
 from typing import Self
 
 import numpy as np
@@ -33,10 +34,10 @@ class Learner:
     """The corrected map from step to step of one deployment.
 
     A correction that predicted the last steps significantly worse than the nominal map is left out until it predicts
-    better again, and it is shifted by what drifts. Learning online, every step enters the model before the next is
-    planned, and the hyper-parameters are fitted anew beside the hopping: a fit begins when the command is out, so that
-    it delays none, and is taken over a fixed number of steps later, however long it took, so that the same steps give
-    the same commands.
+    better again, and it is shifted by what drifts, from hop to hop and from place to place. Learning online, every step
+    enters the model before the next is planned, and the hyper-parameters are fitted anew beside the hopping: a fit
+    begins when the command is out, so that it delays none, and is taken over a fixed number of steps later, however
+    long it took, so that the same steps give the same commands.
 
     Args:
         nominal: Map of the physics model.
@@ -50,7 +51,7 @@ class Learner:
         self._lessons = learning.lessons(iteration)
         self._log = StepLog(log.space, log)
         self._residual = self._fitted(self._log, None)
-        self._drift = Drift.none(len(log.space.state))
+        self._drift, self._place = Drift.none(len(log.space.state)), nan
         self._advantage: deque[float] = deque(maxlen=WATCHED)
         self._pool = ThreadPoolExecutor(1)
         self._fit: Future[Residual] | None = None
@@ -81,11 +82,12 @@ class Learner:
         worse = len(advantage) == WATCHED and advantage.sum() < -SIGNIFICANT * np.sqrt(np.sum(advantage**2))
         if worse:
             return CorrectedMap(self.nominal, no_residual(*self._residual.sizes))
-        return CorrectedMap(self.nominal, self.residual, self._drift.offset)
+        return CorrectedMap(self.nominal, self.residual, self._drift.offset(self._place))
 
     def observe(self, logged: LoggedStep) -> None:
         """Takes in the step just executed."""
         record, scale, context = logged.record, self.nominal.space.state_scale, self._context
+        place, self._place = self._place, logged.record.next_place
         self._log.append(logged)
         if record.reason != Reason.OK:
             self._failures.append(_point_of(record))
@@ -95,10 +97,10 @@ class Learner:
             return
         residual = self._residual.given(context)
         left = error - residual.mean(point)
-        missed = left - self._drift.offset  # by the correction with the shift that it is deployed with
+        missed = left - self._drift.offset(place)  # by the correction with the shift that it is deployed with
         self._advantage.append(float(np.sum((error / scale) ** 2) - np.sum((missed / scale) ** 2)))
         if self._learning.drift and residual.kind != "none":
-            self._drift = self._drift.followed(left)
+            self._drift = self._drift.followed(left, place)
         if self._lessons > 0:
             self._lessons -= 1
             self._learn((context, point, error))

@@ -53,6 +53,7 @@ def column_names(space: StepSpace) -> list[str]:
         *command,
         *(f"applied_{name}" for name in command),
         *(f"{kind}_{name}" for kind in ("next", "predicted", "std") for name in state),
+        "next_place",
         "status",
     ]
 
@@ -72,7 +73,7 @@ def _values(logged: LoggedStep) -> list[int | float | str]:
     before = (record.state, logged.target, record.command, record.applied)
     after = (record.next_state, logged.predicted, logged.std)
     numbers = np.concatenate(before + after).tolist()
-    return [logged.iteration, logged.step, *numbers, record.reason.status]
+    return [logged.iteration, logged.step, *numbers, float(record.next_place), record.reason.status]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -84,14 +85,15 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
         raise ValueError(f"unknown status {cells[-1]!r:.40}")
     n, m = len(space.state), len(space.command)
     numbers = np.array([float(cell) for cell in cells[2:-1]])
-    state, target, command, applied, next_state, predicted, std = np.split(numbers, np.cumsum([n, n, m, m, n, n]))
+    parts = np.split(numbers, np.cumsum([n, n, m, m, n, n, n]))
+    state, target, command, applied, next_state, predicted, std, (place,) = parts
     reason = Reason[cells[-1].upper()]
     known = [state, target, command, applied, std]
     if reason == Reason.OK:
         known.append(next_state)
-    if not np.isfinite(np.concatenate(known)).all():
+    if not np.isfinite(np.concatenate(known)).all() or np.isinf(place):
         raise ValueError("a number is not finite")
-    record = StepRecord(state, command, applied, next_state, reason)
+    record = StepRecord(state, command, applied, next_state, reason, float(place))
     return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
 
 

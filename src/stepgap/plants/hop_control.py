@@ -76,6 +76,20 @@ def _lost_force(law, alpha_1, alpha_2, lost_1, lost_2):
     return (toe.y_1 * q_2 - toe.y_2 * q_1) / determinant, (toe.x_2 * q_1 - toe.x_1 * q_2) / determinant
 
 
+class FinishedHop(NamedTuple):
+    """What is known when an apex has just been passed.
+
+    Attributes:
+        state: At the apex; shape (2,).
+        lost: Command force lost on the way there [N]; shape (2,).
+        place: Yaw of the boom [rad].
+    """
+
+    state: Array
+    lost: Array
+    place: float
+
+
 class HopControl:
     """The joint control of Sec. 4.1 from sensor values, hop by hop.
 
@@ -93,7 +107,7 @@ class HopControl:
         self._law, self._masses = joint_law(robot, gains), masses_of(robot)
         self._time = self._due = self._sampled = 0.0
         self._phase, self._phase_start = Phase.FALLING, 0.0
-        self._speed, self._x_start = 0.0, 0.0
+        self._speed, self._x_start, self._yaw = 0.0, 0.0, 0.0
         self._fit, self._rates = FlightFit(), JointRates()
         self._watch, self._reason = Watch(), Reason.OK
         self._begin_hop()
@@ -163,7 +177,8 @@ class HopControl:
         phi_2 = reading.motor_2 * tau / layout.motor_counts
         alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)
         rate_1, rate_2 = self._rates.update(self._sampled, alpha_1, alpha_2)
-        x = layout.boom_length * reading.boom_horizontal * tau / layout.boom_counts_horizontal
+        self._yaw = reading.boom_horizontal * tau / layout.boom_counts_horizontal
+        x = layout.boom_length * self._yaw
         y = layout.pivot_height + layout.boom_length * sin(reading.boom_vertical * tau / layout.boom_counts_vertical)
         self._leg = leg = LegState(*_leg_state(self._masses, alpha_1, alpha_2, rate_1, rate_2))
         self._reading, before = reading, self._phase
@@ -222,17 +237,17 @@ class HopControl:
             self._time, self._reading, self._phase, motion.alpha_1, motion.alpha_2, asked, applied, checked.limited
         )
 
-    def finished_hop(self) -> tuple[Array, Array] | None:
-        """State at the apex just passed and command force lost on the way there [N], both of shape (2,), or None.
+    def finished_hop(self) -> FinishedHop | None:
+        """The hop that has just ended at an apex, or None.
 
         A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
         """
         if self._reason == Reason.OK and self._left_ground and self._phase == Phase.FALLING:
             state = self._apex()
             if np.isfinite(state).all():
-                lost = self.lost_command()
+                finished = FinishedHop(state, self.lost_command(), self._yaw)
                 self._begin_hop()
-                return state, lost
+                return finished
         if self._time > self._deadline:
             self._reason = Reason.NO_APEX if self._left_ground else Reason.NO_TAKE_OFF
         return None

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.plants.hop_control import HopControl
+from stepgap.plants.hop_control import FinishedHop, HopControl
 from stepgap.plants.plant import Plant
 from stepgap.plants.tick import Tick
 from stepgap.rigs.limits import SafetyLimits
@@ -64,7 +64,7 @@ class RigPlant(Plant):
         """
         self._rig.connect()
         self._control, self._reason, self._fault = self._new_control(), Reason.OK, ""
-        self._state = self._hop((0.0, 0.0))[0]
+        self._state = self._hop((0.0, 0.0)).state
         if self._reason != Reason.OK:
             said = f" ({self._fault})" if self._fault else ""
             raise RigFault(
@@ -80,15 +80,15 @@ class RigPlant(Plant):
         state = self._state
         if np.isnan(within).any():
             self._reason = Reason.INVALID
-        self._state, lost = self._hop((float(within[0]), float(within[1])))
-        return StepRecord(state, asked, within - lost, self._state, self._reason)
+        self._state, lost, place = self._hop((float(within[0]), float(within[1])))
+        return StepRecord(state, asked, within - lost, self._state, self._reason, place)
 
     def stop(self) -> None:
         """Torque off."""
         self._rig.close()
 
-    def _hop(self, command: tuple[float, float]) -> tuple[Array, Array]:
-        """Ticks from just after an apex to just after the next: its state, NaN if there is none, and the force lost."""
+    def _hop(self, command: tuple[float, float]) -> FinishedHop:
+        """Ticks from just after an apex to just after the next; NaN where there is none."""
         control = self._control
         while self._reason == Reason.OK:
             try:
@@ -100,7 +100,7 @@ class RigPlant(Plant):
                 return finished
             self._reason = control.reason
         self._rig.close()
-        return np.full(2, np.nan), control.lost_command()
+        return FinishedHop(np.full(2, np.nan), control.lost_command(), np.nan)
 
     def _tick(self, command: tuple[float, float]) -> None:
         control, rig = self._control, self._rig

@@ -119,14 +119,14 @@ def space_of_header(path: Path) -> StepSpace:
     if header == [""]:
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
     for n in range(1, min(MOST_COORDINATES, len(header) // 5) + 1):
-        m = (len(header) - 3 - 5 * n) // 2
+        m = (len(header) - 4 - 5 * n) // 2
         state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
         space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)))
         if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
             return space
     raise ValueError(
         f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
-        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, status"
+        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, next_place, status"
     )
 
 

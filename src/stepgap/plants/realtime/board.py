@@ -31,12 +31,13 @@ class Field(IntEnum):
     HEIGHT = 8
     APPLIED_FX = 9
     APPLIED_FY = 10
-    REASON = 11
-    TICKS = 12
-    MISSED_TICKS = 13
-    WORST_LATENESS = 14
-    TEXT_LENGTH = 15
-    TEXT = 16
+    PLACE = 11
+    REASON = 12
+    TICKS = 13
+    MISSED_TICKS = 14
+    WORST_LATENESS = 15
+    TEXT_LENGTH = 16
+    TEXT = 17
 
 
 class Request(IntEnum):
@@ -56,6 +57,7 @@ class Hop(NamedTuple):
         height: At the apex [m].
         applied_fx: Forward command force that really acted [N].
         applied_fy: Upward command force that really acted [N].
+        place: Yaw of the boom at the apex [rad]; NaN of a hop that failed.
         reason: OK, or why there is no apex.
     """
 
@@ -64,6 +66,7 @@ class Hop(NamedTuple):
     height: float
     applied_fx: float
     applied_fy: float
+    place: float
     reason: Reason
 
 
@@ -144,6 +147,7 @@ class Board:
         self._words[Field.HOP_NUMBER] = -1
         self._numbers[Field.SPEED], self._numbers[Field.HEIGHT] = hop.speed, hop.height
         self._numbers[Field.APPLIED_FX], self._numbers[Field.APPLIED_FY] = hop.applied_fx, hop.applied_fy
+        self._numbers[Field.PLACE] = hop.place
         self._words[Field.REASON] = hop.reason
         self._words[Field.HOP_NUMBER] = hop.number
 
@@ -152,8 +156,7 @@ class Board:
         words, numbers = self._words, self._numbers
         if words[Field.HOP_NUMBER] != number:
             return None
-        speed, height, applied_fx, applied_fy = numbers[Field.SPEED : Field.REASON].tolist()
-        found = Hop(number, speed, height, applied_fx, applied_fy, Reason(words[Field.REASON]))
+        found = Hop(number, *numbers[Field.SPEED : Field.REASON].tolist(), Reason(words[Field.REASON]))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:

@@ -187,11 +187,11 @@ class ControlLoop:
             return
         fx, fy = self._command or (0.0, 0.0)
         if finished:
-            (speed, height), (lost_x, lost_y) = finished
+            (speed, height), (lost_x, lost_y), place = finished
         else:
-            speed, height, (lost_x, lost_y) = nan, nan, self._control.lost_command()
+            speed, height, (lost_x, lost_y), place = nan, nan, self._control.lost_command(), nan
             self._stop_asked = True
-        self._board.post_hop(Hop(self._hop, speed, height, fx - lost_x, fy - lost_y, reason))
+        self._board.post_hop(Hop(self._hop, speed, height, fx - lost_x, fy - lost_y, place, reason))
         self._missed = self._missed + 1 if self._command is None and self._hop > 0 else 0
         if self._missed > self._settings.missed_commands:
             self._board.words = f"{self._missed} hops in a row had no command: the process that learns is missed"
@@ -219,7 +219,7 @@ class ControlLoop:
         if self._state == RigState.FAULT:
             return
         if self._state == RigState.HOP:
-            self._board.post_hop(Hop(self._hop, nan, nan, 0.0, 0.0, Reason.STOPPED))
+            self._board.post_hop(Hop(self._hop, nan, nan, 0.0, 0.0, nan, Reason.STOPPED))
         self._board.words = words
         self._enter(next_state(self._state, Signals(fault=True)))
 

@@ -88,7 +88,8 @@ class RealtimePlant(Plant):
         self._hop += 1
         session.board.post_command(self._hop, *within.tolist())
         hop = self._await_hop(session)
-        return StepRecord(state, asked, np.array([hop.applied_fx, hop.applied_fy]), self._state, hop.reason)
+        applied = np.array([hop.applied_fx, hop.applied_fy])
+        return StepRecord(state, asked, applied, self._state, hop.reason, hop.place)
 
     def stop(self) -> None:
         """Lands the robot, torque off."""
@@ -101,7 +102,7 @@ class RealtimePlant(Plant):
         """The present hop, when it has ended."""
         while (hop := session.board.hop(self._hop)) is None:
             if session.over():
-                hop = session.board.hop(self._hop) or Hop(self._hop, np.nan, np.nan, 0.0, 0.0, Reason.STOPPED)
+                hop = session.board.hop(self._hop) or Hop(self._hop, np.nan, np.nan, 0.0, 0.0, np.nan, Reason.STOPPED)
                 break
             session.check_sink()
             sleep(LOOK_EVERY)
