@@ -156,7 +156,8 @@ class Board:
         words, numbers = self._words, self._numbers
         if words[Field.HOP_NUMBER] != number:
             return None
-        found = Hop(number, *numbers[Field.SPEED : Field.REASON].tolist(), Reason(words[Field.REASON]))
+        speed, height, applied_fx, applied_fy, place = numbers[Field.SPEED : Field.REASON].tolist()
+        found = Hop(number, speed, height, applied_fx, applied_fy, place, Reason(words[Field.REASON]))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:
