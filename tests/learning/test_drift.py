@@ -38,6 +38,22 @@ def test_each_filter_is_the_gaussian_process_of_its_random_walk() -> None:
         np.testing.assert_allclose(coefficients, (terms * walked[-1][:, None]).T @ weights, atol=1e-12)
 
 
+def test_the_doubt_of_an_offset_is_what_it_misses() -> None:
+    """Of a leaning boom, in standard deviations of the noise; nothing where nothing is followed."""
+    rng = np.random.default_rng(5)
+    places, missed, doubts = np.cumsum(rng.uniform(0.05, 0.35, 227)), [], []
+    for _ in range(100):
+        drift, phase = Drift.none(1), rng.uniform(0, 2 * np.pi)
+        assert drift.doubt(0.0) == 0
+        for place in places:
+            added = 1.5 * np.sin(place + phase)
+            missed.append(added - drift.offset(place)[0])
+            doubts.append(drift.doubt(place)[0])
+            drift = drift.followed(np.array([added + rng.normal()]), place)
+    late = np.arange(len(missed)) % 227 > 100
+    assert 0.7 < np.std(np.array(missed)[late]) / np.mean(np.array(doubts)[late]) < 1.3
+
+
 def test_noise_alone_is_not_followed() -> None:
     """On average over many records: what is added makes errors larger by next to nothing."""
     rng = np.random.default_rng(0)

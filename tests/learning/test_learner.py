@@ -164,6 +164,36 @@ def test_steps_that_failed_are_remembered() -> None:
     assert Learner(NOMINAL, log_of([]), LearningSettings(), iteration=1).failures.shape == (0, 4)
 
 
+def leaning(reality: StepMap, seed: int, iteration: int) -> list[LoggedStep]:
+    """Hops on a boom that leans: the place adds a wave to the speed, its zero elsewhere in each deployment."""
+    place = 10.0 * seed
+    rng, steps = np.random.default_rng([seed, 1]), []
+    for logged in hops(reality, 200, seed=seed, iteration=iteration):
+        added = np.array([0.02 * np.sin(place), 0.0])
+        place += rng.uniform(0.05, 0.35)
+        record = replace(logged.record, next_state=logged.record.next_state + added, next_place=place)
+        steps.append(replace(logged, record=record))
+    return steps
+
+
+def test_what_a_place_adds_is_no_error_of_the_map_and_followed_there() -> None:
+    """Steps are judged from a known place on; the wave's own RMS is 14 mm/s, the noise 4."""
+    known = leaning(REALITY, 1, 0) + leaning(REALITY, 2, 1)
+    rms: dict[bool, tuple[float, float]] = {}
+    for drift in (True, False):
+        learner = Learner(NOMINAL, log_of(known), LearningSettings(drift=drift), 2)
+        points, missed = POINTS[:, :2], []
+        learnt = learner.residual.mean(POINTS) - (REALITY(points, POINTS[:, 2:]) - NOMINAL(points, POINTS[:, 2:]))
+        with learner:
+            for logged in leaning(REALITY, 3, 2):
+                record = logged.record
+                missed.append(record.next_state - learner.step_map()(record.state, record.applied))
+                learner.observe(logged)
+        rms[drift] = float(np.std(learnt[:, 0])), float(np.std(np.array(missed)[60:, 0]))
+    assert rms[True][0] < 0.7 * rms[False][0]
+    assert rms[True][1] < 0.006 < 0.013 < rms[False][1]
+
+
 def test_a_drift_within_the_deployment_is_followed_if_asked_to() -> None:
     known, shifted = hops(REALITY, 60, seed=0), np.array([0.03, -0.004])
     drifting = [

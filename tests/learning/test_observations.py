@@ -76,7 +76,7 @@ def test_nothing_recorded_is_nothing_observed() -> None:
 
 
 class TestRefused:
-    DATA = (np.zeros((4, 2)), np.zeros((4, 1)), np.zeros((4, 2)), np.zeros((4, 6)))
+    DATA: tuple[Array, ...] = (np.zeros((4, 2)), np.zeros((4, 1)), np.zeros((4, 2)), np.zeros((4, 6)))
     NAMES = ("state", "applied_command", "error", "context")
 
     @pytest.mark.parametrize("argument", range(4))

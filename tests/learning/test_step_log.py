@@ -3,6 +3,7 @@
 import hashlib
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,14 @@ def test_the_columns_are_the_contract(tmp_path: Path) -> None:
     assert header.split(",") == column_names(SPACE)
     assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,0.11,0.55,0.2,0.58,0.0,0.0,nan,ok"
     assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,nan,nan,0.2,0.58,0.0,0.0,nan,fell"
+
+
+def test_the_place_of_a_step_is_where_the_one_before_ended() -> None:
+    first = [step(), step(number=2), step(number=3)]
+    places = [0.5, math.nan, 7.0]
+    known = [replace(s, record=replace(s.record, next_place=place)) for s, place in zip(first, places, strict=True)]
+    np.testing.assert_array_equal(StepLog(SPACE, [*known, step(1, 1)]).place, [math.nan, 0.5, math.nan, math.nan])
+    assert StepLog(SPACE).place.shape == (0,)
 
 
 def test_the_log_by_columns() -> None:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.learning.residual import Residual, join_points
@@ -21,11 +22,13 @@ class CorrectedMap(StepMap):
             actual − nominal on all steps, so corrections never stack.
         residual: Model of actual − nominal, of the same sizes.
         offset: Added to that at present, see `drift`; shape (n,), or 0.
+        doubt: Standard deviation of the offset, in those of a step's noise; shape (n,), or 0.
     """
 
     nominal: StepMap
     residual: Residual
     offset: Array | float = 0.0
+    doubt: Array | float = 0.0
 
     def __post_init__(self) -> None:
         if isinstance(self.nominal, CorrectedMap):
@@ -50,8 +53,8 @@ class CorrectedMap(StepMap):
 
     @property
     def noise_std(self) -> Array:
-        """Standard deviation of one measured step about the next state, as the residual has it; shape (n,)."""
-        return self.residual.noise_std
+        """Standard deviation of one measured step about the next state: the residual's, and doubt; shape (n,)."""
+        return self.residual.noise_std * np.sqrt(1 + np.square(self.doubt))
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the next state, which is the residual's; shape (…, n) [units of the state]."""

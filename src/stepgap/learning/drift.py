@@ -13,6 +13,7 @@ from math import cos, isnan, sin
 from typing import Self, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.step import Array
 
@@ -49,10 +50,12 @@ class Drift:
 
     def offset(self, place: float) -> Array:
         """What to add to the predicted state of a step that starts at a place [rad], or at none (NaN); shape (n,)."""
-        typical = self.scores[0] / max(self.weight, 1.0)
-        handicap = np.where(np.arange(len(self.scores)) > 0, RELUCTANCE, 0.0)[:, None] * typical
-        best = np.argmin(self.scores + handicap, axis=0)
-        return self._offsets(_terms(place))[best, np.arange(self.scores.shape[1])]
+        return self._offsets(_terms(place))[self._best, np.arange(self.scores.shape[1])]
+
+    def doubt(self, place: float) -> Array:
+        """Standard deviation of that offset, in those of a step's noise; shape (n,)."""
+        terms = _terms(place)
+        return np.sqrt(np.append(0.0, self.covariance @ terms @ terms))[self._best]
 
     def followed(self, left: Array, place: float) -> "Drift":
         """After a step from a place [rad] of which the map without this offset left an error; shape (n,)."""
@@ -68,6 +71,13 @@ class Drift:
             scores=REMEMBERED * self.scores + missed**2,
             weight=REMEMBERED * self.weight + 1.0,
         )
+
+    @property
+    def _best(self) -> NDArray[np.intp]:
+        """Which filter is used, 0 for none; shape (n,)."""
+        typical = self.scores[0] / max(self.weight, 1.0)
+        handicap = np.where(np.arange(len(self.scores)) > 0, RELUCTANCE, 0.0)[:, None] * typical
+        return np.argmin(self.scores + handicap, axis=0)
 
     def _offsets(self, terms: Array) -> Array:
         """Nothing, then what each filter says; shape (1 + rates, n)."""

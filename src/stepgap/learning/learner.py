@@ -11,6 +11,7 @@ import numpy as np
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.drift import Drift
 from stepgap.learning.observations import context_after, error_of, next_context, observe
+from stepgap.learning.place_effects import without_place_effects
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
@@ -48,7 +49,7 @@ class Learner:
 
     def __init__(self, nominal: StepMap, log: StepLog, learning: LearningSettings, iteration: int):
         self.nominal, self._learning = nominal, learning
-        self._lessons = learning.lessons(iteration)
+        self._iteration, self._lessons = iteration, learning.lessons(iteration)
         self._log = StepLog(log.space, log)
         self._residual = self._fitted(self._log, None)
         self._drift, self._place = Drift.none(len(log.space.state)), nan
@@ -82,7 +83,8 @@ class Learner:
         worse = len(advantage) == WATCHED and advantage.sum() < -SIGNIFICANT * np.sqrt(np.sum(advantage**2))
         if worse:
             return CorrectedMap(self.nominal, no_residual(*self._residual.sizes))
-        return CorrectedMap(self.nominal, self.residual, self._drift.offset(self._place))
+        drift, place = self._drift, self._place
+        return CorrectedMap(self.nominal, self.residual, drift.offset(place), drift.doubt(place))
 
     def observe(self, logged: LoggedStep) -> None:
         """Takes in the step just executed."""
@@ -132,6 +134,8 @@ class Learner:
 
     def _fitted(self, log: StepLog, start: Residual | None) -> Residual:
         learning, observations = self._learning, observe(log, self.nominal)
+        if learning.drift:
+            observations = without_place_effects(observations, self._iteration)
         kind = learning.residual if len(observations) else "none"
         return fit_residual(kind, observations, learning.features, learning.memory, start)
 

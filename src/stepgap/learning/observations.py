@@ -12,6 +12,7 @@ import numpy as np
 
 from stepgap.learning.residual import Hindsight
 from stepgap.learning.step_log import StepLog
+from stepgap.learning.step_table import Indices
 from stepgap.step import Array, StepMap, StepRecord, StepSpace
 
 
@@ -26,6 +27,9 @@ class Observations:
         applied_command: Command the joints received; shape (N, m).
         error: Actual − nominal next state; shape (N, n).
         context: What was known of the past; shape (N, 2n + m + 1). None: nothing but the order of the steps.
+        place: Where on its round the robot was when each step started [rad], NaN where not known; shape (N,). None:
+            nothing is known of it.
+        deployment: Number of the deployment it belongs to; shape (N,). None: all of them to one.
 
     Raises:
         ValueError: A wrong shape, or a number that is not finite.
@@ -36,6 +40,8 @@ class Observations:
     applied_command: Array
     error: Array
     context: Array | None = None
+    place: Array | None = None
+    deployment: Indices | None = None
 
     def __post_init__(self) -> None:
         state, command = self.space.state_names, self.space.command_names
@@ -45,10 +51,12 @@ class Observations:
         if self.context is not None:
             errors = (f"error of {name}" for name in state)
             _check_rows(self.context, "context", (*errors, *command, *state, "steps before"))
-        parts = (self.state, self.applied_command, self.error, self.context)
+        parts = (self.state, self.applied_command, self.error, self.context, self.place, self.deployment)
         sizes = [len(part) for part in parts if part is not None]
         if len(set(sizes)) != 1:
-            raise ValueError(f"states, applied commands, errors and contexts must be equally many, not {sizes}")
+            raise ValueError(
+                f"states, applied commands, errors, contexts, places and deployments must be equally many, not {sizes}"
+            )
 
     def __len__(self) -> int:
         return len(self.state)
@@ -76,7 +84,8 @@ def observe(log: StepLog, nominal: StepMap) -> Observations:
     before = np.where(follows[:, None], np.roll(told, 1, axis=0), 0.0)
     context = np.hstack([before, np.arange(float(len(log)))[:, None]])
     known = np.isfinite(error).all(axis=1)
-    return Observations(nominal.space, log.state[known], log.applied[known], error[known], context[known])
+    rows = log.state[known], log.applied[known], error[known], context[known], log.place[known], iteration[known]
+    return Observations(nominal.space, *rows)
 
 
 def next_context(log: StepLog, nominal: StepMap, iteration: int) -> Array:

@@ -209,7 +209,7 @@ class Polynomial(Regression):
         return scaled[..., :-1] if self.timed else scaled
 
     def _basis(self, point: ArrayLike) -> Array:
-        return _monomials(self._scaled(point), DEGREES[self.kind])
+        return monomials(self._scaled(point), DEGREES[self.kind])
 
     def _basis_gradient(self, point: ArrayLike) -> Array:
         gradient = _monomials_gradient(self._scaled(point), DEGREES[self.kind])
@@ -269,7 +269,7 @@ def _check(points: Array, values: Array, centre: Array, scale: Array, noise_scal
         raise ValueError("noise_scale must be positive and finite")
 
 
-def _monomials(x: Array, degree: int) -> Array:
+def monomials(x: Array, degree: int) -> Array:
     """1, xᵢ, xᵢ xⱼ (i ≤ j) up to a degree; (…, d) to (…, d_φ)."""
     i, j = np.triu_indices(x.shape[-1])
     parts = [np.ones((*x.shape[:-1], 1)), x, x[..., i] * x[..., j]][: degree + 1]

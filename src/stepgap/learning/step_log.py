@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -148,6 +149,15 @@ class StepLog:
     def falls(self) -> int:
         """How many steps did not end with an apex."""
         return sum(logged.record.reason != Reason.OK for logged in self._steps)
+
+    @property
+    def place(self) -> Array:
+        """Places at the start of each step [rad], NaN where they are not known; shape (N,)."""
+        places = np.full(len(self), np.nan)
+        for row, (before, logged) in enumerate(pairwise(self._steps), start=1):
+            if before.iteration == logged.iteration:
+                places[row] = before.record.next_place
+        return places
 
     @property
     def state(self) -> Array:
