@@ -12,6 +12,7 @@ import numpy as np
 from stepgap import ApexMap
 from stepgap.experiment import read_experiment
 from stepgap.learning.observations import Observations, observe
+from stepgap.learning.place_effects import without_place_effects
 from stepgap.learning.residual_fit import CANDIDATES, fit_residual
 from stepgap.learning.step_log import StepLog, read_step_log
 from stepgap.step import Array
@@ -23,7 +24,8 @@ def next_deployments(folder: Path) -> list[tuple[Observations, Observations]]:
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
     log = read_step_log(folder / "steps.csv", nominal.space)
     known = [observe(StepLog(log.space, (s for s in log if s.iteration <= k)), nominal) for k in log.iterations]
-    return [(before, rows_from(after, len(before))) for before, after in pairwise(known)]
+    rows = [(before, rows_from(after, len(before))) for before, after in pairwise(known)]
+    return [(without_place_effects(before, k), after) for k, (before, after) in enumerate(rows, start=1)]
 
 
 def rows_from(data: Observations, first: int) -> Observations:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,7 +78,7 @@ def test_nothing_recorded_is_nothing_observed() -> None:
 
 
 class TestRefused:
-    DATA: tuple[Array, ...] = (np.zeros((4, 2)), np.zeros((4, 1)), np.zeros((4, 2)), np.zeros((4, 6)))
+    DATA = (np.zeros((4, 2)), np.zeros((4, 1)), np.zeros((4, 2)), np.zeros((4, 6)))
     NAMES = ("state", "applied_command", "error", "context")
 
     @pytest.mark.parametrize("argument", range(4))
@@ -92,10 +94,15 @@ class TestRefused:
         named, right = self.NAMES[argument], self.DATA[argument]
 
         def observed_with(wrong: Array) -> Observations:
-            return Observations(SPACE, **(dict(zip(self.NAMES, self.DATA, strict=True)) | {named: wrong}))
+            return replace(Observations(SPACE, *self.DATA), **{named: wrong})
 
         for wrong in (right[:, 1:], right[0]):
             with pytest.raises(ValueError, match=f"^{named} must have the columns"):
                 observed_with(wrong)
         with pytest.raises(ValueError, match="equally many"):
             observed_with(right[1:])
+
+    @pytest.mark.parametrize("named", ["place", "deployment"])
+    def test_places_or_deployments_of_other_steps(self, named: str) -> None:
+        with pytest.raises(ValueError, match="equally many"):
+            replace(Observations(SPACE, *self.DATA), **{named: np.zeros(3, np.intp)})
