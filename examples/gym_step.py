@@ -27,7 +27,7 @@ def episode(plan, seed, log, iteration):
         seen, _, fell, at_end, info = env.step(space.point_of(planned.command))
         over, reason = fell or at_end, Reason[info["reason"].upper()]
         errors.append(seen[:2] - target)
-        record = StepRecord(state, info["command"], info["applied"], seen[:2], reason)
+        record = StepRecord(state, info["command"], info["applied"], seen[:2], reason, info.get("place", np.nan))
         log.append(LoggedStep(iteration, len(errors), target, planned.predicted, np.zeros(2), record))
     return np.sqrt(np.mean(np.square(errors), axis=0))
 

@@ -88,6 +88,7 @@ def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
     expected = ApexMap()(START, [-0.2 * 30, 0.1 * 20])
     np.testing.assert_allclose(seen, [*expected, 0.3, 0.6], rtol=0, atol=1e-12)
     np.testing.assert_allclose(info["predicted"], expected, atol=1e-12)
+    assert "place" not in info  # a map has none
     assert reward == pytest.approx(-(((expected[0] - 0.2) / 0.2) ** 2) - ((expected[1] - 0.58) / 0.06) ** 2)
     assert (fell, at_end, info["reason"]) == (False, False, "ok")
 
@@ -203,6 +204,12 @@ def test_it_goes_into_gymnasiums_wrappers_and_vectors() -> None:
     envs.reset(seed=0)
     assert envs.step(envs.action_space.sample())[0].shape == (3, 4)
     envs.close()
+
+
+def test_the_twins_steps_tell_the_place() -> None:
+    env = made(reference=REFERENCE)
+    env.reset(seed=0)
+    assert np.isfinite(env.step(np.zeros(2))[4]["place"])
 
 
 def test_any_robot_goes_in() -> None:

@@ -6,7 +6,7 @@ Importing this registers `stepgap/Step-v0`, the hopper. `StepEnv` itself knows n
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import partial
-from math import tau
+from math import isfinite, tau
 from typing import Any, Literal
 
 import numpy as np
@@ -50,7 +50,8 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
       `MISSED` for every step that it takes away.
     - Terminated by a fall, truncated at the reference's end.
     - Info of a step: `command` and `applied` [command units]; `reason`, `ok` or why there was no apex; `predicted`, the
-      nominal map's next state for what was applied, if it has one; `fault`, what the plant says of its end, if it does.
+      nominal map's next state for what was applied, if it has one; `place`, where on its round the robot is [rad], if
+      the plant measures it; `fault`, what the plant says of its end, if it does.
 
     Args:
         make_plant: Makes the plant of one episode from the environment's random generator.
@@ -104,6 +105,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         predicted, reason = self.nominal.evaluate(record.state, record.applied)
         info = {"command": record.command, "applied": record.applied, "reason": record.reason.status}
         info |= {"predicted": predicted} if reason == Reason.OK else {}
+        info |= {"place": record.next_place} if isfinite(record.next_place) else {}
         info |= {"fault": self._plant.fault} if self._plant.fault else {}
         fell = record.reason != Reason.OK
         if fell:

@@ -1,4 +1,7 @@
-"""How well the twin repeats a step: what a controller that knows neither its noise nor the place cannot beat."""
+"""How well the twin repeats a step: what a controller that knows neither its noise nor the place cannot beat.
+
+One that follows what the place adds, as `learning.drift` does, can.
+"""
 
 from copy import deepcopy
 from math import tau
@@ -29,7 +32,7 @@ def measure_repeatability(
     Held equal are the command, the true motion of robot, boom and drives at the apex, and all that the controller
     remembers, so the measured state, too. Fresh are the torque noise, its present value included, and the place: the
     floor is turned by any angle, because yaw is no part of the state. The spread is that of the measured next state.
-    On a floor whose unevenness is alike from hop to hop, tracking errors may come out a little smaller.
+    Where what the place adds is followed from hop to hop, tracking errors may come out a little smaller.
 
     Args:
         plant: Hops the twin.

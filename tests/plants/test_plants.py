@@ -43,6 +43,25 @@ def test_steps_are_chained_and_record_what_was_asked_and_applied(make_plant):
             state = record.next_state
 
 
+def test_the_place_of_a_step_is_the_boom_at_its_end():
+    twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0), start_speed=0.3)
+    with RigPlant(twin, ROBOT, GAINS, BOUNDS) as plant:
+        plant.start()
+        for _ in range(3):
+            place = plant.take_step(COMMAND).next_place
+            assert abs(place - twin.true_state().boom[0]) < 2 * np.pi / 5000 + 1e-3  # a count, and a tick's way
+            assert place > 0.1
+
+
+def test_a_step_without_an_apex_and_a_map_have_no_place():
+    with model_plant(0) as plant:
+        plant.start()
+        assert np.isnan(plant.take_step(COMMAND).next_place)
+    with twin_plant(0) as plant:
+        plant.start()
+        assert np.isnan(plant.take_step(np.array([np.nan, 0.0])).next_place)
+
+
 def test_same_seed_same_steps(make_plant):
     def deployment(seed):
         with make_plant(seed) as plant:

@@ -30,7 +30,8 @@ class LearningSettings:
             best so far; judged from the second redeployment on.
         features: What of the step before the model takes as inputs, too; `auto`: what predicts best.
         memory: After how many steps what was learnt counts much less; inf: it counts for ever.
-        drift: Whether a correction is shifted during a deployment by what it has left of late.
+        drift: Whether a correction is shifted during a deployment by what it has left of late and at the same place,
+            and what the place added to earlier deployments is not learnt.
         online: Whether to learn from hop to hop, from the very first one on.
         calibration: Hops before the first deployment's tracking whose commands are chosen for what they teach.
     """
