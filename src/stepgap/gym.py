@@ -105,7 +105,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         predicted, reason = self.nominal.evaluate(record.state, record.applied)
         info = {"command": record.command, "applied": record.applied, "reason": record.reason.status}
         info |= {"predicted": predicted} if reason == Reason.OK else {}
-        info |= {"place": record.next_place} if isfinite(record.next_place) else {}
+        info |= {"place": record.place_after} if isfinite(record.place_after) else {}
         info |= {"fault": self._plant.fault} if self._plant.fault else {}
         fell = record.reason != Reason.OK
         if fell:

@@ -260,8 +260,11 @@ class StepRecord:
         applied: Command the joints received after every limit; shape (m,). Learning uses this one.
         next_state: State at the next apex, as measured; NaN if there was none; shape (n,).
         reason: How it ended.
-        next_place: Where on its round the robot is at the next apex [rad], such as the yaw of its boom; NaN of a plant
+        place_after: Where on its round the robot is at the next apex [rad], such as the yaw of its boom; NaN of a plant
             that does not measure it, and where there was no apex. No part of the state, and its zero is arbitrary.
+
+    Raises:
+        ValueError: The place is infinite.
     """
 
     state: Array
@@ -269,4 +272,8 @@ class StepRecord:
     applied: Array
     next_state: Array
     reason: Reason
-    next_place: float = np.nan
+    place_after: float = np.nan
+
+    def __post_init__(self) -> None:
+        if np.isinf(self.place_after):
+            raise ValueError(f"place_after = {self.place_after}, but it must be an angle, or NaN where it is not known")

@@ -23,35 +23,60 @@ def test_nothing_is_added_before_the_first_step() -> None:
         np.testing.assert_array_equal(Drift.none(3).offset(place), np.zeros(3))
 
 
-def test_each_filter_is_the_gaussian_process_of_its_random_walk() -> None:
-    """Oracle: the same posterior mean from the covariance of all steps at once."""
+def test_each_filter_is_the_regression_that_trusts_its_past_so_far() -> None:
+    """Oracle: after each step c is the least-squares compromise between the new error and what was known."""
     rng = np.random.default_rng(3)
     left, places, drift = rng.normal(0, 1, (40, 2)), rng.uniform(0, 100, 40), Drift.none(2)
-    places[:7] = nan
+    places[[0, 7, 8]] = nan
     for error, place in zip(left, places, strict=True):
         drift = drift.followed(error, place)
-    terms = np.column_stack([np.ones(40), np.nan_to_num(np.sin(places)), np.nan_to_num(np.cos(places))])
-    number = np.arange(1.0, 41.0)
-    for rate, coefficients in zip(RATES, drift.coefficients, strict=True):
-        walked = 1 + rate**2 * np.minimum(number[:, None], number)
-        weights = np.linalg.solve(terms @ terms.T * walked + np.eye(40), left)
-        np.testing.assert_allclose(coefficients, (terms * walked[-1][:, None]).T @ weights, atol=1e-12)
+    for rate, (blind, seeing) in zip(RATES, zip(*np.split(drift.coefficients, 2), strict=True), strict=True):
+        for size, found in ((1, blind), (3, seeing)):
+            known, covariance = np.zeros((size, 2)), np.eye(size)
+            for error, place in zip(left, places, strict=True):
+                terms = np.nan_to_num([1.0, np.sin(place), np.cos(place)])[:size]
+                precision = np.linalg.inv((1 - rate**2) * covariance + rate**2 * np.eye(size))
+                root = np.linalg.cholesky(precision).T
+                rows, values = np.vstack([root, terms]), np.vstack([root @ known, error])
+                known = np.linalg.lstsq(rows, values, rcond=None)[0]
+                covariance = np.linalg.inv(rows.T @ rows)
+            np.testing.assert_allclose(found[:size], known, atol=1e-10)
+            assert (found[size:] == 0).all()
 
 
-def test_the_doubt_of_an_offset_is_what_it_misses() -> None:
+def test_a_filter_without_forgetting_is_the_regression_of_all_steps() -> None:
+    rng = np.random.default_rng(6)
+    left, places, drift = rng.normal(0, 1, (40, 1)), rng.uniform(0, 100, 40), Drift.none(1)
+    for error, place in zip(left, places, strict=True):
+        drift = drift.followed(error, place)
+    terms = np.column_stack([np.ones(40), np.sin(places), np.cos(places)])
+    slowest = drift.coefficients[len(RATES)]
+    np.testing.assert_allclose(slowest, np.linalg.solve(terms.T @ terms + np.eye(3), terms.T @ left), atol=0.02)
+
+
+def test_what_is_not_seen_for_long_is_as_unsure_as_at_first_and_no_more() -> None:
+    """A robot that hops in place while something else drifts: a quarter round on nothing is known, not less."""
+    drift = Drift.none(1)
+    for step in range(3000):
+        drift = drift.followed(np.array([3 * np.sin(step / 20)]), 0.0)
+    assert (np.linalg.eigvalsh(drift.covariance) < 1 + 1e-9).all()
+    assert drift.std(np.pi / 2) < np.sqrt(2)
+
+
+def test_the_standard_deviation_of_an_offset_is_what_it_misses() -> None:
     """Of a leaning boom, in standard deviations of the noise; nothing where nothing is followed."""
     rng = np.random.default_rng(5)
-    places, missed, doubts = np.cumsum(rng.uniform(0.05, 0.35, 227)), [], []
+    places, missed, stds = np.cumsum(rng.uniform(0.05, 0.35, 227)), [], []
     for _ in range(100):
         drift, phase = Drift.none(1), rng.uniform(0, 2 * np.pi)
-        assert drift.doubt(0.0) == 0
+        assert drift.std(0.0) == 0
         for place in places:
             added = 1.5 * np.sin(place + phase)
             missed.append(added - drift.offset(place)[0])
-            doubts.append(drift.doubt(place)[0])
+            stds.append(drift.std(place)[0])
             drift = drift.followed(np.array([added + rng.normal()]), place)
     late = np.arange(len(missed)) % 227 > 100
-    assert 0.7 < np.std(np.array(missed)[late]) / np.mean(np.array(doubts)[late]) < 1.3
+    assert 0.7 < np.std(np.array(missed)[late]) / np.mean(np.array(stds)[late]) < 1.3
 
 
 def test_noise_alone_is_not_followed() -> None:

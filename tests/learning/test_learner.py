@@ -171,7 +171,7 @@ def leaning(reality: StepMap, seed: int, iteration: int) -> list[LoggedStep]:
     for logged in hops(reality, 200, seed=seed, iteration=iteration):
         added = np.array([0.02 * np.sin(place), 0.0])
         place += rng.uniform(0.05, 0.35)
-        record = replace(logged.record, next_state=logged.record.next_state + added, next_place=place)
+        record = replace(logged.record, next_state=logged.record.next_state + added, place_after=place)
         steps.append(replace(logged, record=record))
     return steps
 

@@ -58,7 +58,7 @@ def any_step(draw: st.DrawFn) -> LoggedStep:
 def numbers_of(logged: LoggedStep) -> bytes:
     record = logged.record
     arrays = (record.state, logged.target, record.command, record.applied, record.next_state)
-    return np.concatenate([*arrays, logged.predicted, logged.std, [record.next_place]]).tobytes()
+    return np.concatenate([*arrays, logged.predicted, logged.std, [record.place_after]]).tobytes()
 
 
 @given(logged=any_step())
@@ -76,7 +76,7 @@ def test_the_columns_are_the_contract(tmp_path: Path) -> None:
     header, *rows = (tmp_path / "steps.csv").read_text().splitlines()
     assert header == (
         "iteration,step,speed,height,target_speed,target_height,fx,fy,applied_fx,applied_fy,"
-        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,next_place,status"
+        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,place_after,status"
     )
     assert header.split(",") == column_names(SPACE)
     assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,0.11,0.55,0.2,0.58,0.0,0.0,nan,ok"
@@ -86,7 +86,7 @@ def test_the_columns_are_the_contract(tmp_path: Path) -> None:
 def test_the_place_of_a_step_is_where_the_one_before_ended() -> None:
     first = [step(), step(number=2), step(number=3)]
     places = [0.5, math.nan, 7.0]
-    known = [replace(s, record=replace(s.record, next_place=place)) for s, place in zip(first, places, strict=True)]
+    known = [replace(s, record=replace(s.record, place_after=place)) for s, place in zip(first, places, strict=True)]
     np.testing.assert_array_equal(StepLog(SPACE, [*known, step(1, 1)]).place, [math.nan, 0.5, math.nan, math.nan])
     assert StepLog(SPACE).place.shape == (0,)
 

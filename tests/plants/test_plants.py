@@ -48,7 +48,7 @@ def test_the_place_of_a_step_is_the_boom_at_its_end():
     with RigPlant(twin, ROBOT, GAINS, BOUNDS) as plant:
         plant.start()
         for _ in range(3):
-            place = plant.take_step(COMMAND).next_place
+            place = plant.take_step(COMMAND).place_after
             assert abs(place - twin.true_state().boom[0]) < 2 * np.pi / 5000 + 1e-3  # a count, and a tick's way
             assert place > 0.1
 
@@ -56,10 +56,10 @@ def test_the_place_of_a_step_is_the_boom_at_its_end():
 def test_a_step_without_an_apex_and_a_map_have_no_place():
     with model_plant(0) as plant:
         plant.start()
-        assert np.isnan(plant.take_step(COMMAND).next_place)
+        assert np.isnan(plant.take_step(COMMAND).place_after)
     with twin_plant(0) as plant:
         plant.start()
-        assert np.isnan(plant.take_step(np.array([np.nan, 0.0])).next_place)
+        assert np.isnan(plant.take_step(np.array([np.nan, 0.0])).place_after)
 
 
 def test_same_seed_same_steps(make_plant):

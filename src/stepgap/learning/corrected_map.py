@@ -22,13 +22,13 @@ class CorrectedMap(StepMap):
             actual − nominal on all steps, so corrections never stack.
         residual: Model of actual − nominal, of the same sizes.
         offset: Added to that at present, see `drift`; shape (n,), or 0.
-        doubt: Standard deviation of the offset, in those of a step's noise; shape (n,), or 0.
+        offset_std: Standard deviation of the offset [units of the state]; shape (n,), or 0.
     """
 
     nominal: StepMap
     residual: Residual
     offset: Array | float = 0.0
-    doubt: Array | float = 0.0
+    offset_std: Array | float = 0.0
 
     def __post_init__(self) -> None:
         if isinstance(self.nominal, CorrectedMap):
@@ -53,13 +53,17 @@ class CorrectedMap(StepMap):
 
     @property
     def noise_std(self) -> Array:
-        """Standard deviation of one measured step about the next state: the residual's, and doubt; shape (n,)."""
-        return self.residual.noise_std * np.sqrt(1 + np.square(self.doubt))
+        """Standard deviation of one measured step about the next state, as the residual has it; shape (n,)."""
+        return self.residual.noise_std
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """Standard deviation of the next state, which is the residual's; shape (…, n) [units of the state]."""
-        return self.residual.std(join_points(state, command))
+        """Standard deviation of the next state, residual and offset; shape (…, n) [units of the state]."""
+        return np.hypot(self.residual.std(join_points(state, command)), self.offset_std)
 
     def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂std/∂(state, command), which is the residual's; shape (…, n, n + m)."""
-        return self.residual.std_gradient(join_points(state, command))
+        """∂std/∂(state, command); shape (…, n, n + m)."""
+        points = join_points(state, command)
+        std = self.residual.std(points)
+        whole = np.hypot(std, self.offset_std)
+        share = np.divide(std, whole, out=np.ones_like(whole), where=whole > 0)
+        return share[..., None] * self.residual.std_gradient(points)

@@ -83,13 +83,13 @@ class Learner:
         worse = len(advantage) == WATCHED and advantage.sum() < -SIGNIFICANT * np.sqrt(np.sum(advantage**2))
         if worse:
             return CorrectedMap(self.nominal, no_residual(*self._residual.sizes))
-        drift, place = self._drift, self._place
-        return CorrectedMap(self.nominal, self.residual, drift.offset(place), drift.doubt(place))
+        residual, offset, share = self.residual, self._drift.offset(self._place), self._drift.std(self._place)
+        return CorrectedMap(self.nominal, residual, offset, share * residual.noise_std)
 
     def observe(self, logged: LoggedStep) -> None:
         """Takes in the step just executed."""
         record, scale, context = logged.record, self.nominal.space.state_scale, self._context
-        place, self._place = self._place, logged.record.next_place
+        place, self._place = self._place, logged.record.place_after
         self._log.append(logged)
         if record.reason != Reason.OK:
             self._failures.append(_point_of(record))
@@ -133,11 +133,15 @@ class Learner:
             self._residual = self._residual.given(context).append(point, error)
 
     def _fitted(self, log: StepLog, start: Residual | None) -> Residual:
-        learning, observations = self._learning, observe(log, self.nominal)
-        if learning.drift:
-            observations = without_place_effects(observations, self._iteration)
-        kind = learning.residual if len(observations) else "none"
-        return fit_residual(kind, observations, learning.features, learning.memory, start)
+        learning, errors = self._learning, observe(log, self.nominal)
+        kind = learning.residual if len(errors) else "none"
+        if learning.drift and kind != "none":
+            cleaned = without_place_effects(errors, self._iteration)
+            residual = fit_residual(kind, cleaned, learning.features, learning.memory, start)
+            if residual.kind != "none":
+                return residual
+            kind = "none"  # without a correction nothing is followed: what the place adds is noise
+        return fit_residual(kind, errors, learning.features, learning.memory, start)
 
 
 def _taught(fit: Future[Residual], lessons: Sequence[Lesson]) -> Residual:

@@ -79,12 +79,10 @@ def observe(log: StepLog, nominal: StepMap) -> Observations:
     """
     error = log.next_state - nominal.evaluate(log.state, log.applied).next_state
     told = _told(nominal.space, error, log.applied, log.state)
-    iteration = np.array([logged.iteration for logged in log])
-    follows = np.diff(iteration, prepend=-1) == 0
-    before = np.where(follows[:, None], np.roll(told, 1, axis=0), 0.0)
+    before = np.where(log.follows[:, None], np.roll(told, 1, axis=0), 0.0)
     context = np.hstack([before, np.arange(float(len(log)))[:, None]])
     known = np.isfinite(error).all(axis=1)
-    rows = log.state[known], log.applied[known], error[known], context[known], log.place[known], iteration[known]
+    rows = log.state[known], log.applied[known], error[known], context[known], log.place[known], log.deployment[known]
     return Observations(nominal.space, *rows)
 
 

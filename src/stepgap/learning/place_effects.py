@@ -3,8 +3,9 @@
 A leaning boom or floor shifts the next state by a sin ψ + b cos ψ at place ψ, with a and b of each deployment, since
 the zero of ψ is arbitrary. On one stair of a reference all steps of a deployment are near one place, so that a residual
 would learn its shift as if it belonged to the states and commands of that stair. The shifts are estimated beside a
-quadratic of state and command, by Bayesian linear regression (Gelman et al., Bayesian Data Analysis, Sec. 14.8), and
-each coordinate takes the strength of them that is likeliest; where nothing depends on the place, that is none.
+quadratic of state and command and a constant of each deployment, by Bayesian linear regression (Gelman et al., Bayesian
+Data Analysis, Sec. 14.8), and each coordinate takes the strength of them that is likeliest; where nothing clearly
+depends on the place, that is none.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,12 @@ from stepgap.step import Array
 STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
 """A priori standard deviations of a and b, in those of a step's noise, among which the likeliest is chosen."""
 
+RELUCTANCE = 5.0
+"""Log evidence by which one of them must be likelier than none."""
+
+CONSTANT = 1.0
+"""A priori standard deviation of a deployment's constant, in those of a step's noise."""
+
 NOISE_SCALE = 0.02
 """A priori standard deviation of the noise, in half ranges of the state."""
 
@@ -29,7 +36,7 @@ class _Part:
 
     Attributes:
         smooth: Monomials of state and command; shape (k, p).
-        waves: sin ψ and cos ψ, zero where the place is not known; shape (k, 2).
+        waves: 1, sin ψ and cos ψ, the latter two zero where the place is not known; shape (k, 3).
         error: Shape (k, n).
     """
 
@@ -37,16 +44,21 @@ class _Part:
     waves: Array
     error: Array
 
+    def coefficients(self, values: Array, strength: float) -> Array:
+        """Of waves of such a strength, beside noise, in columns (k, c); shape (3, c)."""
+        scale = _scale(strength)
+        return scale @ np.linalg.solve(self._precision(scale), scale @ self.waves.T @ values)
+
     def explained(self, values: Array, strength: float) -> Array:
-        """What of columns (k, c) waves of such a strength explain, beside noise; shape (k, c)."""
-        return self.waves @ np.linalg.solve(self._precision(strength), strength**2 * self.waves.T @ values)
+        """What of columns (k, c) constant and waves explain; shape (k, c)."""
+        return self.waves @ self.coefficients(values, strength)
 
     def spread(self, strength: float) -> float:
-        """Log determinant of the covariance of noise and waves, in variances of the noise."""
-        return float(np.linalg.slogdet(self._precision(strength))[1])
+        """Log determinant of the covariance of noise, constant and waves, in variances of the noise."""
+        return float(np.linalg.slogdet(self._precision(_scale(strength)))[1])
 
-    def _precision(self, strength: float) -> Array:
-        return np.eye(2) + strength**2 * self.waves.T @ self.waves
+    def _precision(self, scale: Array) -> Array:
+        return np.eye(3) + scale @ self.waves.T @ self.waves @ scale
 
 
 def without_place_effects(observations: Observations, present: int) -> Observations:
@@ -65,15 +77,20 @@ def without_place_effects(observations: Observations, present: int) -> Observati
         return observations
     state, command = (observations.state - space.state_centre) / space.state_scale, observations.applied_command
     smooth = monomials(np.hstack([state, space.point_of(command)]), 2)
-    waves = np.nan_to_num(np.column_stack([np.sin(place), np.cos(place)]))
+    waves = np.nan_to_num(np.column_stack([np.ones(len(place)), np.sin(place), np.cos(place)]))
     groups = [np.flatnonzero(deployment == number) for number in np.unique(deployment)]
     parts = [_Part(smooth[rows], waves[rows], observations.error[rows]) for rows in groups]
     found = [_estimated(parts, strength, NOISE_SCALE * space.state_scale) for strength in STRENGTHS]
-    likeliest = np.argmax([evidence for evidence, _ in found], axis=0)
+    handicap = np.where(np.array(STRENGTHS) > 0, RELUCTANCE, 0.0)[:, None]
+    likeliest = np.argmax(np.array([evidence for evidence, _ in found]) - handicap, axis=0)
     effects = np.array([effect for _, effect in found])[likeliest, :, np.arange(len(likeliest))].T
     error = observations.error.copy()
     error[np.concatenate(groups)] -= effects
     return replace(observations, error=error)
+
+
+def _scale(strength: float) -> Array:
+    return np.diag([CONSTANT, strength, strength])
 
 
 def _estimated(parts: Sequence[_Part], strength: float, noise_scale: Array) -> tuple[Array, Array]:
@@ -90,4 +107,5 @@ def _estimated(parts: Sequence[_Part], strength: float, noise_scale: Array) -> t
     weights = np.linalg.solve(information, projection)
     left = squares - np.sum(projection * weights, axis=0)
     evidence = -0.5 * ((PRIOR_COUNT + steps) * np.log(left) + spread + np.linalg.slogdet(information)[1])
-    return evidence, np.vstack([part.explained(part.error - part.smooth @ weights, strength) for part in parts])
+    rest = [(part.waves[:, 1:], part.coefficients(part.error - part.smooth @ weights, strength)[1:]) for part in parts]
+    return evidence, np.vstack([waves @ coefficients for waves, coefficients in rest])

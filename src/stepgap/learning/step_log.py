@@ -6,10 +6,10 @@ import hashlib
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepgap.step import Array, Reason, StepRecord, StepSpace
 
@@ -54,7 +54,7 @@ def column_names(space: StepSpace) -> list[str]:
         *command,
         *(f"applied_{name}" for name in command),
         *(f"{kind}_{name}" for kind in ("next", "predicted", "std") for name in state),
-        "next_place",
+        "place_after",
         "status",
     ]
 
@@ -74,7 +74,7 @@ def _values(logged: LoggedStep) -> list[int | float | str]:
     before = (record.state, logged.target, record.command, record.applied)
     after = (record.next_state, logged.predicted, logged.std)
     numbers = np.concatenate(before + after).tolist()
-    return [logged.iteration, logged.step, *numbers, float(record.next_place), record.reason.status]
+    return [logged.iteration, logged.step, *numbers, float(record.place_after), record.reason.status]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -92,7 +92,7 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
     known = [state, target, command, applied, std]
     if reason == Reason.OK:
         known.append(next_state)
-    if not np.isfinite(np.concatenate(known)).all() or np.isinf(place):
+    if not np.isfinite(np.concatenate(known)).all():
         raise ValueError("a number is not finite")
     record = StepRecord(state, command, applied, next_state, reason, float(place))
     return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
@@ -153,11 +153,20 @@ class StepLog:
     @property
     def place(self) -> Array:
         """Places at the start of each step [rad], NaN where they are not known; shape (N,)."""
-        places = np.full(len(self), np.nan)
-        for row, (before, logged) in enumerate(pairwise(self._steps), start=1):
-            if before.iteration == logged.iteration:
-                places[row] = before.record.next_place
-        return places
+        before = np.roll([logged.record.place_after for logged in self._steps], 1)
+        return np.where(self.follows, before, np.nan)
+
+    @property
+    def follows(self) -> NDArray[np.bool_]:
+        """Whether each step came right after the one before it here; shape (N,)."""
+        numbers = self.deployment, np.array([logged.step for logged in self._steps], int)
+        same, next_one = (np.diff(number, prepend=number[:1]) for number in numbers)
+        return (same == 0) & (next_one == 1)
+
+    @property
+    def deployment(self) -> NDArray[np.intp]:
+        """Number of the deployment that each step belongs to; shape (N,)."""
+        return np.array([logged.iteration for logged in self._steps], np.intp)
 
     @property
     def state(self) -> Array:

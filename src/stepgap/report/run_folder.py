@@ -126,7 +126,8 @@ def space_of_header(path: Path) -> StepSpace:
             return space
     raise ValueError(
         f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
-        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, next_place, status"
+        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, place_after, "
+        "status"
     )
 
 

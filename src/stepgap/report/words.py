@@ -105,7 +105,8 @@ def _floor(record: RunRecord) -> list[str]:
     ratios = ", ".join(f"{decimal(errors[row] / spread[row], 2)} times that in {state[row].name}" for row in known)
     how = (
         f"is {spreads} (measured: steps repeated with the command and all motion at the apex equal, at other places "
-        "and with other noise). A controller that knows neither cannot do better on average"
+        "and with other noise). A controller that knows neither cannot do better on average; one that follows what the "
+        "place adds (learning.drift) can"
         if record.summary.measured
         else f"is at most about {spreads} (what a linear fit leaves of the steady steps of the last deployment; the "
         "true one may be smaller)"
