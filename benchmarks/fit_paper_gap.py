@@ -197,6 +197,7 @@ def main() -> None:
         gap = fit(gap, hardware, options.rounds)
     result = {
         "hardware": HARDWARE,
+        "fitted_seeds": [*FITTED_SEEDS],
         "fitted": dict(zip(PRIORS, values_of(gap).round(6).tolist(), strict=True)),
         "seeds": quality(gap, range(6), hardware),
         "gap": {name: str(value) if value == float("inf") else value for name, value in asdict(gap).items()},

@@ -126,6 +126,23 @@ def test_standard_deviation_is_the_residual_s(corrected: CorrectedMap, residual:
     np.testing.assert_array_equal(corrected.std_gradient(state, command), residual.std_gradient(point))
 
 
+def test_an_offset_adds_to_the_state_and_its_standard_deviation_to_that(residual: Residual) -> None:
+    offset, offset_std = np.array([0.01, -0.002]), np.array([0.004, 0.0])
+    plain, shifted = CorrectedMap(NOMINAL, residual), CorrectedMap(NOMINAL, residual, offset, offset_std)
+    state, command = apexes(20, seed=7)
+    state[:, 0] *= 0.9  # away from the falls
+    np.testing.assert_allclose(shifted(state, command) - plain(state, command), np.tile(offset, (20, 1)), atol=1e-12)
+    std = shifted.std(state, command)
+    np.testing.assert_allclose(std**2 - plain.std(state, command) ** 2, np.tile(offset_std**2, (20, 1)), atol=1e-12)
+    np.testing.assert_array_equal(shifted.noise_std, plain.noise_std)
+    points, scale = join_points(state, command), 1e-5 * np.concatenate([SPACE.state_scale, SPACE.command_scale])
+    for column, step in enumerate(np.diag(scale)):
+        ahead, behind = (shifted.std(moved[:, :2], moved[:, 2:]) for moved in (points + step, points - step))
+        expected = (ahead - behind) / 2
+        gradient = shifted.std_gradient(state, command)[..., column] * scale[column]
+        np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-11)
+
+
 def test_no_residual_changes_nothing() -> None:
     state, command = apexes(6, seed=6)
     same = CorrectedMap(NOMINAL, no_residual(2, 1))

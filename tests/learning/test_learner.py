@@ -194,6 +194,16 @@ def test_what_a_place_adds_is_no_error_of_the_map_and_followed_there() -> None:
     assert rms[True][1] < 0.006 < 0.013 < rms[False][1]
 
 
+def test_without_a_correction_what_a_place_adds_is_noise() -> None:
+    """Nothing is followed then, so that a step scatters by it; of a robot that is the model, `auto` takes none, too."""
+    known = leaning(NOMINAL, 1, 0) + leaning(NOMINAL, 2, 1)
+    errors = observe(log_of(known), NOMINAL).error
+    for kind in ("none", "auto"):
+        residual = Learner(NOMINAL, log_of(known), LearningSettings(residual=kind), 2).residual
+        assert residual.kind == "none"
+        np.testing.assert_allclose(residual.noise_std, np.sqrt(np.mean(errors**2, axis=0)), rtol=0.1)
+
+
 def test_a_drift_within_the_deployment_is_followed_if_asked_to() -> None:
     known, shifted = hops(REALITY, 60, seed=0), np.array([0.03, -0.004])
     drifting = [

@@ -51,6 +51,19 @@ def test_context_is_the_step_before_in_half_ranges() -> None:
         np.testing.assert_allclose(context[row], [*before, row], atol=1e-12)
 
 
+def test_nothing_comes_before_the_first_step_of_a_warm_start() -> None:
+    """Steps that were known before are those of deployments before number 0."""
+    for first in (-1, -2):
+        known = StepLog(SPACE, [replace(step, iteration=step.iteration + first) for step in log_of(4, 3)])
+        np.testing.assert_array_equal(context_of(observe(known, NOMINAL)), context_of(observe(log_of(4, 3), NOMINAL)))
+
+
+def test_what_was_left_out_comes_before_nothing() -> None:
+    steps = list(log_of(5))
+    observations = observe(StepLog(SPACE, [steps[0], *steps[2:]]), NOMINAL)
+    np.testing.assert_array_equal(context_of(observations)[1], [0, 0, 0, 0, 0, 1])
+
+
 def test_the_next_step_gets_the_context_that_it_will_be_learnt_with() -> None:
     log = log_of(4, 3)
     context = context_of(observe(log, NOMINAL))

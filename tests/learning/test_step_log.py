@@ -89,6 +89,14 @@ def test_the_place_of_a_step_is_where_the_one_before_ended() -> None:
     known = [replace(s, record=replace(s.record, place_after=place)) for s, place in zip(first, places, strict=True)]
     np.testing.assert_array_equal(StepLog(SPACE, [*known, step(1, 1)]).place, [math.nan, 0.5, math.nan, math.nan])
     assert StepLog(SPACE).place.shape == (0,)
+    left_out = StepLog(SPACE, [known[0], known[2]])
+    np.testing.assert_array_equal(left_out.place, [math.nan, math.nan])
+
+
+def test_an_infinite_place_is_refused() -> None:
+    record = step().record
+    with pytest.raises(ValueError, match="place_after = inf, but it must be an angle, or NaN where it is not known"):
+        replace(record, place_after=math.inf)
 
 
 def test_the_log_by_columns() -> None:

@@ -1,0 +1,107 @@
+"""What the tracking errors of a deployment are made of: noise that nothing can foresee, and what a map could still learn.
+
+The last deployment of a run on the twin is made again, and each of its steps is taken several times over by copies of
+the twin in the very same motion at the same place, but with other torque noise. Their spread is the noise; what is left
+of the errors is what the controller's map missed, an oscillating boom, which no sensor shows, included.
+
+    ./go python benchmarks/error_floor.py RUN…
+"""
+
+import argparse
+from contextlib import closing
+from copy import deepcopy
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from stepgap.control.reference import paper_reference
+from stepgap.deployment import deploy
+from stepgap.experiment import read_experiment
+from stepgap.hopper.apex_map import ApexMap
+from stepgap.learning.learner import Learner
+from stepgap.learning.step_log import StepLog, read_step_log, row_of
+from stepgap.plants.plant import Plant
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.random_stream import random_stream
+from stepgap.rigs.twin.twin import Twin
+from stepgap.run_plants import plant_on, remade_rig
+from stepgap.step import Array, StepRecord, StepSpace
+
+REPEATS = 8
+"""How often each step is taken."""
+
+
+class Repeating(Plant):
+    """A plant on a twin that takes every step in copies before it takes it itself.
+
+    Args:
+        plant: Hops the twin.
+        twin: The one that `plant` hops.
+        rng: Draws the copies' noise.
+
+    Attributes:
+        variances: Of the next states of the copies, step by step; shapes (n,).
+    """
+
+    def __init__(self, plant: RigPlant, twin: Twin, rng: np.random.Generator):
+        self._plant, self._twin, self._rng = plant, twin, rng
+        self.variances: list[Array] = []
+
+    @property
+    def space(self) -> StepSpace:
+        """That of the plant."""
+        return self._plant.space
+
+    def start(self) -> Array:
+        """Starts the plant."""
+        return self._plant.start()
+
+    def take_step(self, command: Array) -> StepRecord:
+        """Takes the step in `REPEATS` copies, then for good."""
+        copies = [deepcopy(self._plant, {id(self._twin): self._twin.fork(self._rng)}) for _ in range(REPEATS)]
+        self.variances.append(np.var([copy.take_step(command).next_state for copy in copies], axis=0, ddof=1))
+        return self._plant.take_step(command)
+
+    def stop(self) -> None:
+        """Stops the plant."""
+        self._plant.stop()
+
+
+def floor(folder: Path) -> tuple[int, Array, Array]:
+    """Number of the last deployment, RMS of its steady errors, and RMS of the noise in them; shapes (n,).
+
+    Raises:
+        ValueError: The steps made again are not those recorded.
+    """
+    settings = read_experiment(folder / "experiment.toml")
+    nominal, reference = ApexMap(settings.robot, settings.gains, settings.command), paper_reference()
+    recorded = read_step_log(folder / "steps.csv", nominal.space)
+    last = recorded.iterations[-1]
+    before = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < last))
+    rig, twin = remade_rig(settings, last)
+    plant = Repeating(plant_on(settings, rig), twin, random_stream(settings.seed, last, 2))
+    learner = Learner(nominal, before, settings.learning, last)
+    with threadpool_limits(limits=1, user_api="blas"), closing(deploy(learner, plant, reference, last)) as steps:
+        again = StepLog(nominal.space, steps)
+    if [*map(row_of, again)] != [*map(row_of, recorded.of_iteration(last))]:
+        raise ValueError(f"{folder}: deployment {last} made again is another one; use the versions that made it")
+    steady = reference.steady
+    errors = (again.next_state - again.target)[steady]
+    return last, np.sqrt(np.mean(errors**2, axis=0)), np.sqrt(np.mean(np.array(plant.variances)[steady], axis=0))
+
+
+def main() -> None:
+    """Prints a line for each run: speed [mm/s] and height [mm]."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="+", type=Path)
+    for run in parser.parse_args().runs:
+        last, errors, noise = floor(run)
+        missed = np.sqrt(np.maximum(errors**2 - noise**2, 0.0))
+        named = {"steady error": errors, "noise": noise, "missed by the map": missed}
+        parts = (f"{name} {1e3 * speed:.1f}, {1e3 * height:.2f}" for name, (speed, height) in named.items())
+        print(f"{run.name}, deployment {last}: {'; '.join(parts)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
