@@ -1,4 +1,4 @@
-"""What the tracking errors of a deployment are made of: noise that nothing can foresee, and what a map could still learn.
+"""What the tracking errors of a deployment are made of: noise, and what a map could still learn.
 
 The last deployment of a run on the twin is made again, and each of its steps is taken several times over by copies of
 the twin in the very same motion at the same place, but with other torque noise. Their spread is the noise; what is left
