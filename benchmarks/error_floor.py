@@ -81,9 +81,10 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
     before = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < last))
     rig, twin = remade_rig(settings, last)
     plant = Repeating(plant_on(settings, rig), twin, random_stream(settings.seed, last, 2))
-    learner = Learner(nominal, before, settings.learning, last)
-    with threadpool_limits(limits=1, user_api="blas"), closing(deploy(learner, plant, reference, last)) as steps:
-        again = StepLog(nominal.space, steps)
+    with threadpool_limits(limits=1, user_api="blas"):  # as in a run, or last digits differ
+        learner = Learner(nominal, before, settings.learning, last)
+        with closing(deploy(learner, plant, reference, last)) as steps:
+            again = StepLog(nominal.space, steps)
     if [*map(row_of, again)] != [*map(row_of, recorded.of_iteration(last))]:
         raise ValueError(f"{folder}: deployment {last} made again is another one; use the versions that made it")
     steady = reference.steady

@@ -22,7 +22,7 @@ def learnt_sentences(record: RunRecord, learnt: Learnt | None) -> list[str]:
         return [f"{said}, which is no Gaussian process and has no length scales."]
     return [
         f"{said}: for each state coordinate a Gaussian process of actual − nominal, fitted to the "
-        f"{len(processes[0].values)} hops before.",
+        f"{len(processes[0].values)} hops before; what the place added to the error is taken out, where it was clear.",
         "A length scale is the distance over which the error changes: one much longer than the range of the data means "
         "that this input hardly matters.",
         "Noise is what a hop repeated under equal conditions would scatter, as the model has it.",
