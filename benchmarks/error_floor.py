@@ -9,7 +9,6 @@ of the errors is what the controller's map missed, an oscillating boom, which no
 
 import argparse
 from contextlib import closing
-from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from stepgap.learning.step_log import StepLog, read_step_log, row_of
 from stepgap.plants.plant import Plant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.random_stream import random_stream
+from stepgap.repeatability import repeated
 from stepgap.rigs.twin.twin import Twin
 from stepgap.run_plants import plant_on, remade_rig
 from stepgap.step import Array, StepRecord, StepSpace
@@ -59,8 +59,8 @@ class Repeating(Plant):
 
     def take_step(self, command: Array) -> StepRecord:
         """Takes the step in `REPEATS` copies, then for good."""
-        copies = [deepcopy(self._plant, {id(self._twin): self._twin.fork(self._rng)}) for _ in range(REPEATS)]
-        self.variances.append(np.var([copy.take_step(command).next_state for copy in copies], axis=0, ddof=1))
+        ends = [repeated(self._plant, self._twin, command, self._rng) for _ in range(REPEATS)]
+        self.variances.append(np.var(ends, axis=0, ddof=1))
         return self._plant.take_step(command)
 
     def stop(self) -> None:

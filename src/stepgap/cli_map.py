@@ -60,10 +60,8 @@ def gait(
     formats = figure.canvas.get_supported_filetypes()
     if picture.suffix[1:].lower() not in formats:
         raise InputError(f"{picture}: the name must end with one of .{', .'.join(formats)}")
-    try:
+    with writing(picture, "--out"):
         figure.savefig(picture, dpi=150)
-    except OSError as error:
-        raise InputError(f"{picture}: cannot be written: {error.strerror}; choose another --out") from None
     print(describe_gait(nominal.space, point, reachable))
     print(picture)
 

@@ -56,12 +56,25 @@ def measure_repeatability(
                 if record.reason != Reason.OK:
                     return _pooled(deviations, freedom)
             command = _command(controller, state, target)
-            found = np.array([_repeated(plant, twin, command, rng) for _ in range(REPEATS)])
+            found = np.array([repeated(plant, twin, command, rng, rng.uniform(0, tau)) for _ in range(REPEATS)])
             found = found[np.isfinite(found).all(axis=1)]
             if len(found) > 1:
                 deviations.append(found - found.mean(axis=0))
                 freedom += len(found) - 1
     return _pooled(deviations, freedom)
+
+
+def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, turn: float = 0.0) -> Array:
+    """Next state of a copy of the plant that takes the step with other noise; the plant itself stays at the apex.
+
+    Args:
+        plant: Hops the twin.
+        twin: The one that `plant` hops.
+        command: Of the step; shape (m,).
+        rng: Draws the copy's noise.
+        turn: Angle by which the floor is turned under the copy [rad].
+    """
+    return deepcopy(plant, {id(twin): twin.fork(rng, turn=turn)}).take_step(command).next_state
 
 
 def _command(controller: StepController, state: Array, target: Array) -> Array:
@@ -70,12 +83,6 @@ def _command(controller: StepController, state: Array, target: Array) -> Array:
         return controller(state, target).command
     except StepFailed:
         return controller.step_map.space.command_centre
-
-
-def _repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator) -> Array:
-    """Next state of a copy of the plant that takes the step at a fresh place; the plant itself stays at the apex."""
-    fork = twin.fork(rng, turn=rng.uniform(0, tau))
-    return deepcopy(plant, {id(twin): fork}).take_step(command).next_state
 
 
 def _pooled(deviations: list[Array], freedom: int) -> Array:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import PRIOR_COUNT, PRIOR_STD, monomials
+from stepgap.learning.polynomial import NOISE_SCALE, PRIOR_COUNT, PRIOR_STD, monomials
 from stepgap.step import Array
 
 STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
@@ -25,9 +25,6 @@ RELUCTANCE = 5.0
 
 CONSTANT = 1.0
 """A priori standard deviation of a deployment's constant, in those of a step's noise."""
-
-NOISE_SCALE = 0.02
-"""A priori standard deviation of the noise, in half ranges of the state."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,9 @@ PRIOR_STD = 30.0
 PRIOR_COUNT = 3.0
 """How many values the prior of the noise counts for; with fewer Student's t would have no standard deviation."""
 
+NOISE_SCALE = 0.02
+"""A priori standard deviation of the noise of a step's error, in half ranges of the state."""
+
 
 class Moments(NamedTuple):
     """Prior and data, added up; d_φ monomials.

@@ -10,7 +10,7 @@ import numpy as np
 from stepgap.learning.gaussian_process_fit import fit_like_fitrgp
 from stepgap.learning.gaussian_process_regression import GAUSSIAN_PROCESSES, GaussianProcessRegression
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import DEGREES, PRIOR_COUNT, Polynomial, fit_polynomial
+from stepgap.learning.polynomial import DEGREES, NOISE_SCALE, PRIOR_COUNT, Polynomial, fit_polynomial
 from stepgap.learning.regression import Regression, Zero
 from stepgap.learning.residual import Hindsight, Residual, no_residual
 from stepgap.learning.saved import numbers, whole
@@ -22,9 +22,6 @@ CANDIDATES = ("none", "constant", "linear", "quadratic", "gp", "gp_on_linear")
 
 FOLDS = 5
 """Contiguous parts of the record, each predicted from the others, by which `auto` chooses."""
-
-NOISE_SCALE = 0.02
-"""A priori standard deviation of the noise of `none` and of polynomials, in half ranges of the state."""
 
 TIME_SCALE = 1e3
 """Memories after which a slope may matter to a Gaussian process: drift is followed, not extrapolated."""

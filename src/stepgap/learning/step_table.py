@@ -66,9 +66,10 @@ class StepTable:
 def tabulate(log: StepLog) -> StepTable:
     """The completed steps of a log, without predictions: those in it may be of a corrected map."""
     known = log.completed()
-    deployment = np.array([logged.iteration for logged in known], np.intp)
     left_out = {"that ended without an apex": log.falls} if log.falls else {}
-    return StepTable(log.space, known.state, known.applied, known.next_state, known.target, None, deployment, left_out)
+    return StepTable(
+        log.space, known.state, known.applied, known.next_state, known.target, None, known.deployment, left_out
+    )
 
 
 def describe_left_out(left_out: Mapping[str, int]) -> str:

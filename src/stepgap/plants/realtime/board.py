@@ -6,6 +6,7 @@ on x86-64; the interpreter's own work between two of them makes it hold on ARM i
 """
 
 from enum import IntEnum
+from math import nan
 from multiprocessing.shared_memory import SharedMemory
 from typing import NamedTuple, Self
 
@@ -68,6 +69,11 @@ class Hop(NamedTuple):
     applied_fy: float
     place: float
     reason: Reason
+
+    @classmethod
+    def stopped(cls, number: int) -> Self:
+        """A hop that was stopped before its apex."""
+        return cls(number, nan, nan, 0.0, 0.0, nan, Reason.STOPPED)
 
 
 class Board:

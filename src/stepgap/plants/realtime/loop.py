@@ -219,7 +219,7 @@ class ControlLoop:
         if self._state == RigState.FAULT:
             return
         if self._state == RigState.HOP:
-            self._board.post_hop(Hop(self._hop, nan, nan, 0.0, 0.0, nan, Reason.STOPPED))
+            self._board.post_hop(Hop.stopped(self._hop))
         self._board.words = words
         self._enter(next_state(self._state, Signals(fault=True)))
 

@@ -102,7 +102,7 @@ class RealtimePlant(Plant):
         """The present hop, when it has ended."""
         while (hop := session.board.hop(self._hop)) is None:
             if session.over():
-                hop = session.board.hop(self._hop) or Hop(self._hop, np.nan, np.nan, 0.0, 0.0, np.nan, Reason.STOPPED)
+                hop = session.board.hop(self._hop) or Hop.stopped(self._hop)
                 break
             session.check_sink()
             sleep(LOOK_EVERY)
