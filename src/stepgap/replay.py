@@ -103,7 +103,7 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
         phase, hopping = ticks["phase"], ticks["state"] == RigState.HOP
     except (TickLogError, ValueError) as error:
         raise InputError(str(error)) from None
-    passed = np.flatnonzero((phase[:-1] == Phase.RISING) & (phase[1:] == Phase.FALLING) & hopping[1:]) + 1
+    passed = np.flatnonzero((phase[:-1] == Phase.ASCENT) & (phase[1:] == Phase.DESCENT) & hopping[1:]) + 1
     hop = np.searchsorted(passed, np.arange(len(ticks)))  # the tick just past an apex ends its hop
     if len(passed) < len(steps):
         number = steps[0].iteration

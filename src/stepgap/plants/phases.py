@@ -1,33 +1,27 @@
-"""Flight or stance, told from what hardware senses (Secs. 3.3, 3.4)."""
+"""Flight or stance, from what hardware senses (Secs. 3.3, 3.4)."""
 
 from enum import IntEnum
 
+from stepgap.hybrid.compiled import as_written
+
 
 class Phase(IntEnum):
-    """Where in the hop the leg is; the command acts while PUSHING, that is after mid-stance."""
+    """Where in the hop the leg is; the command acts during THRUST, that is after mid-stance."""
 
-    RISING = 0
-    FALLING = 1
-    LOADING = 2
-    PUSHING = 3
+    ASCENT = 0
+    DESCENT = 1
+    COMPRESSION = 2
+    THRUST = 3
 
 
-def next_phase(
-    phase: Phase,
-    *,
-    apex_passed: bool,
-    contact_force: float,
-    touchdown_force: float,
-    leg_length: float,
-    takeoff_length: float,
-    hip_rate: float,
-) -> Phase:
-    """The phase that follows at this tick.
+@as_written
+def next_phase(phase, apex_passed, contact_force, touchdown_force, leg_length, takeoff_length, hip_rate):
+    """The number of the phase that follows at this tick.
 
-    A body that comes down with the foot still on the ground has not flown: the leg pushes on.
+    A body that comes down with the foot still on the ground has not flown: the leg goes on with its thrust.
 
     Args:
-        phase: Present phase.
+        phase: Number of the present phase.
         apex_passed: The apex of the present flight is behind.
         contact_force: Ground force on the foot [N].
         touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
@@ -35,13 +29,13 @@ def next_phase(
         takeoff_length: ℓ at which the leg leaves the ground [m] (Sec. 3.4).
         hip_rate: ẏ [m/s].
     """
-    if phase == Phase.RISING and apex_passed:
-        return Phase.PUSHING if contact_force > touchdown_force else Phase.FALLING
-    if phase == Phase.RISING:
-        return phase
-    if phase == Phase.FALLING:
-        return Phase.LOADING if contact_force > touchdown_force else phase
-    if phase == Phase.LOADING:
-        return Phase.PUSHING if hip_rate > 0 else phase
-    airborne = leg_length >= takeoff_length or contact_force <= 0
-    return Phase.RISING if airborne else phase
+    grounded = contact_force > touchdown_force
+    if phase == Phase.ASCENT and apex_passed:
+        return Phase.THRUST.value if grounded else Phase.DESCENT.value
+    if phase == Phase.DESCENT and grounded:
+        return Phase.COMPRESSION.value
+    if phase == Phase.COMPRESSION and hip_rate > 0:
+        return Phase.THRUST.value
+    if phase == Phase.THRUST and (leg_length >= takeoff_length or contact_force <= 0):
+        return Phase.ASCENT.value
+    return phase

@@ -5,12 +5,17 @@ from collections.abc import Callable
 import numpy as np
 
 from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.plants.hop_control import FinishedHop, HopControl
+from stepgap.plants.hop_control import HopControl
 from stepgap.plants.plant import Plant
 from stepgap.plants.tick import Tick
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickFlag, Torques
 from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
+
+STEP_ENDED, FAILED, UNREADABLE = (
+    int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE)
+)  # fmt: skip
 
 
 class RigPlant(Plant):
@@ -40,11 +45,14 @@ class RigPlant(Plant):
     ):
         self._rig, self._space, self._on_tick = rig, bounds.space(), on_tick
         self._robot, self._gains, self._limits = robot, gains, limits or rig.limits or SafetyLimits.of(robot)
-        self._control = self._new_control()
-        self._state, self._reason, self._fault = np.full(2, np.nan), Reason.OK, ""
+        self._tick_time = rig.layout.tick
+        self._state = np.full(2, np.nan)
+        self._begin()
 
-    def _new_control(self) -> HopControl:
-        return HopControl(self._rig.layout, self._robot, self._gains, self._limits)
+    def _begin(self) -> None:
+        """A new deployment, nothing remembered."""
+        self._control = HopControl(self._rig.layout, self._robot, self._gains, self._limits)
+        self._time, self._applied, self._reason, self._fault = 0.0, (0.0, 0.0), Reason.OK, ""
 
     @property
     def space(self) -> StepSpace:
@@ -63,7 +71,7 @@ class RigPlant(Plant):
             RigFault: The rig cannot be had, or the first hop failed.
         """
         self._rig.connect()
-        self._control, self._reason, self._fault = self._new_control(), Reason.OK, ""
+        self._begin()
         self._state = self._hop((0.0, 0.0)).state
         if self._reason != Reason.OK:
             said = f" ({self._fault})" if self._fault else ""
@@ -80,35 +88,38 @@ class RigPlant(Plant):
         state = self._state
         if np.isnan(within).any():
             self._reason = Reason.INVALID
-        self._state, lost, place = self._hop((float(within[0]), float(within[1])))
+        self._state, _, lost, place = self._hop((float(within[0]), float(within[1])))
         return StepRecord(state, asked, within - lost, self._state, self._reason, place)
 
     def stop(self) -> None:
         """Torque off."""
         self._rig.close()
 
-    def _hop(self, command: tuple[float, float]) -> FinishedHop:
+    def _hop(self, command: tuple[float, float]) -> FinishedStep:
         """Ticks from just after an apex to just after the next; NaN where there is none."""
-        control = self._control
-        while self._reason == Reason.OK:
-            try:
-                self._tick(command)
-            except RigFault as fault:
-                self._reason, self._fault = Reason.STOPPED, str(fault)
-                break
-            if finished := control.finished_hop():
-                return finished
-            self._reason = control.reason
+        order, applied = Order(Mode.STEP, 1.0, command), self._applied
+        try:
+            while self._reason == Reason.OK:
+                applied, flags = self._tick(order, applied)
+                if flags & STEP_ENDED:
+                    self._applied = applied
+                    return self._control.finished_step()
+                if flags & FAILED:
+                    self._reason = self._control.reason
+        except RigFault as fault:
+            self._reason, self._fault, applied = Reason.STOPPED, str(fault), None
         self._rig.close()
-        return FinishedHop(np.full(2, np.nan), control.lost_command(), np.nan)
+        return self._control.failed_step(applied)
 
-    def _tick(self, command: tuple[float, float]) -> None:
-        control, rig = self._control, self._rig
-        control.begin_tick()
-        control.sense(rig.read(), stale=rig.health.stale)
-        asked = control.hop_torque(command)
-        checked = control.check(asked, rig.health)
-        applied = rig.write(checked.torque_1, checked.torque_2)
-        tick = control.close_tick(asked, applied, checked)
+    def _tick(self, order: Order, applied: Torques) -> tuple[Torques, int]:
+        """One tick; the torques that were applied [N·m], and the flags."""
+        rig, control = self._rig, self._control
+        reading = rig.read()
+        torques, flags = control.tick(self._time, reading, order, applied, rig.health)
+        if flags & UNREADABLE:
+            raise RigFault(f"the sensors tell what is no number: {reading}")
+        applied = rig.write(*torques)
+        self._time += self._tick_time
         if self._on_tick:
-            self._on_tick(tick)
+            self._on_tick(control.record(applied))
+        return applied, flags

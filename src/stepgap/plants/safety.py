@@ -8,8 +8,7 @@ from enum import IntFlag
 from math import isfinite
 from typing import NamedTuple
 
-from stepgap.rigs.limits import SafetyLimits
-from stepgap.rigs.rig import HEALTHY, Health
+from stepgap.hybrid.compiled import as_written
 
 
 class Limited(IntFlag):
@@ -44,6 +43,23 @@ BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited
 A joint that is too fast is not among them: its encoder may have the wrong sign, and braking by it would accelerate.
 """
 
+# Numba compiles no flags, so compiled code has their numbers.
+_NOT_FINITE = int(Limited.NOT_FINITE)
+_TORQUE = int(Limited.TORQUE)
+_JOINT_SPEED = int(Limited.JOINT_SPEED)
+_STRETCH = int(Limited.STRETCH)
+_TORQUE_STEP = int(Limited.TORQUE_STEP)
+_JOINT_ANGLE = int(Limited.JOINT_ANGLE)
+_LEG_LENGTH = int(Limited.LEG_LENGTH)
+_HIP_HEIGHT = int(Limited.HIP_HEIGHT)
+_LOST_FRAMES = int(Limited.LOST_FRAMES)
+_STALE = int(Limited.STALE)
+_LATE = int(Limited.LATE)
+_EMERGENCY_STOP = int(Limited.EMERGENCY_STOP)
+_BRAKED = int(BRAKED)
+STOPS = int(Limited(sum(Limited)) & ~KEEPS_ON)
+"""Bits of all reasons that stop."""
+
 
 class Motion(NamedTuple):
     """What the sensors say of the robot.
@@ -74,7 +90,7 @@ class Watch(NamedTuple):
         lost: Frames lost in a row.
         stale: Stale readings in a row.
         late: Ticks missed in a row.
-        stopped: Why the motors brake or are off for good.
+        stopped: Why the motors brake or are off for good; the number of a `Limited`.
         braked: Ticks since then.
     """
 
@@ -83,108 +99,122 @@ class Watch(NamedTuple):
     lost: int = 0
     stale: int = 0
     late: int = 0
-    stopped: Limited = Limited.NOTHING
+    stopped: int = 0
     braked: int = 0
 
 
 class Checked(NamedTuple):
-    """Torques that may be written [N·m], why they differ from those asked, and the watch for the next tick."""
+    """Torques that may be written [N·m], why they differ from those asked, and the watch for the next tick.
+
+    The reason is the number of a `Limited`.
+    """
 
     torque_1: float
     torque_2: float
-    limited: Limited
+    limited: int
     watch: Watch
 
 
-def check_torque(
-    limits: SafetyLimits, watch: Watch, motion: Motion, health: Health, torque_1: float, torque_2: float
-) -> Checked:
+@as_written
+def check_torque(limits, watch, motion, health, torque_1, torque_2):
     """Limits the torques. Where something is wrong, and from then on, they brake for a while or are zero.
 
     Args:
-        limits: What is allowed.
-        watch: Of the tick before.
-        motion: Of this tick.
-        health: Of this tick.
+        limits: What is allowed; fields as in `SafetyLimits`.
+        watch: Of the tick before; fields as in `Watch`.
+        motion: Of this tick; fields as in `Motion`.
+        health: Of this tick; fields as in `Health`.
         torque_1: Torque asked of motor 1 [N·m].
         torque_2: Torque asked of motor 2 [N·m].
-    """
-    lost = stale = late = 0
-    stopped = watch.stopped
-    if health is not HEALTHY:
-        lost = watch.lost + 1 if health.frame_lost else 0
-        stale = watch.stale + 1 if health.stale else 0
-        late = watch.late + health.late if health.late else 0
-        stopped |= _unhealthy(limits, health, lost, stale, late)
-    if beyond := _out_of_range(limits, motion, torque_1 + torque_2):
-        stopped |= beyond
-    if stopped:
-        after = Watch(0.0, 0.0, lost, stale, late, stopped, watch.braked + 1)
-        torque_1, torque_2 = _brake(limits, watch, motion) if brakes(limits, after) else (0.0, 0.0)
-        return Checked(torque_1, torque_2, stopped, after._replace(torque_1=torque_1, torque_2=torque_2))
 
-    limited = Limited.NOTHING
-    if motion.alpha_2 < limits.stretch_angle and torque_1 < torque_2:
+    Returns:
+        `Checked`.
+    """
+    lost = watch.lost + 1 if health.frame_lost else 0
+    stale = watch.stale + 1 if health.stale else 0
+    late = watch.late + health.late if health.late else 0
+    stopped = watch.stopped | _unhealthy(limits, health.emergency_stop, lost, stale, late)
+    stopped |= _out_of_range(limits, motion, torque_1 + torque_2)
+    if stopped:
+        braked = watch.braked + 1
+        torque_1 = torque_2 = 0.0
+        if _brakes(limits, stopped, braked):
+            torque_1 = _brake(limits, watch.torque_1, motion.rate_1 + motion.rate_2)
+            torque_2 = _brake(limits, watch.torque_2, motion.rate_1 - motion.rate_2)
+        return Checked(torque_1, torque_2, stopped, Watch(torque_1, torque_2, lost, stale, late, stopped, braked))
+    torque_1, torque_2, limited = _within_limits(limits, watch, motion.alpha_2, torque_1, torque_2)
+    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late, 0, 0))
+
+
+@as_written
+def brakes(limits, watch):
+    """Whether a stopped robot's motors still brake."""
+    return _brakes(limits, watch.stopped, watch.braked)
+
+
+@as_written
+def _brakes(limits, stopped, braked):
+    return stopped != 0 and stopped & ~_BRAKED == 0 and braked <= limits.brake_ticks
+
+
+@as_written
+def _brake(limits, before, speed):
+    """Torque against a motor's turning, within limits [N·m]: what drives it on goes at once, a brake grows."""
+    brake = _within(limits.torque, -limits.brake_damping * speed, 0.0)
+    start = before if before * brake > 0 else 0.0
+    return _within(abs(brake), _within(limits.torque_step, brake, start), 0.0)
+
+
+@as_written
+def _within_limits(limits, watch, alpha_2, torque_1, torque_2):
+    """The torques within what is allowed [N·m], and why they differ from those asked."""
+    limited, most, step = 0, limits.torque, limits.torque_step
+    if alpha_2 < limits.stretch_angle and torque_1 < torque_2:
         torque_1 = torque_2 = 0.5 * (torque_1 + torque_2)
-        limited |= Limited.STRETCH
-    most = limits.torque
+        limited |= _STRETCH
     if abs(torque_1) > most or abs(torque_2) > most:
-        torque_1, torque_2 = _within(most, torque_1), _within(most, torque_2)
-        limited |= Limited.TORQUE
-    step = limits.torque_step
+        torque_1, torque_2 = _within(most, torque_1, 0.0), _within(most, torque_2, 0.0)
+        limited |= _TORQUE
     if abs(torque_1 - watch.torque_1) > step or abs(torque_2 - watch.torque_2) > step:
         torque_1, torque_2 = _within(step, torque_1, watch.torque_1), _within(step, torque_2, watch.torque_2)
-        limited |= Limited.TORQUE_STEP
-    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late))
+        limited |= _TORQUE_STEP
+    return torque_1, torque_2, limited
 
 
-def brakes(limits: SafetyLimits, watch: Watch) -> bool:
-    """Whether a stopped robot's motors still brake."""
-    return bool(watch.stopped) and not watch.stopped & ~BRAKED and watch.braked <= limits.brake_ticks
-
-
-def _brake(limits: SafetyLimits, watch: Watch, motion: Motion) -> tuple[float, float]:
-    """Torques against the motors' turning, within limits [N·m]: what drives a motor on goes at once, a brake grows."""
-    speed_1, speed_2 = motion.rate_1 + motion.rate_2, motion.rate_1 - motion.rate_2
-    return _brake_motor(limits, watch.torque_1, speed_1), _brake_motor(limits, watch.torque_2, speed_2)
-
-
-def _brake_motor(limits: SafetyLimits, before: float, speed: float) -> float:
-    brake = _within(limits.torque, -limits.brake_damping * speed)
-    return _within(abs(brake), _within(limits.torque_step, brake, before if before * brake > 0 else 0.0))
-
-
-def _within(most: float, value: float, centre: float = 0.0) -> float:
+@as_written
+def _within(most, value, centre):
     """The value, or what is nearest to it no farther than `most` from the centre."""
     return min(centre + most, max(centre - most, value))
 
 
-def _out_of_range(limits: SafetyLimits, motion: Motion, torques: float) -> Limited:
-    """Why the motion or the torques, given as their sum, cannot go on."""
-    alpha_1, alpha_2, rate_1, rate_2, leg_length, hip_height = motion
-    if not isfinite(torques + alpha_1 + alpha_2 + rate_1 + rate_2 + leg_length + hip_height):
-        return Limited.NOT_FINITE
-    reason = Limited.NOTHING
-    if abs(rate_1) + abs(rate_2) > limits.joint_speed:
-        reason |= Limited.JOINT_SPEED
-    if abs(alpha_1) > limits.lean_angle or alpha_2 > limits.fold_angle:
-        reason |= Limited.JOINT_ANGLE
-    if not limits.shortest_leg <= leg_length <= limits.longest_leg:
-        reason |= Limited.LEG_LENGTH
-    if not limits.lowest_hip <= hip_height <= limits.highest_hip:
-        reason |= Limited.HIP_HEIGHT
+@as_written
+def _out_of_range(limits, motion, torques):
+    """Why the motion or the torques, given as their sum, cannot be allowed."""
+    angles, rates = motion.alpha_1 + motion.alpha_2, motion.rate_1 + motion.rate_2
+    if not isfinite(torques + angles + rates + motion.leg_length + motion.hip_height):
+        return _NOT_FINITE
+    reason = 0
+    if abs(motion.rate_1) + abs(motion.rate_2) > limits.joint_speed:
+        reason |= _JOINT_SPEED
+    if abs(motion.alpha_1) > limits.lean_angle or motion.alpha_2 > limits.fold_angle:
+        reason |= _JOINT_ANGLE
+    if not limits.shortest_leg <= motion.leg_length <= limits.longest_leg:
+        reason |= _LEG_LENGTH
+    if not limits.lowest_hip <= motion.hip_height <= limits.highest_hip:
+        reason |= _HIP_HEIGHT
     return reason
 
 
-def _unhealthy(limits: SafetyLimits, health: Health, lost: int, stale: int, late: int) -> Limited:
-    """Why the tick's health, its bad ticks in a row counted, cannot go on."""
-    reason = Limited.NOTHING
+@as_written
+def _unhealthy(limits, emergency_stop, lost, stale, late):
+    """Why the tick's health, its bad ticks in a row counted, cannot be allowed."""
+    reason = 0
     if lost > limits.lost_frames:
-        reason |= Limited.LOST_FRAMES
+        reason |= _LOST_FRAMES
     if stale > limits.stale_ticks:
-        reason |= Limited.STALE
+        reason |= _STALE
     if late > limits.late_ticks:
-        reason |= Limited.LATE
-    if health.emergency_stop:
-        reason |= Limited.EMERGENCY_STOP
+        reason |= _LATE
+    if emergency_stop:
+        reason |= _EMERGENCY_STOP
     return reason
