@@ -18,17 +18,18 @@ from time import monotonic, sleep
 
 import numpy as np
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.rigs.ethercat.emulator.emulator import run_emulator
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.ethercat.emulator.ring_rig import emulated_settings
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.rig import Reading
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 RING = RingSettings(lock_step=False)
@@ -65,7 +66,9 @@ def kill_once(interface: str, folder: Path) -> float:
     here.recv()
     layout = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).layout
     settings = replace(emulated_settings(layout, ROBOT, RING, interface), watchdog=0.05)
-    with RealtimePlant(RealtimeSetup(partial(EthercatRig, settings, ROBOT), ROBOT, GAINS, BOUNDS), folder) as plant:
+    with RealtimePlant(
+        RealtimeSetup(partial(EthercatRig, settings, ROBOT), HopperControl(ROBOT, GAINS, BOUNDS)), folder
+    ) as plant:
         plant.start()
         plant.take_step(COMMAND)
         assert plant._session is not None

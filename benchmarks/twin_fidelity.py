@@ -12,12 +12,13 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from stepgap.control.step_controller import StepController
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.hopper.apex_map import ApexMap
-from stepgap.hopper.sampled_map import SampledApexMap
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.sampled_map import SampledApexMap
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 
 TICKS = (1e-4, 2e-4, 5e-4, 1e-3)
 
@@ -28,7 +29,7 @@ def errors_at(tick: float, steps: int, seed: int) -> np.ndarray:
     sampled = SampledApexMap(tick=tick)
     rng, errors = np.random.default_rng(seed), []
     controller = StepController(nominal)
-    with RigPlant(Twin(robot, RealityGap.none(), rng, tick=tick), robot, gains, bounds) as plant:
+    with RigPlant(Twin(robot, RealityGap.none(), rng, tick=tick), HopperControl(robot, gains, bounds)) as plant:
         state = plant.start()
         for _ in range(steps):
             command = controller(state, rng.uniform([0.0, 0.53], [0.4, 0.64])).command

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.hopper.leg import foot, four_bar, leg_of
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.leg import foot, four_bar, leg_of
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.view.geometry import Pose, joints_at, turned_to
 
 ROBOT = RobotParameters()
@@ -81,7 +82,7 @@ def test_every_joint_is_where_mujoco_has_it(stiffness: float) -> None:
         np.testing.assert_allclose(joints.foot, true.foot, **near)
         compared += 1
 
-    with RigPlant(twin, ROBOT, Gains(), CommandBounds(), compare) as plant:
+    with RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds()), compare) as plant:
         plant.start()
         plant.take_step(np.array([2.0, -5.0]))
     assert compared > 500

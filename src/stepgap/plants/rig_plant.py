@@ -1,15 +1,12 @@
-"""Hops a rig in the calling process: read → estimate → phase → torque → limit → write, as fast as the rig goes."""
+"""Steps a rig in the calling process: read, compute the tick, write, as fast as the rig can."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.plants.hop_control import HopControl
 from stepgap.plants.plant import Plant
-from stepgap.plants.tick import Tick
-from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickFlag, Torques
-from stepgap.rigs.limits import SafetyLimits
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag, Torques
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
 
@@ -19,44 +16,32 @@ STEP_ENDED, FAILED, UNREADABLE = (
 
 
 class RigPlant(Plant):
-    """Hops a rig with the joint control of Sec. 4.1; time must be able to stand still between its ticks.
+    """Steps a rig with the control of its robot; time must be able to stand still between its ticks.
 
-    A step ends, and the next command is due, when the apex has just been passed; the command acts
-    after the following mid-stance. The applied command is the one within bounds, less what the
-    drives and the safety limits took from the torques while it acted.
+    A step ends, and the next command is due, when the robot's control says so; for a hopper that is when the apex has
+    just been passed, and the command acts after the following mid-stance. The applied command is the one within bounds,
+    less what the drives and the safety limits took from the torques while it acted.
 
     Args:
         rig: What moves.
-        robot: The robot the rig is taken to be.
-        gains: Joint controller.
-        bounds: Range of the command.
-        on_tick: Called with every `Tick`, for logs.
-        limits: What the safety function allows; without, what the rig says, or what this robot may in simulation.
+        robot_control: How its robot is controlled.
+        on_tick: Called with every tick as the control records it, for logs.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        robot: RobotParameters,
-        gains: Gains,
-        bounds: CommandBounds,
-        on_tick: Callable[[Tick], None] | None = None,
-        limits: SafetyLimits | None = None,
-    ):
-        self._rig, self._space, self._on_tick = rig, bounds.space(), on_tick
-        self._robot, self._gains, self._limits = robot, gains, limits or rig.limits or SafetyLimits.of(robot)
+    def __init__(self, rig: Rig, robot_control: RobotControl, on_tick: Callable[[Any], None] | None = None):
+        self._rig, self._robot_control, self._space, self._on_tick = rig, robot_control, robot_control.space, on_tick
         self._tick_time = rig.layout.tick
-        self._state = np.full(2, np.nan)
+        self._state = np.full(len(self._space.state), np.nan)
         self._begin()
 
     def _begin(self) -> None:
         """A new deployment, nothing remembered."""
-        self._control = HopControl(self._rig.layout, self._robot, self._gains, self._limits)
+        self._control = self._robot_control.control(self._rig)
         self._time, self._applied, self._reason, self._fault = 0.0, (0.0, 0.0), Reason.OK, ""
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], command [fx, fy]."""
+        """That of its robot."""
         return self._space
 
     @property
@@ -72,7 +57,7 @@ class RigPlant(Plant):
         """
         self._rig.connect()
         self._begin()
-        self._state = self._hop((0.0, 0.0)).state
+        self._state = self._step((0.0,) * len(self._space.command)).state
         if self._reason != Reason.OK:
             said = f" ({self._fault})" if self._fault else ""
             raise RigFault(
@@ -88,14 +73,14 @@ class RigPlant(Plant):
         state = self._state
         if np.isnan(within).any():
             self._reason = Reason.INVALID
-        self._state, _, lost, place = self._hop((float(within[0]), float(within[1])))
+        self._state, _, lost, place = self._step(tuple(within.tolist()))
         return StepRecord(state, asked, within - lost, self._state, self._reason, place)
 
     def stop(self) -> None:
         """Torque off."""
         self._rig.close()
 
-    def _hop(self, command: tuple[float, float]) -> FinishedStep:
+    def _step(self, command: tuple[float, ...]) -> FinishedStep:
         """Ticks from just after an apex to just after the next; NaN where there is none."""
         order, applied = Order(Mode.STEP, 1.0, command), self._applied
         try:

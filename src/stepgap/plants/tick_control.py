@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple
 
-from stepgap.rigs.rig import HEALTHY, Health, Reading
-from stepgap.step import Array, Reason
+from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig
+from stepgap.step import Array, Reason, StepSpace
 
 
 class Mode(IntEnum):
@@ -55,7 +55,7 @@ class Order(NamedTuple):
 
     mode: Mode
     share: float
-    command: tuple[float, float]
+    command: tuple[float, ...]
 
 
 NO_COMMAND = (float("nan"), float("nan"))
@@ -142,3 +142,21 @@ class TickControl(ABC):
     @abstractmethod
     def stopped(self) -> str:
         """Why the safety function stopped the robot, in words; empty while it has not."""
+
+
+class RobotControl(ABC):
+    """How a robot is controlled, whatever rig it stands on; it can be pickled, for a process of its own."""
+
+    @property
+    @abstractmethod
+    def space(self) -> StepSpace:
+        """Names, units and ranges of state and command."""
+
+    @property
+    @abstractmethod
+    def units(self) -> Mapping[str, str]:
+        """Fields of a row of the tick log, with their units; the first is the time."""
+
+    @abstractmethod
+    def control(self, rig: Rig) -> TickControl:
+        """The control of a rig at the beginning of a deployment, compiled: no tick takes longer than the others."""

@@ -1,26 +1,22 @@
 """A tick of a rig that can break things: sensors, states, the control law of the state, safety, motors, log."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, isnan, nan
 from types import MappingProxyType
 
 import numpy as np
 
-from stepgap.hopper.parameters import CommandBounds
-from stepgap.plants.tick import TICK_UNITS
-from stepgap.plants.tick_clock import TickClock
-from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, TickControl, TickFlag
 from stepgap.plants.realtime.board import Board, Hop, Request
 from stepgap.plants.realtime.pace import Pace
 from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
+from stepgap.plants.tick_clock import TickClock
+from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, TickControl, TickFlag
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault
+from stepgap.step import StepSpace
 
-LOOP_UNITS = MappingProxyType({**TICK_UNITS, "state": "", "late": "s"})
-"""Fields of a row of the tick log, with their units."""
-
-UNKNOWN = (nan,) * (len(TICK_UNITS) - 1)
-"""What is logged of a tick in which the rig failed, between its time and its state."""
+LOOP_UNITS: Mapping[str, str] = MappingProxyType({"state": "", "late": "s"})
+"""Fields of a row of the tick log after those of the robot's tick, with their units."""
 
 ALIVE_EVERY = 64
 """Ticks between two looks whether the process that learns is alive."""
@@ -49,9 +45,9 @@ class ControlLoop:
     Args:
         rig: What moves, connected.
         control: What the robot computes in a tick.
-        bounds: Range of the command.
+        space: Range of the command.
         board: Where requests and commands are, and where hops are told.
-        log: Takes the row of every tick, fields as in `LOOP_UNITS`.
+        log: Takes the row of every tick: the fields of the control, then those in `LOOP_UNITS`.
         settings: Times and budgets.
         alive: Whether the process that learns is alive.
     """
@@ -60,7 +56,7 @@ class ControlLoop:
         self,
         rig: Rig,
         control: TickControl,
-        bounds: CommandBounds,
+        space: StepSpace,
         board: Board,
         log: Callable[[Sequence[float]], None],
         settings: LoopSettings = LoopSettings(),
@@ -68,7 +64,7 @@ class ControlLoop:
     ):
         self._rig, self._control, self._board, self._log = rig, control, board, log
         self._settings, self._alive, self._tick_time = settings, alive, rig.layout.tick
-        self._lower, self._upper = (bounds.fx_lower, bounds.fy_lower), (bounds.fx_upper, bounds.fy_upper)
+        self._lower, self._upper = space.command_lower.tolist(), space.command_upper.tolist()
         self._clock, self._applied, self._written, self._flags = TickClock(self._tick_time), (0.0, 0.0), 0.0, 0
         self._state, self._entered, self._powered = RigState.CALIBRATE, 0.0, False
         self._hop, self._missed, self._count, self._stop_asked = 0, 0, 0, False
@@ -210,7 +206,7 @@ class ControlLoop:
     def _give_up(self, fault: RigFault, now: float, late: float) -> bool:
         """The rig has failed, so that there is no more to do than to tell of it [s]; False."""
         self._fail(str(fault))
-        self._log((now, *UNKNOWN, self._state, late))
+        self._log((now, *[nan] * (len(self._control.units) - 1), self._state, late))
         return False
 
     def _fail(self, words: str) -> None:

@@ -5,16 +5,13 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.plants.hop_control import HopControl
 from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick_control import NO_COMMAND, Mode, Order
-from stepgap.plants.tick_ring import TickRing
-from stepgap.rigs.limits import SafetyLimits
-from stepgap.rigs.rig import Reading, Rig, RigFault
+from stepgap.plants.tick_control import RobotControl
+from stepgap.plants.ticks.tick_ring import TickRing
+from stepgap.rigs.rig import Rig, RigFault
 
 
 @dataclass(frozen=True)
@@ -23,29 +20,15 @@ class RealtimeSetup:
 
     Attributes:
         make_rig: Makes the rig, in that process.
-        robot: The robot the rig is taken to be.
-        gains: Joint controller.
-        bounds: Range of the command.
+        robot_control: How its robot is controlled.
         loop: Times and budgets.
         make_pace: Makes what waits for the ticks.
     """
 
     make_rig: Callable[[], Rig]
-    robot: RobotParameters
-    gains: Gains
-    bounds: CommandBounds
+    robot_control: RobotControl
     loop: LoopSettings = LoopSettings()
     make_pace: Callable[[], Pace] = WallClock
-
-    def control(self, rig: Rig) -> HopControl:
-        """The joint control of a rig, all of it compiled: a first call would take longer than a tick."""
-        limits = rig.limits or SafetyLimits.of(self.robot)
-        trial = HopControl(rig.layout, self.robot, self.gains, limits)
-        for still in (0, 0.0):  # counts may be whole numbers or not
-            reading = Reading(still, still, still, still, 0.0)
-            trial.tick(0.0, reading, Order(Mode.LIMP, 0.0, NO_COMMAND), (0.0, 0.0))
-        trial.failed_step((0.0, 0.0))
-        return HopControl(rig.layout, self.robot, self.gains, limits)
 
 
 def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: int) -> None:
@@ -62,12 +45,18 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: 
     try:
         board.state = RigState.CONNECT
         rig = setup.make_rig()
-        control = setup.control(rig)
+        control = setup.robot_control.control(rig)
         board.words = "; ".join(ask_for_realtime())  # before the bus is up: its watchdog would not wait for it
         with rig:
             board.state = RigState.CALIBRATE
             loop = ControlLoop(
-                rig, control, setup.bounds, board, ring.push, setup.loop, alive=lambda: os.getppid() == parent
+                rig,
+                control,
+                setup.robot_control.space,
+                board,
+                ring.push,
+                setup.loop,
+                alive=lambda: os.getppid() == parent,
             )
             signal.signal(signal.SIGTERM, lambda *_: loop.ask_to_stop())
             loop.run(setup.make_pace())

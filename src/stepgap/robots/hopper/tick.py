@@ -1,0 +1,71 @@
+"""What happens in one tick of the control loop, for logs and for whoever looks on."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.rigs.rig import Reading
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.safety import Limited
+
+TICK_UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "time": "s",
+        "motor_1": "counts",
+        "motor_2": "counts",
+        "boom_horizontal": "counts",
+        "boom_vertical": "counts",
+        "contact_force": "N",
+        "phase": "",
+        "alpha_1": "rad",
+        "alpha_2": "rad",
+        "asked_1": "N·m",
+        "asked_2": "N·m",
+        "applied_1": "N·m",
+        "applied_2": "N·m",
+        "limited": "",
+    }
+)
+"""Fields of a tick as `Tick.row` gives them, with their units; `phase` and `limited` are the numbers of the enums."""
+
+
+LOG_UNITS: Mapping[str, str] = MappingProxyType({**TICK_UNITS, **LOOP_UNITS})
+"""Fields of a row of a real-time process's tick log, with their units."""
+
+
+class Tick(NamedTuple):
+    """One tick; angles [rad], torques [N·m].
+
+    Attributes:
+        time: Since the start [s].
+        reading: What the sensors said.
+        phase: Where in the hop the leg was taken to be.
+        alpha_1: Mean angle of the top links α₁.
+        alpha_2: Half the angle between the top links α₂.
+        asked: Torques that the control law wanted.
+        applied: Torques that the rig says it took.
+        limited: Why they differ.
+    """
+
+    time: float
+    reading: Reading
+    phase: Phase
+    alpha_1: float
+    alpha_2: float
+    asked: tuple[float, float]
+    applied: tuple[float, float]
+    limited: Limited
+
+    def row(self) -> tuple[float, ...]:
+        """The numbers of this tick in the order of `TICK_UNITS`."""
+        return (
+            self.time,
+            *self.reading,
+            self.phase,
+            self.alpha_1,
+            self.alpha_2,
+            *self.asked,
+            *self.applied,
+            self.limited,
+        )
