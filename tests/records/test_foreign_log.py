@@ -1,4 +1,4 @@
-"""Reading any CSV log: that numbers arrive, that rows chain rightly, and that what is wrong is named."""
+"""HopperReading any CSV log: that numbers arrive, that rows chain rightly, and that what is wrong is named."""
 
 import re
 from collections.abc import Sequence

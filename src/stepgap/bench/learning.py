@@ -126,7 +126,7 @@ def _sysid(trial: Trial, log: StepLog) -> StepLog:
     again = trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)  # the very same deployment, to the last bit
     if not len(again):
         return trial.deploy(trial.uncorrected(), 1)
-    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).layout)
+    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).sensor_model)
     return trial.deploy(Learner(found, log, LearningSettings(residual="none"), 1), 1)
 
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from stepgap.plants.plant import Plant
-from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag, Torques
-from stepgap.rigs.rig import Rig, RigFault
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag
+from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
 STEP_ENDED, FAILED, UNREADABLE = (
@@ -30,7 +30,7 @@ class RigPlant(Plant):
 
     def __init__(self, rig: Rig, robot_control: RobotControl, on_tick: Callable[[Any], None] | None = None):
         self._rig, self._robot_control, self._space, self._on_tick = rig, robot_control, robot_control.space, on_tick
-        self._tick_time = rig.layout.tick
+        self._tick_time = rig.sensor_model.tick
         self._state = np.full(len(self._space.state), np.nan)
         self._begin()
 
@@ -103,7 +103,7 @@ class RigPlant(Plant):
         torques, flags = control.tick(self._time, reading, order, applied, rig.health)
         if flags & UNREADABLE:
             raise RigFault(f"the sensors tell what is no number: {reading}")
-        applied = rig.write(*torques)
+        applied = rig.write(torques)
         self._time += self._tick_time
         if self._on_tick:
             self._on_tick(control.record(applied))

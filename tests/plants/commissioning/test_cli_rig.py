@@ -18,23 +18,26 @@ from stepgap.base.settings_file import InputError, to_table
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import read_ticks
+from stepgap.rigs.ethercat.emulator.device import Device
 from stepgap.rigs.ethercat.emulator.emulator import emulated
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
-from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
-from stepgap.rigs.rig import Reading, RigLayout
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
+from stepgap.rigs.rig import Torques
+from stepgap.robots.hopper.ethercat import RigSettings, read_rig_settings
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.twin_machine import hopper_devices
 from tests.cli.command_line import Command, Said, refused
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 INTERFACE = f"sg{os.getpid() % 10**7}"
-POSE = Reading(2100, -2050, 77, 330, 1.0)
+POSE = HopperReading(2100, -2050, 77, 330, 1.0)
 TICK = 0.01
 """So long that a busy machine seldom misses the 50 in a row that stop a rig."""
-LAYOUT = RigLayout(
+LAYOUT = HopperSensorModel(
     tick=TICK,
     boom_length=RobotParameters().boom_length,
     pivot_height=0.4,
@@ -53,11 +56,14 @@ class JiggedMachine(Machine):
     def period(self) -> float:
         return TICK
 
-    def start(self) -> Reading:
+    def devices(self, settings: RingSettings) -> list[Device]:
+        return hopper_devices(settings, self.period)
+
+    def start(self) -> HopperReading:
         return POSE
 
-    def tick(self, torque_1: float, torque_2: float) -> Reading:
-        if torque_1 or torque_2:
+    def tick(self, torques: Torques) -> HopperReading:
+        if any(torques):
             raise AssertionError("these verbs give no torque")
         return POSE
 

@@ -17,17 +17,28 @@ from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import TickLogError
 from stepgap.plants.ticks.tick_ring import TickRing
-from stepgap.rigs.rig import Reading, RigFault, RigLayout
+from stepgap.rigs.rig import RigFault
 from stepgap.rigs.still_rig import StillRig
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.tick import LOG_UNITS
 
 SHARED = Path("/dev/shm")
+SENSORS = HopperSensorModel(
+    tick=0.01,
+    boom_length=1.85,
+    pivot_height=0.4,
+    motor_counts=16384,
+    boom_counts_horizontal=5000,
+    boom_counts_vertical=16384,
+    touchdown_force=5.0,
+    takeoff_length=0.273,
+)
 
 
 def still_rig():
-    return StillRig(RigLayout(0.01, 1.85, 0.4, 16384, 5000, 16384, 5.0, 0.273), Reading(2048, -2048, 0, 400, 0.0))
+    return StillRig(SENSORS, HopperReading(2048, -2048, 0, 400, 0.0))
 
 
 SETUP = RealtimeSetup(still_rig, HopperControl(RobotParameters(), Gains(), CommandBounds()))

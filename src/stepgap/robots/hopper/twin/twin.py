@@ -13,8 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.robots.hopper.parameters import Gains, RobotParameters, require
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
@@ -112,7 +113,7 @@ class Twin(Rig):
         self._hold_ticks = round(hold / tick)
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
-        self._layout = RigLayout(
+        self._layout = HopperSensorModel(
             tick=tick,
             boom_length=robot.boom_length,
             pivot_height=gap.boom_pivot_height,
@@ -154,7 +155,7 @@ class Twin(Rig):
         self._motor_1, self._motor_2 = (int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2))
 
     @property
-    def layout(self) -> RigLayout:
+    def sensor_model(self) -> HopperSensorModel:
         """How to read the counts; all zeros are at angle 0."""
         return self._layout
 
@@ -172,7 +173,7 @@ class Twin(Rig):
         if self._hold_left == 0:
             self._let_go()
 
-    def read(self) -> Reading:
+    def read(self) -> HopperReading:
         """Sensor values at the present tick.
 
         Raises:
@@ -195,9 +196,9 @@ class Twin(Rig):
             yaw = round(yaw)
         if gap.boom_counts_vertical < inf:
             pitch = round(pitch)
-        return Reading(motor_1, motor_2, yaw, pitch, self._touch[0])
+        return HopperReading(motor_1, motor_2, yaw, pitch, self._touch[0])
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+    def write(self, torques: Torques) -> tuple[float, float]:
         """Commands the motor torques for one tick [N·m] and returns them as limited.
 
         Delay, lag, scale and noise come after that and stay unknown to the caller, as with real drives.
@@ -207,6 +208,7 @@ class Twin(Rig):
         """
         if self._fault or not self._connected:
             raise RigFault(self._fault or "the twin is not connected")
+        torque_1, torque_2 = torques
         if not (isfinite(torque_1) and isfinite(torque_2)):
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
         limit = self._limit
