@@ -8,7 +8,7 @@ import numpy as np
 from stepgap.plants.plant import Plant
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag, Torques
 from stepgap.rigs.rig import Rig, RigFault
-from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
+from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
 STEP_ENDED, FAILED, UNREADABLE = (
     int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE)
@@ -37,7 +37,7 @@ class RigPlant(Plant):
     def _begin(self) -> None:
         """A new deployment, nothing remembered."""
         self._control = self._robot_control.control(self._rig)
-        self._time, self._applied, self._reason, self._fault = 0.0, (0.0, 0.0), Reason.OK, ""
+        self._time, self._applied, self._status, self._fault = 0.0, (0.0, 0.0), StepStatus.OK, ""
 
     @property
     def space(self) -> StepSpace:
@@ -58,10 +58,10 @@ class RigPlant(Plant):
         self._rig.connect()
         self._begin()
         self._state = self._step((0.0,) * len(self._space.command)).state
-        if self._reason != Reason.OK:
+        if self._status != StepStatus.OK:
             said = f" ({self._fault})" if self._fault else ""
             raise RigFault(
-                f"the first hop failed: {self._reason.status}{said}: {ADVICE[self._reason]}; "
+                f"the first hop failed: {self._status.label}{said}: {ADVICE[self._status]}; "
                 "on the twin, see whether the differences in [gap] leave a robot that can hop"
             )
         return self._state
@@ -72,9 +72,9 @@ class RigPlant(Plant):
         within = np.clip(asked, self._space.command_lower, self._space.command_upper)
         state = self._state
         if np.isnan(within).any():
-            self._reason = Reason.INVALID
+            self._status = StepStatus.INVALID
         self._state, _, lost, place = self._step(tuple(within.tolist()))
-        return StepRecord(state, asked, within - lost, self._state, self._reason, place)
+        return StepRecord(state, asked, within - lost, self._state, self._status, place)
 
     def stop(self) -> None:
         """Torque off."""
@@ -84,15 +84,15 @@ class RigPlant(Plant):
         """Ticks from just after an apex to just after the next; NaN where there is none."""
         order, applied = Order(Mode.STEP, 1.0, command), self._applied
         try:
-            while self._reason == Reason.OK:
+            while self._status == StepStatus.OK:
                 applied, flags = self._tick(order, applied)
                 if flags & STEP_ENDED:
                     self._applied = applied
                     return self._control.finished_step()
                 if flags & FAILED:
-                    self._reason = self._control.reason
+                    self._status = self._control.status
         except RigFault as fault:
-            self._reason, self._fault, applied = Reason.STOPPED, str(fault), None
+            self._status, self._fault, applied = StepStatus.STOPPED, str(fault), None
         self._rig.close()
         return self._control.failed_step(applied)
 

@@ -10,7 +10,7 @@ from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple
 
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig
-from stepgap.step import Array, Reason, StepSpace
+from stepgap.step import Array, StepSpace, StepStatus
 
 
 class Mode(IntEnum):
@@ -33,7 +33,7 @@ class TickFlag(IntFlag):
     STEP_ENDED = 1
     """The step has just ended, `finished_step` has the result, and the next command is due."""
     FAILED = 2
-    """The step has failed; `reason` says why."""
+    """The step has failed; `status` says why."""
     STOPPED = 4
     """The safety function has stopped the robot."""
     BRAKES = 8
@@ -135,7 +135,7 @@ class TickControl(ABC):
 
     @property
     @abstractmethod
-    def reason(self) -> Reason:
+    def status(self) -> StepStatus:
         """OK while the robot steps; else why it does not."""
 
     @property

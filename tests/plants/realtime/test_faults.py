@@ -32,7 +32,7 @@ from stepgap.robots.hopper.ring_rig import emulated_settings
 from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 from tests.rigs.ethercat.ring_process import INTERFACE, RecordedTwin, live_ring
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
@@ -119,7 +119,7 @@ def test_the_robot_hops_on_after(name):
     with deployment(at(SURVIVED[name])) as (ring, hopping):
         assert hopping.run(HOPPING + 1500)
         assert len(hopping.hops) >= 2
-        assert all(hop.reason == Reason.OK for hop in hopping.hops)
+        assert all(hop.status == StepStatus.OK for hop in hopping.hops)
         check_torques(ring, hopping)
 
 

@@ -19,7 +19,7 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParamete
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
-from stepgap.step import Array, Reason, StepSpace
+from stepgap.step import Array, StepSpace, StepStatus
 
 PHASES = tuple(Phase)
 
@@ -113,9 +113,9 @@ class HopControl(TickControl):
         return FinishedStep(np.full(2, np.nan), np.array([force_x, force_y]), np.array(lost), np.nan)
 
     @property
-    def reason(self) -> Reason:
+    def status(self) -> StepStatus:
         """OK while the robot hops; why not, else."""
-        return Reason(int(self._memory["hop"]["reason"][0]))
+        return StepStatus(int(self._memory["hop"]["status"][0]))
 
     @property
     def stopped(self) -> str:

@@ -94,7 +94,7 @@ class Hop(NamedTuple):
         thrust_ticks: Ticks in which the command acted.
         lost_x: Sum of the command force that limits took away [N].
         lost_y: Sum of the upward command force that limits took away [N].
-        reason: Number of a `Reason`: 0, or why there will be no apex.
+        status: Number of a `StepStatus`: 0, or why there will be no apex.
     """
 
     deadline: float = STEP_TIMEOUT
@@ -104,7 +104,7 @@ class Hop(NamedTuple):
     thrust_ticks: int = 0
     lost_x: float = 0.0
     lost_y: float = 0.0
-    reason: int = 0
+    status: int = 0
 
 
 class Apex(NamedTuple):

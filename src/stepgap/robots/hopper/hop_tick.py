@@ -17,7 +17,7 @@ from stepgap.robots.hopper.reduced import uprightness
 from stepgap.robots.hopper.safety import STOPS, brakes, check_torque
 from stepgap.robots.hopper.sensing import follow_flight, sense
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 
 # Numba compiles no flags, so compiled code has their numbers.
 _STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
@@ -68,7 +68,7 @@ def _count_loss(law, state, applied_1, applied_2):
         force_x, force_y = lost_force(law, state.motion.alpha_1, state.motion.alpha_2, lost_1, lost_2)
         lost_x, lost_y = lost_x + force_x, lost_y + force_y
     return Hop(
-        hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks + 1, lost_x, lost_y, hop.reason
+        hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks + 1, lost_x, lost_y, hop.status
     )  # fmt: skip
 
 
@@ -84,16 +84,16 @@ def _update_hop(hop, before, phase, mode_before, inputs):
     if inputs.mode == Mode.STEP and mode_before != Mode.STEP:
         # the robot is held in the air, and may be for as long as it takes
         phase = Phase.DESCENT.value
-        deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.reason)
+        deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
     if inputs.mode == Mode.STEP and np.isnan(force_x) and _takes_command(phase, left_ground):
         force_x, force_y = inputs.force_x, inputs.force_y
-    return Hop(deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, hop.reason), phase
+    return Hop(deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, hop.status), phase
 
 
 @as_written
-def _new_hop(deadline, reason):
+def _new_hop(deadline, status):
     """`Hop` at its begin."""
-    return Hop(deadline, 0, np.nan, np.nan, 0, 0.0, 0.0, reason)
+    return Hop(deadline, 0, np.nan, np.nan, 0, 0.0, 0.0, status)
 
 
 @as_written
@@ -104,19 +104,19 @@ def _takes_command(phase, left_ground):
 
 @as_written
 def _judge(leg, hop, motion, limited):
-    """`Hop` with the reason why there will be no apex, if the safety function stopped the robot or it fell."""
-    reason = hop.reason
+    """`Hop` with the status of a step that ends without an apex: the safety function stopped the robot, or it fell."""
+    status = hop.status
     if limited & STOPS:
-        reason = Reason.STOPPED.value
+        status = StepStatus.STOPPED.value
     elif uprightness(leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0.0:
-        reason = Reason.FELL.value
-    return _with_reason(hop, reason)
+        status = StepStatus.FELL.value
+    return _with_status(hop, status)
 
 
 @as_written
-def _with_reason(hop, reason):
+def _with_status(hop, status):
     return Hop(
-        hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks, hop.lost_x, hop.lost_y, reason
+        hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks, hop.lost_x, hop.lost_y, status
     )  # fmt: skip
 
 
@@ -126,7 +126,7 @@ def _end_hop(hop, flight, apex, phase, body, time):
 
     A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
     """
-    if hop.reason == Reason.OK and hop.left_ground and phase == Phase.DESCENT:
+    if hop.status == StepStatus.OK and hop.left_ground and phase == Phase.DESCENT:
         speed = fitted_speed(flight.fit)
         height = apex_height(flight.fit) - body.shift_y
         if not np.isnan(speed):
@@ -134,9 +134,9 @@ def _end_hop(hop, flight, apex, phase, body, time):
         if np.isfinite(speed + height):
             lost_x, lost_y = _mean_loss(hop)
             ended = Apex(speed, height, body.yaw, lost_x, lost_y, hop.force_x, hop.force_y)
-            return _STEP_ENDED, _new_hop(time + STEP_TIMEOUT, hop.reason), flight, ended
+            return _STEP_ENDED, _new_hop(time + STEP_TIMEOUT, hop.status), flight, ended
     if time > hop.deadline:
-        hop = _with_reason(hop, Reason.NO_APEX.value if hop.left_ground else Reason.NO_TAKE_OFF.value)
+        hop = _with_status(hop, StepStatus.NO_APEX.value if hop.left_ground else StepStatus.NO_TAKE_OFF.value)
     return 0, hop, flight, apex
 
 
@@ -151,7 +151,7 @@ def _mean_loss(hop):
 def _flags(limits, hop, phase, checked):
     """Sum of the flags, but for the end of a step."""
     flags = 0
-    if hop.reason != Reason.OK:
+    if hop.status != StepStatus.OK:
         flags |= _FAILED
     if checked.limited & STOPS:
         flags |= _STOPPED
