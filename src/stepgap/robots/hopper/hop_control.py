@@ -55,6 +55,7 @@ class HopControl(TickControl):
     def __init__(self, layout: RigLayout, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
         self._settings = as_record(TickSettings(layout, masses_of(robot), joint_law(robot, gains), limits))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
+        self._reading = Reading(0.0, 0.0, 0.0, 0.0, 0.0)
         _compile(self._settings, self._memory, self._row)
 
     def look(self, reading: Reading) -> HopState:
@@ -83,6 +84,7 @@ class HopControl(TickControl):
     ) -> tuple[Torques, int]:
         """Computes a tick."""
         mode, share, command = order
+        self._reading = reading
         return tick(
             self._settings, self._memory, self._row, time, age, *reading, *health, int(mode), share, *command, *applied
         )  # fmt: skip
@@ -98,7 +100,7 @@ class HopControl(TickControl):
         row = self._row.tolist()
         limited = Limited(int(row[13])) if row[13] else Limited.NOTHING  # to make a flag takes half a microsecond
         return Tick(
-            row[0], Reading(*row[1:6]), PHASES[int(row[6])], row[7], row[8], (row[9], row[10]), applied, limited
+            row[0], self._reading, PHASES[int(row[6])], row[7], row[8], (row[9], row[10]), applied, limited
         )  # fmt: skip
 
     def finished_step(self) -> FinishedStep:
