@@ -3,10 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees
+from typing import Any, cast
 
 import numpy as np
+from numba import boolean, float64, int64, typeof
 
-from stepgap.base.compiled_record import as_record, from_record
+from stepgap.base.compiled_record import Record, as_record, from_record
 from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, RobotControl, TickControl
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, Torques
 from stepgap.robots.hopper.dynamics import masses_of
@@ -19,9 +21,27 @@ from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
-from stepgap.step import StepSpace, StepStatus
+from stepgap.step import Array, StepSpace, StepStatus
 
 PHASES = tuple(Phase)
+
+_SCALARS = (*[float64] * 7, boolean, boolean, int64, boolean, int64, *[float64] * 5)
+"""Types of the arguments of `tick` after the arrays; whole numbers of counts are converted."""
+
+
+def _compile(*arrays: Array | Record) -> None:
+    """Compiles the tick for these arrays once and for all: no tick may wait for it."""
+    settings, memory, _ = map(typeof, arrays)
+    for function, kinds in cast(
+        "Any",
+        (
+            (tick, (*map(typeof, arrays), *_SCALARS)),
+            (broken_off, (settings, memory, float64, float64)),
+        ),
+    ):
+        if not function.signatures:
+            function.compile(kinds)
+            function.disable_compile()
 
 
 class HopControl(TickControl):
@@ -37,6 +57,8 @@ class HopControl(TickControl):
     def __init__(self, layout: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
         self._settings = as_record(TickSettings(layout, masses_of(robot), joint_law(robot, gains), limits))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
+        self._reading: Reading = HopperReading(0.0, 0.0, 0.0, 0.0, 0.0)
+        _compile(self._settings, self._memory, self._row)
 
     def look(self, reading: HopperReading) -> HopState:
         """The state after a tick in which nothing is asked of the robot."""
@@ -64,6 +86,7 @@ class HopControl(TickControl):
     ) -> tuple[Torques, int]:
         """Computes a tick."""
         mode, share, command = order
+        self._reading = reading
         return tick(
             self._settings, self._memory, self._row, time, age, *reading, *health, int(mode), share, *command, *applied
         )  # fmt: skip
@@ -76,11 +99,10 @@ class HopControl(TickControl):
 
     def record(self, applied: Torques) -> Tick:
         """The last tick for whoever looks on."""
-        time, m1, m2, bh, bv, force, phase, alpha_1, alpha_2, asked_1, asked_2, _, _, limited = self._row.tolist()
-        reading = HopperReading(m1, m2, bh, bv, force)
-        return Tick(
-            time, reading, PHASES[int(phase)], alpha_1, alpha_2, (asked_1, asked_2), applied, Limited(int(limited))
-        )  # fmt: skip
+        row = self._row.tolist()
+        limited = Limited(int(row[13])) if row[13] else Limited.NOTHING  # to make a flag takes half a microsecond
+        reading = HopperReading._make(self._reading)
+        return Tick(row[0], reading, PHASES[int(row[6])], row[7], row[8], (row[9], row[10]), applied, limited)
 
     def finished_step(self) -> FinishedStep:
         """The hop that ended with the last tick."""
@@ -133,10 +155,6 @@ class HopperControl(RobotControl):
 
     def control(self, rig: Rig) -> HopControl:
         """The control of a rig at the beginning of a deployment, compiled."""
-        trial = self._new_control(rig)
-        for count in (0, 0.0):  # counts may be integers or not
-            trial.look(HopperReading(count, count, count, count, 0.0))
-        trial.failed_step((0.0, 0.0))
         return self._new_control(rig)
 
     def limp_limits(self, rig: Rig) -> SafetyLimits:
