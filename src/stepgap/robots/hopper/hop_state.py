@@ -21,13 +21,13 @@ class TickSettings(NamedTuple):
     """All that stays the same from tick to tick.
 
     Attributes:
-        layout: How to read the sensors.
+        sensor_model: How to read the sensors.
         masses: Mass properties of the robot that the rig is taken to be.
         law: Torque laws.
         limits: What the safety function allows.
     """
 
-    layout: HopperSensorModel
+    sensor_model: HopperSensorModel
     masses: Masses
     law: JointLaw
     limits: SafetyLimits
