@@ -14,18 +14,18 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import paper_reference
-from stepgap.deployment import deploy
-from stepgap.experiment import read_experiment
-from stepgap.hopper.apex_map import ApexMap
+from stepgap.experiment.deployment import deploy
+from stepgap.experiment.noise_floor import repeated
+from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import StepLog, read_step_log, row_of
 from stepgap.plants.plant import Plant
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.random_stream import random_stream
-from stepgap.repeatability import repeated
-from stepgap.rigs.twin.twin import Twin
-from stepgap.run_plants import plant_on, remade_rig
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepRecord, StepSpace
 
 REPEATS = 8

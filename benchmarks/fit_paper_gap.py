@@ -28,19 +28,19 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import SETTLING_STEPS, paper_reference
-from stepgap.deployment import Deployment, deploy, summarise
-from stepgap.hopper.apex_map import ApexMap
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.experiment.deployment import Deployment, deploy, summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.random_stream import random_stream
-from stepgap.report.paper import NO_GP
-from stepgap.rigs.twin.model import GroundProfile
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.records.paper import NO_GP
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.model import GroundProfile
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array
 
 MEASURES = ("rmse", "bias", "steady_rmse", "transient_rmse")

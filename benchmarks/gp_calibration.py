@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.bench_gp import NOISE, SCALE, VALUE_SCALE, truth
+from stepgap.bench.gaussian_process import NOISE, SCALE, VALUE_SCALE, truth
 from stepgap.learning.gaussian_process_fit import Basis, fit_gaussian_process
 from stepgap.step import Array
 

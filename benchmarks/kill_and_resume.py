@@ -20,7 +20,7 @@ import numpy as np
 
 from stepgap.control.reference import paper_reference
 
-STEPGAP = [sys.executable, "-c", "from stepgap.cli import main; main()"]
+STEPGAP = [sys.executable, "-c", "from stepgap.cli.app import main; main()"]
 
 
 def main() -> None:

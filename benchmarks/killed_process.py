@@ -18,17 +18,17 @@ from time import monotonic, sleep
 
 import numpy as np
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.rigs.ethercat.emulator.emulator import run_emulator
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.ethercat.emulator.ring_rig import emulated_settings
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.rig import Reading
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 RING = RingSettings(lock_step=False)

@@ -19,13 +19,13 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.control.careful_controller import CarefulController
 from stepgap.control.reference import paper_reference
-from stepgap.deployment import deploy
-from stepgap.hopper.apex_map import ApexMap
-from stepgap.hopper.parameters import RobotParameters
+from stepgap.experiment.deployment import deploy
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.model_plant import ModelPlant
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.parameters import RobotParameters
 
 NOISE = np.array([0.008, 0.0013])
 """Repeatability of the twin [m/s, m]."""

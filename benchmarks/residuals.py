@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from stepgap import ApexMap
-from stepgap.experiment import read_experiment
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.residual_fit import CANDIDATES
 from stepgap.learning.settings import Features, LearningSettings, ResidualKind

@@ -15,13 +15,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.control.step_controller import StepController
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.hopper.apex_map import ApexMap
 from stepgap.learning.gaussian_process_fit import fit_gaussian_process
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick import Tick
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array
 
 PAPER_STEPS = 227

@@ -1,8 +1,8 @@
 """A family of random twins, to benchmark learning on more than one robot.
 
-The family is that of `stepgap.rigs.twin.family`. A draw whose uncorrected robot does not get through the first 20 steps
-may be drawn again, as `stepgap bench learning` does; the share of these, and of those that fall later in the first
-deployment, is what this script measures: 1 and 0 of 24 with seed 0.
+The family is that of `stepgap.robots.hopper.twin.family`. A draw whose uncorrected robot does not get through the
+first 20 steps may be drawn again, as `stepgap bench learning` does; the share of these, and of those that fall later in
+the first deployment, is what this script measures: 1 and 0 of 24 with seed 0.
 
     ./go python benchmarks/twin_family.py --draws 24
 """
@@ -13,8 +13,8 @@ import numpy as np
 from fit_paper_gap import first_deployment
 
 from stepgap.rigs.rig import RigFault
-from stepgap.rigs.twin.family import random_gap
-from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.family import random_gap
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 FIRST_STEPS = 20
 """Steps that the uncorrected robot of a draw must manage, or else it may be drawn again."""

@@ -12,12 +12,12 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from stepgap.control.step_controller import StepController
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.hopper.apex_map import ApexMap
-from stepgap.hopper.sampled_map import SampledApexMap
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.sampled_map import SampledApexMap
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 
 TICKS = (1e-4, 2e-4, 5e-4, 1e-3)
 

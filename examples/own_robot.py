@@ -13,9 +13,9 @@ import numpy as np
 from numba import guvectorize, njit
 
 from stepgap.control.reference import Reference
+from stepgap.experiment.loop import run
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.sim_to_real import run
 from stepgap.step import Outcome, Quantity, Reason, StepMap, StepSpace, difference_jacobian
 
 GRAVITY = 9.81

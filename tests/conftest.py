@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from stepgap.cli import main
-from tests.command_line import Command, Said
+from stepgap.cli.app import main
+from tests.cli.command_line import Command, Said
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
 settings.load_profile("no deadline")

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 import stepgap
-from stepgap.cli import app, split_overrides, split_program
-from stepgap.experiment import read_experiment
-from stepgap.learning.columns import read_columns
+from stepgap.base.settings_file import read_toml
+from stepgap.cli.app import app, split_overrides, split_program
+from stepgap.experiment.settings import read_experiment
+from stepgap.records.columns import read_columns
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
-from stepgap.strict_toml import read_toml
-from tests.command_line import Command
+from tests.cli.command_line import Command
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])

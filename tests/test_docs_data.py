@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.experiment.replay import REPLAY_UNITS
 from stepgap.plants.tick import TICK_UNITS
-from stepgap.replay import REPLAY_UNITS
-from tests.command_line import Command
+from tests.cli.command_line import Command
 
 PAGE = (Path(__file__).parent.parent / "docs" / "data.md").read_text("utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", PAGE, re.DOTALL)
@@ -21,7 +21,7 @@ SHORT = ["--reference", "short.csv"]
 def test_the_page_of_data_runs(
     stepgap: Command, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("stepgap.run_plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+    monkeypatch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
     Path("short.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
     assert stepgap("run", *SHORT, "--out", "runs/latest", "--iterations", 1, "--quiet").code == 0
     for language, block in BLOCKS:

@@ -15,10 +15,10 @@ from gymnasium.wrappers import RescaleObservation
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.gym import MISSED, STEP_ID, StepEnv, hopper_env
-from stepgap.hopper.apex_map import ApexMap
-from stepgap.hopper.parameters import Gains
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.rigs.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.parameters import Gains
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array
 
 START = (0.2, 0.58)

@@ -17,13 +17,15 @@ from stepgap.control.careful_controller import CarefulController
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
+from stepgap.experiment.loop import run
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.sim_to_real import run
 from stepgap.step import Array, Outcome, Quantity, Reason, StepMap, StepSpace, difference_jacobian
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "own_robot.py"
-HOPPER = r"stepgap\.(hopper|rigs|experiment|baselines|plants\.(?!plant$|model_plant$))"
+HOPPER = (
+    r"stepgap\.(robots|rigs|bench|experiment\.(settings|plants|replay|noise_floor)|plants\.(?!plant$|model_plant$))"
+)
 REAL = {"mass": 10.6, "stiffness": 2850.0, "damping": 6.0, "friction": 4.0}
 
 
@@ -193,6 +195,6 @@ def test_learning_cuts_the_error_and_needs_no_hopper() -> None:
     *lines, modules = outcome.stdout.splitlines()
     errors = np.array([re.findall(r"\d+\.\d+", line) for line in lines], float)
     assert (errors[-1] < errors[0] / 4).all()
-    assert "stepgap.sim_to_real" in modules.split()
+    assert "stepgap.experiment.loop" in modules.split()
     assert "mujoco" not in modules.split()
     assert not [name for name in modules.split() if re.match(HOPPER, name)]

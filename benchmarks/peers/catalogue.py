@@ -7,8 +7,8 @@ from typing import Any
 import numba
 
 from benchmarks.peers import full_system
-from stepgap.bench_map import Engine
-from stepgap.hopper.apex_map import ApexMap
+from stepgap.bench.step_map import Engine
+from stepgap.robots.hopper.apex_map import ApexMap
 
 
 def reference(nominal: ApexMap, quick: bool) -> Callable[[Any, Any], Any]:

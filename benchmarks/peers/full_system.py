@@ -2,8 +2,8 @@
 
 Every mass sits at hip + a u(α₁ ± α₂) + b u(α₁ ∓ β) with u(φ) = (sin φ, −cos φ), and so does the foot; masses and
 bias follow from the Jacobians of these points. `make_rates` gives the right-hand sides, plain or compiled by Numba.
-Independent of `stepgap.hopper`, whose parameters alone it uses. Torques are limited, but solve_ivp is not told where
-the limit sets in. Failures of a hop are NaN.
+Independent of `stepgap.robots.hopper`, whose parameters alone it uses. Torques are limited, but solve_ivp is not told
+where the limit sets in. Failures of a hop are NaN.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from stepgap.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.parameters import Gains, RobotParameters
 
 Plain = Callable[[Callable[..., Any]], Callable[..., Any]]
 

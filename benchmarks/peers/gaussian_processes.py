@@ -5,7 +5,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from stepgap.bench_gp import Library
+from stepgap.bench.gaussian_process import Library
 
 NOT_WRITTEN = {"GPy": "GPy", "GPyTorch": "gpytorch", "GPflow": "gpflow", "tinygp": "tinygp", "GPJax": "gpjax"}
 

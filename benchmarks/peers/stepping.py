@@ -14,11 +14,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.twin.model import build_model
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.model import build_model
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepMap
 
 STEP = 1e-3

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from benchmarks.peers.full_system import constants, make_rates
-from stepgap.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.parameters import Gains, RobotParameters
 
 
 def make_hop(robot: RobotParameters, gains: Gains, tolerance: float) -> Callable[[Any, Any], Any]:

@@ -8,7 +8,7 @@ The flow, from the model to a robot that tracks:
 4. Every step becomes a `StepRecord`; `fit_residual` learns actual − nominal from them (Eq. 12).
 5. `CorrectedMap` is nominal + residual (Eq. 13), again a `StepMap`, so 2 to 4 repeat with it.
 
-`stepgap.sim_to_real.run` is that loop, and the command line `stepgap run` calls it.
+`stepgap.experiment.loop.run` is that loop, and the command line `stepgap run` calls it.
 """
 
 from importlib import import_module
@@ -22,11 +22,6 @@ if TYPE_CHECKING:
     from stepgap.control.reference import Reference as Reference
     from stepgap.control.reference import paper_reference as paper_reference
     from stepgap.control.step_controller import StepController as StepController
-    from stepgap.hopper.apex_map import ApexMap as ApexMap
-    from stepgap.hopper.parameters import CommandBounds as CommandBounds
-    from stepgap.hopper.parameters import Gains as Gains
-    from stepgap.hopper.parameters import RobotParameters as RobotParameters
-    from stepgap.hopper.sampled_map import SampledApexMap as SampledApexMap
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
     from stepgap.learning.observations import Observations as Observations
     from stepgap.learning.residual_fit import fit_residual as fit_residual
@@ -34,32 +29,37 @@ if TYPE_CHECKING:
     from stepgap.plants.plant import Plant as Plant
     from stepgap.plants.rig_plant import RigPlant as RigPlant
     from stepgap.rigs.rig import Rig as Rig
-    from stepgap.rigs.twin.reality_gap import RealityGap as RealityGap
-    from stepgap.rigs.twin.twin import Twin as Twin
+    from stepgap.robots.hopper.apex_map import ApexMap as ApexMap
+    from stepgap.robots.hopper.parameters import CommandBounds as CommandBounds
+    from stepgap.robots.hopper.parameters import Gains as Gains
+    from stepgap.robots.hopper.parameters import RobotParameters as RobotParameters
+    from stepgap.robots.hopper.sampled_map import SampledApexMap as SampledApexMap
+    from stepgap.robots.hopper.twin.reality_gap import RealityGap as RealityGap
+    from stepgap.robots.hopper.twin.twin import Twin as Twin
     from stepgap.step import StepFailed as StepFailed
     from stepgap.step import StepMap as StepMap
     from stepgap.step import StepRecord as StepRecord
 
 _HOMES = {
-    "ApexMap": "hopper.apex_map",
-    "CommandBounds": "hopper.parameters",
+    "ApexMap": "robots.hopper.apex_map",
+    "CommandBounds": "robots.hopper.parameters",
     "CommandTable": "control.command_table",
     "CorrectedMap": "learning.corrected_map",
-    "Gains": "hopper.parameters",
+    "Gains": "robots.hopper.parameters",
     "ModelPlant": "plants.model_plant",
     "Observations": "learning.observations",
     "Plant": "plants.plant",
-    "RealityGap": "rigs.twin.reality_gap",
+    "RealityGap": "robots.hopper.twin.reality_gap",
     "Reference": "control.reference",
     "Rig": "rigs.rig",
     "RigPlant": "plants.rig_plant",
-    "RobotParameters": "hopper.parameters",
-    "SampledApexMap": "hopper.sampled_map",
+    "RobotParameters": "robots.hopper.parameters",
+    "SampledApexMap": "robots.hopper.sampled_map",
     "StepController": "control.step_controller",
     "StepFailed": "step",
     "StepMap": "step",
     "StepRecord": "step",
-    "Twin": "rigs.twin.twin",
+    "Twin": "robots.hopper.twin.twin",
     "build_table": "control.command_table",
     "fit_residual": "learning.residual_fit",
     "fixed_point": "control.limit_cycle",

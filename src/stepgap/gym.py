@@ -20,14 +20,14 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from stepgap.control.reference import Reference, paper_reference
-from stepgap.experiment import PRESETS
-from stepgap.hopper.apex_map import ApexMap
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.experiment.settings import PRESETS
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, Reason, StepMap
 
 STEP_ID = "stepgap/Step-v0"

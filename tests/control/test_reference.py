@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stepgap.control.reference import Reference, paper_reference, parse_reference, read_reference
-from stepgap.hopper.parameters import CommandBounds
+from stepgap.robots.hopper.parameters import CommandBounds
 
 SPACE = CommandBounds().space()
 

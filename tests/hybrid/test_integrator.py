@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from stepgap.hybrid.compiled import implements
+from stepgap.base.compiled import implements
 from stepgap.hybrid.integrator import (
     BROKEN,
     TIME_OUT,

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from stepgap.hopper import RobotParameters
 from stepgap.plants.estimator import APEX_DROP, SPEED_DELAY, FlightFit, JointRates
+from stepgap.robots.hopper import RobotParameters
 
 BOOM = RobotParameters().boom_length
 COUNT_X = BOOM * 2 * math.pi / 5000  # 2.3 mm

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.hopper.apex_map import ApexMap
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import Reading, RigFault
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Reason, StepFailed
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()

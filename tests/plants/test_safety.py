@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.hopper import RobotParameters
 from stepgap.plants.safety import BRAKED, Limited, Motion, Watch, check_torque
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import HEALTHY, Health
+from stepgap.robots.hopper import RobotParameters
+from stepgap.robots.hopper.limits import SafetyLimits
 
 LIMITS = SafetyLimits.of(RobotParameters())
 TIGHT = SafetyLimits(

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.control.reference import Reference
+from stepgap.experiment.loop import run
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, column_names, row_of
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.report.motion import RATE, Motion
-from stepgap.sim_to_real import run
 from stepgap.step import Array, Quantity, Reason, StepMap, StepRecord, StepSpace
 from tests.control.maps import LossyHopper
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from playwright.sync_api import expect
 
-from stepgap.hopper.parameters import RobotParameters
 from stepgap.report import Background, write_report
 from stepgap.report.motion import Replay
+from stepgap.robots.hopper.parameters import RobotParameters
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page

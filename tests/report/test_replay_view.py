@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.hopper.parameters import RobotParameters
-from stepgap.plants.tick_table import TickTable
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.report import Background, read_run_folder, write_report
 from stepgap.report.motion import RATE, Motion, Replay, read_motion, sensed_motion, write_motion
 from stepgap.report.replay_view import LEVELS, MOST_FRAMES, replay_view
 from stepgap.rigs.rig import RigLayout
+from stepgap.robots.hopper.parameters import RobotParameters
 from tests.report.pages import Page, check_alone
 from tests.report.runs import make_run, motion
 

@@ -11,10 +11,11 @@ import pytest
 from matplotlib.image import imread
 
 from stepgap.control.reference import paper_reference
-from stepgap.report import Background, paper, read_run_folder, write_report
+from stepgap.records import paper
+from stepgap.records.summary import MEASURES
+from stepgap.report import Background, read_run_folder, write_report
 from stepgap.report.bands import coverage
 from stepgap.report.figures import tracking_figure
-from stepgap.report.summary import MEASURES
 from stepgap.report.words import decimal
 from stepgap.step import Quantity, StepSpace
 from tests.report.pages import Page, check_alone

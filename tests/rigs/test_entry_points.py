@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from stepgap.hopper.parameters import RobotParameters
+from stepgap.base.settings_file import InputError
 from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.rig import RigFault
-from stepgap.strict_toml import InputError
+from stepgap.robots.hopper.parameters import RobotParameters
 
 ROOT, ROBOT = Path(__file__).parents[2], RobotParameters()
 Install = Callable[..., None]

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stepgap.hopper.parameters import RobotParameters
+from stepgap.base.settings_file import InputError
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.rig import Rig, RigFault
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
-from stepgap.strict_toml import InputError
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from tests.rigs.rig_contract import MakeRig, RigContract
 
 ROOT, ROBOT = Path(__file__).parents[2], RobotParameters()

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.rig import Rig
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from tests.rigs.ethercat.ring_process import Recorder, live_ring
 from tests.rigs.moteus.emulated_moteus import emulated
 from tests.rigs.moteus.test_moteus_rig import SETTINGS, fresh

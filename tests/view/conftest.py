@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.cli import main
+from stepgap.cli.app import main
 from tests.browser import chromium as chromium  # a fixture
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n0.15,0.57\n"
@@ -22,6 +22,6 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two deployments of four steps on the twin."""
     folder = tmp_path_factory.mktemp("viewed") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stepgap.run_plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
         run_into(folder, "--quiet")
     return folder

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
+from stepgap.experiment.loop import Observer
 from stepgap.learning.step_log import LoggedStep
-from stepgap.sim_to_real import Observer
 from stepgap.view.live import LiveView
-from tests.command_line import Command, refused
+from tests.cli.command_line import Command, refused
 from tests.view.conftest import TARGETS
 
 SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
 """Where the tests run in the background, Ctrl-C is ignored."""
 
-PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; from stepgap.cli import main; main()"]
+PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; from stepgap.cli.app import main; main()"]
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:

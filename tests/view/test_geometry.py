@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.hopper.leg import foot, four_bar, leg_of
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.leg import foot, four_bar, leg_of
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.view.geometry import Pose, joints_at, turned_to
 
 ROBOT = RobotParameters()

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.hopper.parameters import CommandBounds
 from stepgap.learning.residual_fit import residual_from_dict
+from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.view.learnt import BAND, curve_along
 
 

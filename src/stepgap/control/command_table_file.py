@@ -8,8 +8,8 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.files import write_whole
 from stepgap.control.command_table import CommandTable
-from stepgap.files import write_whole
 from stepgap.step import Quantity, StepSpace
 
 LARGEST_FILE = 2**30

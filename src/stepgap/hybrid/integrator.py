@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.hybrid.compiled import compiled, generic
+from stepgap.base.compiled import compiled, generic
 from stepgap.hybrid.motion import between, moved, observe, slopes
 from stepgap.hybrid.rosenbrock import rosenbrock_step
 from stepgap.hybrid.tsitouras import tsitouras_step

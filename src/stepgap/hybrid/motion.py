@@ -7,7 +7,7 @@ compiled code keeps them in registers, and their lengths are known when it is co
 
 from typing import Any
 
-from stepgap.hybrid.compiled import compiled
+from stepgap.base.compiled import compiled
 
 
 def rate(system, state) -> Any:

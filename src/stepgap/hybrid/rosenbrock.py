@@ -5,7 +5,7 @@ stage solves (I/(γh) − J) u = rate + Σ C u / h. With J = [[0, I], [P, V]] fo
 equations in two unknowns, of which the matrix is inverted once a step.
 """
 
-from stepgap.hybrid.compiled import compiled, generic
+from stepgap.base.compiled import compiled, generic
 from stepgap.hybrid.motion import moved, observe, rate
 
 GAMMA = 0.21193756319429014

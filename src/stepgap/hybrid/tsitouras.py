@@ -3,7 +3,7 @@
 Ch. Tsitouras, Computers & Mathematics with Applications 62 (2011) 770–775.
 """
 
-from stepgap.hybrid.compiled import generic
+from stepgap.base.compiled import generic
 from stepgap.hybrid.motion import moved, observe, rate
 
 A2 = (0.161,)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
-from stepgap.hybrid.compiled import compiled
+from stepgap.base.compiled import compiled
 from stepgap.step import Array
 
 KERNEL_BLOCK = 2**16

@@ -136,6 +136,10 @@ class StepLog:
         """The steps of one deployment."""
         return StepLog(self.space, (logged for logged in self._steps if logged.iteration == iteration))
 
+    def tracking(self) -> "StepLog":
+        """The steps that tracked the reference; calibrating ones, up to number 0, had targets of their own."""
+        return StepLog(self.space, (logged for logged in self._steps if logged.step > 0))
+
     def completed(self) -> "StepLog":
         """The steps that ended with an apex: those that can be learnt from."""
         return StepLog(self.space, (logged for logged in self._steps if logged.record.reason == Reason.OK))

@@ -8,18 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stepgap.hopper.dynamics import leg_inertia, masses_of
-from stepgap.hopper.joint_control import flight_torque, joint_law, stance_torque
-from stepgap.hopper.leg import foot, four_bar
-from stepgap.hopper.parameters import Gains, RobotParameters
-from stepgap.hopper.reduced import uprightness
-from stepgap.hybrid.compiled import compiled
+from stepgap.base.compiled import compiled
 from stepgap.plants.estimator import FlightFit, JointRates
 from stepgap.plants.phases import Phase, next_phase
 from stepgap.plants.safety import Checked, Motion, Watch, brakes, check_torque
 from stepgap.plants.tick import Tick
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, RigFault, RigLayout
+from stepgap.robots.hopper.dynamics import leg_inertia, masses_of
+from stepgap.robots.hopper.joint_control import flight_torque, joint_law, stance_torque
+from stepgap.robots.hopper.leg import foot, four_bar
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.reduced import uprightness
 from stepgap.step import Array, Reason
 
 STEP_TIMEOUT = 4.0

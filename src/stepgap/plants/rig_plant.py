@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.hop_control import FinishedHop, HopControl
 from stepgap.plants.plant import Plant
 from stepgap.plants.tick import Tick
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import Rig, RigFault
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
 
 

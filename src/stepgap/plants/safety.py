@@ -8,8 +8,8 @@ from enum import IntFlag
 from math import isfinite
 from typing import NamedTuple
 
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import HEALTHY, Health
+from stepgap.robots.hopper.limits import SafetyLimits
 
 
 class Limited(IntFlag):

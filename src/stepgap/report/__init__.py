@@ -10,15 +10,14 @@ import re
 from collections.abc import Container
 from pathlib import Path
 
-from stepgap.files import write_whole
+from stepgap.base.files import write_whole
+from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.report.background import BARE, Background
-from stepgap.report.bands import tracking_steps
 from stepgap.report.comparison import comparison_html
 from stepgap.report.drawing import Drawing, draw
 from stepgap.report.learnt import Learnt, read_learnt
 from stepgap.report.page import report_html
 from stepgap.report.reference_gait import ReferenceGait, reference_gait
-from stepgap.report.run_folder import RunRecord, read_run_folder
 from stepgap.step import StepSpace
 
 __all__ = ["Background", "RunRecord", "comparison_html", "read_run_folder", "write_report"]
@@ -62,7 +61,7 @@ def _gait(record: RunRecord, background: Background, learnt: Learnt | None) -> R
     """Limit cycles at the targets, or why they are not known."""
     if isinstance(background.nominal, str):
         return background.nominal
-    if not len(tracking_steps(record.steps.of_iteration(record.shown[-1]))):
+    if not len(record.steps.of_iteration(record.shown[-1]).tracking()):
         return "No target was tracked yet, so nothing is said of gaits."
     return reference_gait(record, background.nominal, learnt)
 

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from stepgap.learning.step_log import StepLog
-from stepgap.report.paper import WITH_GP
+from stepgap.records.paper import WITH_GP
 from stepgap.step import Array
 
 PAPER_BAND: Final = np.array([WITH_GP["rmse"]["speed"], WITH_GP["rmse"]["height"]])
@@ -18,14 +18,9 @@ INTERVAL: Final = 1.96
 """Standard deviations on either side that hold 95 % of a normal distribution."""
 
 
-def tracking_steps(steps: StepLog) -> StepLog:
-    """Those that tracked the reference; calibrating ones, up to number 0, had targets of their own."""
-    return StepLog(steps.space, (logged for logged in steps if logged.step > 0))
-
-
 def tracking_errors(steps: StepLog) -> Array:
     """Next state − target of the steps that tracked and ended with an apex; shape (k, n)."""
-    whole = tracking_steps(steps).completed()
+    whole = steps.tracking().completed()
     return whole.next_state - whole.target
 
 

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.report.bands import hops_to_band, tracking_errors, tracking_steps
+from stepgap.records.run_folder import RunRecord
+from stepgap.report.bands import hops_to_band, tracking_errors
 from stepgap.report.drawing import draw
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
-from stepgap.report.run_folder import RunRecord
 from stepgap.report.settings_table import MISSING, differing, flat_settings, parsed
 from stepgap.report.words import decimal, headline
 
@@ -82,7 +82,7 @@ def run_names(folders: Sequence[Path]) -> list[str]:
 
 def _references(records: Sequence[RunRecord]) -> str:
     """Whether the errors can be compared at all."""
-    targets = [tracking_steps(record.steps.of_iteration(record.shown[0])).target for record in records]
+    targets = [record.steps.of_iteration(record.shown[0]).tracking().target for record in records]
     shortest = min(map(len, targets))
     if all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets):
         return "All runs tracked the same reference. Errors are next state − target."

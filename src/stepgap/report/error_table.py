@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from stepgap.report import paper
+from stepgap.records import paper
+from stepgap.records.run_folder import RunRecord
+from stepgap.records.summary import MEASURES
 from stepgap.report.bands import PAPER_BAND, WINDOW, hops_to_band, tracking_errors, window_errors
 from stepgap.report.html import safe, table, with_unit
-from stepgap.report.run_folder import RunRecord
-from stepgap.report.summary import MEASURES
 from stepgap.report.words import decimal
 from stepgap.step import Array
 

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from stepgap.learning.step_log import StepLog
-from stepgap.report import paper
+from stepgap.records import paper
+from stepgap.records.run_folder import RunRecord
 from stepgap.report.bands import INTERVAL
-from stepgap.report.run_folder import RunRecord
 from stepgap.step import Array, Quantity, Reason
 
 WIDTH: Final = 7.16

@@ -12,7 +12,7 @@ from stepgap.learning.gaussian_process_regression import GaussianProcessRegressi
 from stepgap.learning.residual import Hindsight, Residual
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.sparse_gaussian_process import Process
-from stepgap.report.summary import read_text
+from stepgap.records.summary import read_text
 from stepgap.step import Array, Quantity, StepSpace
 
 LARGEST_MODEL: Final = 2**28

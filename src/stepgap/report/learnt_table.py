@@ -3,10 +3,10 @@
 import numpy as np
 
 from stepgap.learning.gaussian_process import leave_one_out
+from stepgap.records.run_folder import RunRecord
 from stepgap.report.bands import INTERVAL, coverage
 from stepgap.report.html import table, with_unit
 from stepgap.report.learnt import Learnt, input_quantities, surprise
-from stepgap.report.run_folder import RunRecord
 from stepgap.report.words import decimal
 
 

@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.files import write_whole
-from stepgap.hopper.parameters import RobotParameters
-from stepgap.plants.tick_table import TickTable
+from stepgap.base.files import write_whole
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import RigLayout
+from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.step import Array
 
 RATE: Final = 100

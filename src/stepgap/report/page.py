@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from stepgap.report import paper
+from stepgap.records import paper
+from stepgap.records.run_folder import RunRecord
 from stepgap.report.background import Background
 from stepgap.report.bands import coverage
 from stepgap.report.drawing import Drawing
@@ -13,7 +14,6 @@ from stepgap.report.learnt import Learnt
 from stepgap.report.learnt_table import coverage_table, learnt_sentences, learnt_tables
 from stepgap.report.reference_gait import ReferenceGait, gait_sentences, gait_table
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
-from stepgap.report.run_folder import RunRecord
 from stepgap.report.settings_table import changed_settings
 from stepgap.report.words import headline, sentences
 

@@ -8,10 +8,9 @@ import numpy as np
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import next_context
-from stepgap.report.bands import tracking_steps
+from stepgap.records.run_folder import RunRecord
 from stepgap.report.html import table, with_unit
 from stepgap.report.learnt import Learnt
-from stepgap.report.run_folder import RunRecord
 from stepgap.step import Array, StepFailed, StepMap, StepSpace
 
 MOST_TARGETS: Final = 40
@@ -66,7 +65,7 @@ def reference_gait(record: RunRecord, nominal: StepMap, learnt: Learnt | None) -
     names = (nominal.space.state_names, nominal.space.command_names)
     if names != (record.space.state_names, record.space.command_names):
         raise ValueError(f"{record.folder}: the nominal map is of {names}, which is not the state and command of it")
-    steps = tracking_steps(record.steps.of_iteration(record.shown[-1]))
+    steps = record.steps.of_iteration(record.shown[-1]).tracking()
     distinct = list(dict.fromkeys(tuple(logged.target.tolist()) for logged in steps))
     targets = np.array(distinct[:MOST_TARGETS])
     away = (targets - (targets.min(axis=0) + targets.max(axis=0)) / 2) / nominal.space.state_scale

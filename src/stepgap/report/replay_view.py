@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from stepgap.learning.step_log import StepLog
+from stepgap.records.run_folder import RunRecord
 from stepgap.report.html import paragraph, safe
 from stepgap.report.motion import RATE, Motion, Replay
-from stepgap.report.run_folder import RunRecord
 from stepgap.step import Array
 
 REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(encoding="utf-8")

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from stepgap.report import paper
-from stepgap.report.run_folder import RunRecord
-from stepgap.report.summary import FinishedDeployment
+from stepgap.records import paper
+from stepgap.records.run_folder import RunRecord
+from stepgap.records.summary import FinishedDeployment
 from stepgap.step import Array, Quantity, Reason
 
 

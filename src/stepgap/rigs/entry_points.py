@@ -5,9 +5,9 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from stepgap.hopper.parameters import RobotParameters
+from stepgap.base.settings_file import InputError
 from stepgap.rigs.rig import Rig
-from stepgap.strict_toml import InputError
+from stepgap.robots.hopper.parameters import RobotParameters
 
 GROUP = "stepgap.rigs"
 """Entry points of this group are callables (settings file, robot) → `Rig`."""

@@ -6,8 +6,8 @@ from math import inf
 from multiprocessing import RawValue
 from typing import Any
 
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import Health, Reading, Rig, RigLayout
+from stepgap.robots.hopper.limits import SafetyLimits
 
 MOST_LATE_TICKS = 50
 """Ticks in a row that may be missed where nothing moves; the most that limits can say."""

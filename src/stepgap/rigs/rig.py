@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
-from stepgap.rigs.limits import SafetyLimits
+from stepgap.robots.hopper.limits import SafetyLimits
 
 
 @dataclass(frozen=True)

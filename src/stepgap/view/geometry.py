@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stepgap.hopper.leg import four_bar, leg_of
-from stepgap.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.leg import four_bar, leg_of
+from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.step import Array
 
 

@@ -5,10 +5,10 @@ import sys
 from pathlib import Path
 from typing import Self
 
-from stepgap.live_ticks import HopCount
+from stepgap.experiment.loop import Observer
+from stepgap.experiment.tick_recorder import HopCount
 from stepgap.plants.tick import TICK_UNITS, Tick
-from stepgap.plants.tick_ring import TickRing
-from stepgap.sim_to_real import Observer
+from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.view.motion import EVERY
 
 ROWS = 2**16
@@ -48,7 +48,7 @@ class LiveView:
 
     def __enter__(self) -> Self:
         self._ring = TickRing.create(2 + len(TICK_UNITS), ROWS)
-        program = "import sys; from stepgap.cli import main; main(sys.argv[1:])"
+        program = "import sys; from stepgap.cli.app import main; main(sys.argv[1:])"
         options = ["--host", self._host, *(["--port", str(self._port)] if self._port else [])]
         self._process = subprocess.Popen(
             [sys.executable, "-c", program, "view", str(self._folder), "--ring", self._ring.name, *options],

@@ -5,10 +5,10 @@ from math import asin, tau
 
 import numpy as np
 
-from stepgap.hopper.leg import knee_angle, leg_of
-from stepgap.hopper.parameters import Gains, RobotParameters
-from stepgap.plants.tick_table import TickTable
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import RigLayout
+from stepgap.robots.hopper.leg import knee_angle, leg_of
+from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.step import Array
 from stepgap.view.geometry import Pose
 

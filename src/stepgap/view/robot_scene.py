@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from viser import CylinderHandle, IcosphereHandle, SceneApi
 
-from stepgap.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.view.geometry import Joints, Pose, joints_at, turned_to
 
 Colour = tuple[int, int, int]

@@ -12,18 +12,18 @@ from threading import Event, Thread
 
 import numpy as np
 
-from stepgap.experiment import InputError, read_experiment
-from stepgap.hopper.apex_map import ApexMap
+from stepgap.experiment.plants import SIMULATED
+from stepgap.experiment.replay import layout_of, logged_ticks, replayed_hops
+from stepgap.experiment.settings import InputError, read_experiment
 from stepgap.learning.learner import next_context
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep, StepLog, read_step_log
 from stepgap.plants.tick import TICK_UNITS
-from stepgap.plants.tick_ring import TickRing
-from stepgap.plants.tick_table import TickTable
-from stepgap.replay import layout_of, logged_ticks, replayed_hops
+from stepgap.plants.ticks.tick_ring import TickRing
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import RigLayout
-from stepgap.run_plants import SIMULATED
+from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.view.motion import EVERY, Hop, sensed_hop, still_hop, true_hop
 
 RING_FIELDS = 2 + len(TICK_UNITS)

@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.plants.hop_control import HopControl
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
@@ -25,12 +24,13 @@ from stepgap.rigs.ethercat.emulator.faults import (
     WrongMapping,
 )
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.ethercat.emulator.ring_rig import emulated_settings
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import RigFault
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Reason
 from tests.rigs.ethercat.ring_process import INTERFACE, RecordedTwin, live_ring
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.plants.hop_control import HopControl
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.realtime.states import RigState
-from stepgap.rigs.limits import SafetyLimits
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Reason
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()

@@ -13,15 +13,15 @@ from time import sleep
 import numpy as np
 import pytest
 
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.plants.realtime.board import Request
 from stepgap.plants.realtime.loop import LOOP_UNITS, LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick_log import read_ticks
+from stepgap.plants.ticks.tick_log import read_ticks
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.step import Reason
 from tests.plants.realtime.test_faults import LIMITS, SETTINGS, WATCHDOG
 from tests.rigs.ethercat.ring_process import RecordedTwin, live_ring

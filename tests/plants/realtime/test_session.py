@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick_log import TickLogError
-from stepgap.plants.tick_ring import TickRing
+from stepgap.plants.ticks.tick_log import TickLogError
+from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import Reading, RigFault, RigLayout
 from stepgap.rigs.still_rig import StillRig
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 
 SHARED = Path("/dev/shm")
 
@@ -59,7 +59,7 @@ def made(monkeypatch):
             super().__init__(*args, **more)
             found.append(SHARED / self.name)
 
-    monkeypatch.setattr("stepgap.plants.tick_ring.SharedMemory", Watched)
+    monkeypatch.setattr("stepgap.plants.ticks.tick_ring.SharedMemory", Watched)
     return found
 
 
@@ -168,7 +168,7 @@ def test_a_parent_that_died_before_the_process_had_begun_is_missed():
 
 FULL = """
 from stepgap.plants.realtime.board import Board
-from stepgap.plants.tick_ring import TickRing
+from stepgap.plants.ticks.tick_ring import TickRing
 board = Board.create()
 try:
     TickRing.create(16, 20_000)

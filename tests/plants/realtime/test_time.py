@@ -5,12 +5,12 @@ from math import sin, tau
 import numpy as np
 import pytest
 
-from stepgap.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.plants.hop_control import HopControl
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, RigLayout
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.limits import SafetyLimits
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=38.0, late_ticks=50)

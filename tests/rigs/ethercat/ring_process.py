@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.ethercat.emulator.emulator import PRIORITY
 from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
@@ -19,8 +18,9 @@ from stepgap.rigs.ethercat.emulator.machine import Machine, TwinMachine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
 from stepgap.rigs.rig import Reading
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 
 INTERFACE = f"sg{os.getpid()}"  # tests may run side by side
 

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.ethercat.emulator.drive import ELMO_GOLD
 from stepgap.rigs.ethercat.emulator.faults import (
     DriveFault,
@@ -24,8 +23,9 @@ from stepgap.rigs.ethercat.emulator.faults import (
 from stepgap.rigs.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLER_IDENTITY, ENCODER_IDENTITY
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig, unwrapped
 from stepgap.rigs.ethercat.rig_settings import Contact, Encoder, Motor, RigSettings, Slave
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import RobotParameters
 from tests.rigs.ethercat.ring_process import INTERFACE, live_ring
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")

@@ -9,12 +9,12 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.base.settings_file import InputError, to_table
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.step import Reason
-from stepgap.strict_toml import InputError, to_table
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "rig.toml"
 TEXT = EXAMPLE.read_text(encoding="utf-8")

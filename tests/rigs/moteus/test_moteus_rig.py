@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.rig_plant import RigPlant, Tick
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.moteus.can_bus import _registers
 from stepgap.rigs.moteus.joint import JointCommand, Scale
 from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
 from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor
 from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from tests.rigs.ethercat.ring_process import Recorder
 from tests.rigs.moteus.emulated_moteus import (
     ANALOG,

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.hopper.parameters import RobotParameters
+from stepgap.base.settings_file import InputError
 from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.moteus.moteus_settings import MoteusSettings, read_moteus_settings
-from stepgap.strict_toml import InputError
+from stepgap.robots.hopper.parameters import RobotParameters
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "moteus.toml"
 TEXT = EXAMPLE.read_text(encoding="utf-8")

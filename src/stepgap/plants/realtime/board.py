@@ -11,7 +11,7 @@ from multiprocessing.shared_memory import SharedMemory
 from typing import NamedTuple, Self
 
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick_ring import attached_memory, created_memory
+from stepgap.plants.ticks.tick_ring import attached_memory, created_memory
 from stepgap.step import Reason
 
 LONGEST_TEXT = 512

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from types import MappingProxyType
 
-from stepgap.hopper.parameters import CommandBounds
 from stepgap.plants.hop_control import HopControl, Torques
 from stepgap.plants.realtime.board import Board, Hop, Request
 from stepgap.plants.realtime.pace import Pace
@@ -13,6 +12,7 @@ from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
 from stepgap.plants.safety import Limited
 from stepgap.plants.tick import TICK_UNITS
 from stepgap.rigs.rig import Health, Rig, RigFault
+from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.step import Reason
 
 LOOP_UNITS = MappingProxyType({**TICK_UNITS, "state": "", "late": "s"})

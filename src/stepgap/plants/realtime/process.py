@@ -5,7 +5,6 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from stepgap.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.plants.estimator import FlightFit
 from stepgap.plants.hop_control import HopControl
 from stepgap.plants.phases import Phase
@@ -13,9 +12,10 @@ from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick_ring import TickRing
-from stepgap.rigs.limits import SafetyLimits
+from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import Reading, Rig, RigFault
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 
 
 @dataclass(frozen=True)

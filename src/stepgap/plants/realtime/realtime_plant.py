@@ -12,7 +12,7 @@ from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick_log import TickLog, TickLogError, next_path
+from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
 from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
 

@@ -11,8 +11,8 @@ from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick_log import TickLogError
-from stepgap.plants.tick_ring import TickRing
+from stepgap.plants.ticks.tick_log import TickLogError
+from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import RigFault
 from stepgap.step import Array
 

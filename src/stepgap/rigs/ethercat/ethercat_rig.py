@@ -6,7 +6,6 @@ from pathlib import Path
 from struct import Struct
 from time import monotonic, sleep
 
-from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.ethercat.bus import PATIENCE, Bus
 from stepgap.rigs.ethercat.cia402 import (
     CYCLIC_TORQUE,
@@ -19,8 +18,9 @@ from stepgap.rigs.ethercat.cia402 import (
 )
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings, read_rig_settings
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, RigLayout
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import RobotParameters
 
 ERROR_CODE, LARGEST_TORQUE, RATED_TORQUE = 0x603F, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")

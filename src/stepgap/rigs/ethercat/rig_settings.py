@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from math import floor, inf, isfinite
 from pathlib import Path
 
+from stepgap.base.settings_file import build, read_toml, require, shown, with_table
 from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
-from stepgap.rigs.limits import SafetyLimits
-from stepgap.strict_toml import build, read_toml, require, shown, with_table
+from stepgap.robots.hopper.limits import SafetyLimits
 
 
 @dataclass(frozen=True, kw_only=True)

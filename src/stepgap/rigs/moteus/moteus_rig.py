@@ -9,12 +9,12 @@ from time import monotonic, sleep
 import moteus
 from moteus import Mode, Register
 
-from stepgap.hopper.parameters import RobotParameters
-from stepgap.rigs.limits import SafetyLimits
 from stepgap.rigs.moteus.can_bus import CanBus, Registers
 from stepgap.rigs.moteus.joint import JointCommand, JointState
 from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor, read_moteus_settings
 from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, RigLayout
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import RobotParameters
 
 POSITION_COUNTS = 2**16
 """Counts a turn in which moteus keeps the position of its output."""

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from pathlib import Path
 
-from stepgap.rigs.limits import SafetyLimits
+from stepgap.base.settings_file import build, read_toml, require, with_table
 from stepgap.rigs.moteus.joint import Scale
-from stepgap.strict_toml import build, read_toml, require, with_table
+from stepgap.robots.hopper.limits import SafetyLimits
 
 
 def _require_id(value: int) -> None:

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stepgap.hopper.parameters import RobotParameters
 from stepgap.rigs.ethercat.emulator.emulator import emulated
 from stepgap.rigs.ethercat.emulator.faults import DriveFault, LostFrames, PowerLost, Silence, WrongMapping
 from stepgap.rigs.ethercat.emulator.machine import Machine, TwinMachine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, raw_socket, wire
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.twin.reality_gap import RealityGap
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from tests.rigs.ethercat.emulator.bench import (
     DRIVE_INPUT,
     DRIVE_OUTPUT,

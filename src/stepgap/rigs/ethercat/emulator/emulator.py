@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from time import monotonic_ns
 
-from stepgap.interrupt import terminated_as_interrupted
+from stepgap.base.signals import terminated_as_interrupted
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 
 from stepgap.rigs.rig import Reading
-from stepgap.rigs.twin.twin import Twin
+from stepgap.robots.hopper.twin.twin import Twin
 
 
 class Machine(ABC):

@@ -1,0 +1,1 @@
+"""What `stepgap bench` measures, and the baselines that learning must beat."""

@@ -1,0 +1,162 @@
+"""What a Gaussian process must be better than: an integrating correction, and the model with identified parameters."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.learner import Learner
+from stepgap.learning.residual import no_residual
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.step import Array, Outcome, StepMap, StepRecord, StepSpace
+
+INTEGRAL_GAIN = 0.2
+"""Share of a step's error that the integrating correction takes in; set once and not tuned."""
+
+MISFIT = np.array([0.01, 0.002])
+"""Error of the next speed [m/s] and height [m] that costs as much as a parameter one spread from its nominal value."""
+
+WHERE_IT_FAILS = 10.0
+"""Cost of a step that was made but fails with the parameters tried [misfits]."""
+
+
+@dataclass(frozen=True, eq=False)
+class AdjustedMap(StepMap):
+    """A map with a constant error of its next state and of its commands.
+
+    Attributes:
+        base: The map.
+        shift: What is added to the next state; shape (n,).
+        command_scale: Share of a command that arrives.
+    """
+
+    base: StepMap
+    shift: Array
+    command_scale: float = 1.0
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges of the map."""
+        return self.base.space
+
+    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
+        """Next states and reason codes; never raises for a step that fails."""
+        next_state, reason = self.base.evaluate(state, self.command_scale * np.asarray(command, float))
+        return Outcome(next_state + self.shift, reason)
+
+    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
+        jacobian = self.base.jacobian(state, self.command_scale * np.asarray(command, float))
+        return jacobian * np.repeat([1.0, self.command_scale], [len(self.space.state), len(self.space.command)])
+
+
+class IntegralCorrection(Learner):
+    """Adds to the nominal map a constant that follows its errors: b ← b + k (actual − nominal − b) after every step.
+
+    Args:
+        nominal: Map of the physics model.
+        log: Steps known before the deployment; b has followed them.
+    """
+
+    def __init__(self, nominal: StepMap, log: StepLog):
+        super().__init__(nominal, log, LearningSettings(residual="none"), iteration=1)
+        self._shift = np.zeros(len(nominal.space.state))
+        for logged in log.completed():
+            self._follow(logged.record)
+
+    def step_map(self) -> CorrectedMap:
+        """The map to plan the next step with; it knows no standard deviation."""
+        sizes = len(self.nominal.space.state), len(self.nominal.space.command)
+        return CorrectedMap(AdjustedMap(self.nominal, self._shift), no_residual(*sizes))
+
+    def observe(self, logged: LoggedStep) -> None:
+        """Takes in the step just executed."""
+        self._follow(logged.record)
+
+    def _follow(self, record: StepRecord) -> None:
+        error = record.next_state - self.nominal.evaluate(record.state, record.applied).next_state
+        if np.isfinite(error).all():
+            self._shift = self._shift + INTEGRAL_GAIN * (error - self._shift)
+
+
+@dataclass(frozen=True)
+class PhysicalError:
+    """How a robot differs from its model, in the physics that one apex per hop can tell.
+
+    A motor offset looks like another landing angle and landing length, friction like less torque.
+
+    Attributes:
+        body_mass: Relative error of the body's mass.
+        leg_mass: Relative error of the links' masses and inertias.
+        boom_vertical: Relative error of the boom's vertical inertia.
+        boom_horizontal: Relative error of its horizontal inertia.
+        torque: Relative error of every torque.
+        landing_speed: Error of the speed at which the leg lands vertically [m/s].
+        landing_length: Error of the leg's length at landing [m].
+        rest_length: Error of the virtual spring's rest length [m].
+    """
+
+    body_mass: float = 0.2
+    leg_mass: float = 0.2
+    boom_vertical: float = 0.3
+    boom_horizontal: float = 0.3
+    torque: float = 0.2
+    landing_speed: float = 0.1
+    landing_length: float = 0.005
+    rest_length: float = 0.005
+
+
+SPREAD = PhysicalError()
+"""Standard deviations of the prior: the defaults above."""
+
+
+def identify(nominal: ApexMap, log: StepLog) -> AdjustedMap:
+    """The physics model with the parameters that explain the recorded steps best: least squares with a weak prior."""
+    steps = log.completed()
+    spreads = np.array([getattr(SPREAD, field.name) for field in fields(SPREAD)])
+
+    def misfit(shares: Array) -> Array:
+        step_map = with_error(nominal, PhysicalError(*(shares * spreads).tolist()))
+        error = (steps.next_state - step_map.evaluate(steps.state, steps.applied).next_state) / MISFIT
+        return np.concatenate([np.nan_to_num(error, nan=WHERE_IT_FAILS).ravel(), shares])
+
+    limits = np.full(len(spreads), 3.0)
+    found = least_squares(misfit, np.zeros(len(spreads)), bounds=(-limits, limits), diff_step=1e-3, max_nfev=30)
+    return with_error(nominal, PhysicalError(*(found.x * spreads).tolist()))
+
+
+def with_error(nominal: ApexMap, error: PhysicalError) -> AdjustedMap:
+    """The model of a robot that differs so from the nominal one."""
+    gains, torque = nominal.gains, 1 + error.torque
+    gains = replace(
+        gains,
+        stiffness=gains.stiffness * torque,
+        position_gain=gains.position_gain * torque,
+        damping_gain=gains.damping_gain * torque,
+        speed_setpoint=gains.speed_setpoint + error.landing_speed,
+        landing_length=gains.landing_length + error.landing_length,
+        rest_length=gains.rest_length + error.rest_length,
+    )
+    base = ApexMap(erring_robot(nominal.robot, error), gains, nominal.bounds, nominal.tolerances)
+    return AdjustedMap(base, np.zeros(len(nominal.space.state)), torque)
+
+
+def erring_robot(robot: RobotParameters, error: PhysicalError) -> RobotParameters:
+    """The robot that differs so from the nominal one."""
+    legs = 1 + error.leg_mass
+    return replace(
+        robot,
+        body_mass=robot.body_mass * (1 + error.body_mass),
+        top_mass=robot.top_mass * legs,
+        bottom_mass=robot.bottom_mass * legs,
+        top_inertia=robot.top_inertia * legs,
+        bottom_inertia=robot.bottom_inertia * legs,
+        boom_inertia_vertical=robot.boom_inertia_vertical * (1 + error.boom_vertical),
+        boom_inertia_horizontal=robot.boom_inertia_horizontal * (1 + error.boom_horizontal),
+        torque_limit=robot.torque_limit * (1 + error.torque),
+    )

@@ -1,0 +1,218 @@
+"""`stepgap bench gp`: what the Gaussian process costs beside those of other libraries.
+
+Libraries take turns within one run, so that a busy machine slows all of them alike: compare ratios, not times. All
+have the same kernel, Matérn-5/2 with one length scale per input and noise, the same data, a smooth function of four
+inputs, and one thread for linear algebra: more would wait for each other wherever others work too. The peers are no
+part of the package; they lie in `benchmarks/peers` of a checkout.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from stepgap.bench.timing import machine, peers, timed
+from stepgap.learning.gaussian_process import append
+from stepgap.learning.gaussian_process_fit import fit_gaussian_process
+from stepgap.learning.sparse_gaussian_process import fit_sparse
+from stepgap.step import Array
+
+PACKAGES = ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns")
+"""Whose versions the result names."""
+
+Say = Callable[[str], None]
+
+NOISE = 0.008
+"""Standard deviation of the noise of a value."""
+
+SCALE, VALUE_SCALE = np.ones(4), 0.2
+"""Sizes of inputs and values."""
+
+MOST_STARTS = 5
+"""Starts of each search for hyper-parameters."""
+
+MANY_STARTS_SIZE = 200
+"""Most points for which the peers get all of them; with more they get one."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is measured.
+
+    Attributes:
+        points: Numbers of points to fit to.
+        rounds: How often the libraries take turns, for each of them.
+        calls: How many predictions are timed.
+        queries: Points at which the error is measured.
+    """
+
+    points: tuple[int, ...]
+    rounds: tuple[int, ...]
+    calls: int
+    queries: int
+
+
+FULL = Size(points=(50, 200, 1000, 3000), rounds=(9, 5, 3, 1), calls=200, queries=2000)
+QUICK = Size(points=(50, 200), rounds=(3, 3), calls=50, queries=500)
+
+
+@dataclass(frozen=True)
+class Library:
+    """One Gaussian process.
+
+    Attributes:
+        name: In the table.
+        note: What it does otherwise than the others.
+        fit: From points (N, 4), values (N,) and the number of starts to a process.
+        predict: From a process and queries (Q, 4) to means and standard deviations of f.
+        most_points: With more it is left out, for it takes too long.
+        least_points: With fewer it is left out.
+        predict_gradient: From a process and a query (4,) to mean and gradient.
+        append: From a process, a point and a value to a process.
+        starts: Of its search, where it takes no number of them.
+    """
+
+    name: str
+    note: str
+    fit: Callable[[Array, Array, int], Any]
+    predict: Callable[[Any, Array], tuple[Array, Array]]
+    most_points: int
+    least_points: int = 0
+    predict_gradient: Callable[[Any, Array], Any] | None = None
+    append: Callable[[Any, Array, float], Any] | None = None
+    starts: int | None = None
+
+
+def truth(points: Array) -> Array:
+    """The smooth function of points (N, 4) that is fitted; shape (N,)."""
+    x, y, u, v = points.T
+    return 0.04 + 0.03 * np.sin(1.3 * x + 0.5 * u) + 0.02 * np.tanh(y * v) + 0.01 * u**2
+
+
+def bench_gp(seed: int, quick: bool, say: Say = lambda line: None) -> dict[str, Any]:
+    """Runs every size; the result is plain data for JSON.
+
+    Args:
+        seed: Of the random points.
+        quick: Few points, and peers that are quick.
+        say: Is told what comes next.
+    """
+    size = QUICK if quick else FULL
+    with peers("gaussian_processes") as catalogue:
+        say("no checkout, so no peers: their code lies in benchmarks/peers" if catalogue is None else "peers found")
+        found, skipped = catalogue.libraries(quick) if catalogue else ([], {"all peers": "found only in a checkout"})
+    rows: list[dict[str, Any]] = []
+    for points, rounds in zip(size.points, size.rounds, strict=True):
+        say(f"{points} points")
+        libraries = [library for library in [*_ours(), *found] if library.least_points <= points <= library.most_points]
+        with threadpool_limits(limits=1):
+            rows += time_libraries(libraries, np.random.default_rng([seed, points]), points, rounds, size)
+    return {
+        "schema": 1,
+        "quick": quick,
+        "seed": seed,
+        "machine": machine(PACKAGES),
+        "starts": {"most": MOST_STARTS, "up_to_points": MANY_STARTS_SIZE},
+        "rows": rows,
+        "skipped": skipped,
+    }
+
+
+def _ours() -> list[Library]:
+    def predict(process: Any, queries: Array) -> tuple[Array, Array]:
+        return process.mean(queries), process.kriging_std(queries)
+
+    def predict_gradient(process: Any, query: Array) -> tuple[Array, Array]:
+        return process.mean(query), process.mean_gradient(query)
+
+    def exact(points: Array, values: Array, starts: int) -> Any:
+        return fit_gaussian_process(points, values, SCALE, VALUE_SCALE)
+
+    def linear(points: Array, values: Array, starts: int) -> Any:
+        return fit_gaussian_process(points, values, SCALE, VALUE_SCALE, basis="linear")
+
+    def sparse(points: Array, values: Array, starts: int) -> Any:
+        return fit_sparse(points, values, SCALE, VALUE_SCALE)
+
+    both = {"predict_gradient": predict_gradient, "append": append, "starts": MOST_STARTS}
+    return [
+        Library("StepGap", "priors; starts compete on at most 100 points", exact, predict, 3000, **both),
+        Library("StepGap, linear basis", "and slopes", linear, predict, 3000, **both),
+        Library("StepGap, sparse", "hyper-parameters from 1,000 points", sparse, predict, 10**6, 1000, **both),
+    ]
+
+
+def time_libraries(
+    libraries: list[Library], rng: np.random.Generator, count: int, rounds: int, size: Size
+) -> list[dict[str, Any]]:
+    """A row for each library: median times, medians over the rounds of the ratio to the first, worth of the fit."""
+    points, values = _draw(rng, count)
+    queries, observed = _draw(rng, size.queries)
+    starts = MOST_STARTS if count <= MANY_STARTS_SIZE else 1
+    for library in libraries:  # compiles and imports
+        library.predict(library.fit(points[:20], values[:20], 1), queries[:1])
+    fits = _turns([partial(library.fit, points, values, starts) for library in libraries], rounds)
+    processes = [library.fit(points, values, starts) for library in libraries]
+    pairs = list(zip(libraries, processes, strict=True))
+    predictions = _turns([partial(library.predict, process, queries[:1]) for library, process in pairs], size.calls)
+    rows = []
+    for i, (library, process) in enumerate(pairs):
+        mean, std = library.predict(process, queries)
+        covered = np.abs(observed - mean) < 1.96 * np.hypot(std, NOISE)
+        gradient = library.predict_gradient and partial(library.predict_gradient, process, queries[0])
+        grow = library.append and partial(library.append, process, queries[0], 0.0)
+        rows.append(
+            {
+                "points": count,
+                "name": library.name,
+                "note": library.note,
+                "starts": library.starts or starts,
+                "fit_ms": 1e3 * float(np.median(fits[:, i])),
+                "fit_ratio": float(np.median(fits[:, i] / fits[:, 0])),
+                "mean_and_std_us": 1e6 * float(np.median(predictions[:, i])),
+                "mean_and_std_ratio": float(np.median(predictions[:, i] / predictions[:, 0])),
+                "mean_and_gradient_us": gradient and 1e6 * float(np.median(_turns([gradient], size.calls))),
+                "append_us": grow and 1e6 * float(np.median(_turns([grow], size.calls))),
+                "rmse": float(np.sqrt(np.mean((mean - truth(queries)) ** 2))),
+                "coverage": float(covered.mean()),
+            }
+        )
+    return rows
+
+
+def _draw(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    """Random points (count, 4) and noisy values (count,)."""
+    points = rng.uniform(-1, 1, (count, 4))
+    return points, truth(points) + NOISE * rng.standard_normal(count)
+
+
+def _turns(calls: list[Callable[[], object]], rounds: int) -> Array:
+    """Times of calls that take turns [s]; shape (rounds, calls)."""
+    return np.array([[timed(call) for call in calls] for _ in range(rounds)])
+
+
+def describe_bench(result: dict[str, Any]) -> str:
+    """The result as a table."""
+    lines = [
+        f"{'points':>6}  {'library':24}{'fit':>12}{'ratio':>8}{'mean, std':>12}{'ratio':>8}"
+        f"{'gradient':>11}{'append':>10}{'error':>9}{'covered':>9}   note"
+    ]
+    for row in result["rows"]:
+        gradient, grow = (
+            "-" if row[name] is None else f"{row[name]:.0f} µs" for name in ("mean_and_gradient_us", "append_us")
+        )
+        lines.append(
+            f"{row['points']:6}  {row['name']:24}{row['fit_ms']:9.1f} ms{row['fit_ratio']:8.1f}"
+            f"{row['mean_and_std_us']:9.0f} µs{row['mean_and_std_ratio']:8.1f}{gradient:>11}{grow:>10}"
+            f"{row['rmse']:9.5f}{row['coverage']:9.1%}   {row['note']}, {row['starts']} starts"
+        )
+    lines += [f"{'':8}{name:24}{'skipped':>12}   {reason}" for name, reason in result["skipped"].items()]
+    lines += [
+        "",
+        "ratio: to StepGap. gradient: mean and its gradient at one point. error: root mean square against the truth;",
+        f"the noise is {NOISE}. covered: share of new noisy values within the 95 % interval.",
+    ]
+    return "\n".join(lines)

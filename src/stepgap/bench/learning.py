@@ -1,0 +1,310 @@
+"""`stepgap bench learning`: how soon and how well each way to learn closes the gap, on a family of random twins.
+
+Per twin and seed: one deployment without correction, which all methods learn from, then redeployments by each. Twin T
+draws its gap from `random_stream(T)` and its floor from `random_stream(T, 0)`; deployment K draws from
+`random_stream(T, seed, K)` whatever the method, so methods are compared under equal noise.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+from math import tau
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import mujoco.sysid
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from stepgap.base.files import write_whole
+from stepgap.base.random_streams import random_stream
+from stepgap.base.settings_file import InputError
+from stepgap.bench.baselines import IntegralCorrection, identify
+from stepgap.control.reference import Reference
+from stepgap.experiment.deployment import deploy, summarise
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings, ResidualKind
+from stepgap.learning.step_log import StepLog
+from stepgap.plants.rig_plant import RigPlant, Tick
+from stepgap.report.bands import hops_to_band
+from stepgap.report.learning import UNCORRECTED, Row
+from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.twin.family import random_gap
+from stepgap.robots.hopper.twin.model import GroundProfile
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.step import Array
+
+FIRST_STEPS = 20
+"""Steps that the uncorrected robot of a draw must manage, or else it is drawn again."""
+
+CALIBRATION = 20
+"""Hops of the methods that begin with some whose commands are chosen for what they teach."""
+
+INTERVAL = 1.96
+"""Standard deviations on either side that hold 95 % of a normal distribution."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A twin and a seed.
+
+    Attributes:
+        nominal: Map of the physics model.
+        gap: What the twin has besides.
+        reference: What is tracked.
+        twin: Number of the twin.
+        seed: Of the noise.
+        redeployed: Steps of the first redeployment by the residual used, saved as JSON.
+    """
+
+    nominal: ApexMap
+    gap: RealityGap
+    reference: Reference
+    twin: int
+    seed: int
+    redeployed: dict[str, StepLog] = field(default_factory=dict)
+
+    def uncorrected(self) -> Learner:
+        """Knows nothing."""
+        return Learner(self.nominal, StepLog(self.nominal.space), LearningSettings(residual="none"), 0)
+
+    def meet(self, iteration: int) -> Twin:
+        """The twin of a deployment."""
+        robot, rng = self.nominal.robot, random_stream(self.twin, self.seed, iteration)
+        ground = GroundProfile(self.gap, robot.boom_length, random_stream(self.twin, 0))
+        return Twin(robot, self.gap, rng, ground=ground, turn=rng.uniform(0, tau))
+
+    def deploy(
+        self,
+        learner: Learner,
+        iteration: int,
+        calibration: int = 0,
+        most_steps: int | None = None,
+        on_tick: Callable[[Tick], None] | None = None,
+    ) -> StepLog:
+        """The steps of a deployment; none where not even the hop before them was made."""
+        nominal, log = self.nominal, StepLog(self.nominal.space)
+        plant = RigPlant(self.meet(iteration), nominal.robot, nominal.gains, nominal.bounds, on_tick)
+        with closing(deploy(learner, plant, self.reference, iteration, calibration)) as steps:
+            try:
+                for logged in islice(steps, most_steps):
+                    log.append(logged)
+            except RigFault:
+                if len(log):
+                    raise
+        return log
+
+
+Method = Callable[[Trial, StepLog], StepLog]
+"""From a trial and the steps of its deployment 0 to those of the deployment that the method makes."""
+
+
+def _integral(trial: Trial, log: StepLog) -> StepLog:
+    return trial.deploy(IntegralCorrection(trial.nominal, log), 1)
+
+
+def _identified(trial: Trial, log: StepLog) -> StepLog:
+    return trial.deploy(Learner(identify(trial.nominal, log), log, LearningSettings(residual="none"), 1), 1)
+
+
+def _sysid(trial: Trial, log: StepLog) -> StepLog:
+    from stepgap.bench.identification import identify_from_ticks
+
+    ticks: list[Tick] = []
+    again = trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)  # the very same deployment, to the last bit
+    if not len(again):
+        return trial.deploy(trial.uncorrected(), 1)
+    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).layout)
+    return trial.deploy(Learner(found, log, LearningSettings(residual="none"), 1), 1)
+
+
+def _residual(trial: Trial, log: StepLog, kind: ResidualKind) -> StepLog:
+    learner = Learner(trial.nominal, log, LearningSettings(residual=kind), 1)
+    key = json.dumps(learner.residual.to_dict())
+    if key not in trial.redeployed:  # `auto` is one of the others: its deployment would be the same
+        trial.redeployed[key] = trial.deploy(learner, 1)
+    return trial.redeployed[key]
+
+
+def _from_the_first_hop(trial: Trial, log: StepLog, learning: LearningSettings) -> StepLog:
+    return trial.deploy(Learner(trial.nominal, StepLog(log.space), learning, 0), 0, learning.calibration)
+
+
+SKIPPED = {} if hasattr(mujoco.sysid, "optimize") else {"sysid": "needs the packages of stepgap[sysid]"}
+"""What is not installed."""
+
+REDEPLOYED: dict[str, Method] = {
+    "integral": _integral,
+    "identified": _identified,
+    **({} if "sysid" in SKIPPED else {"sysid": _sysid}),
+    "constant": partial(_residual, kind="constant"),
+    "linear": partial(_residual, kind="linear"),
+    "quadratic": partial(_residual, kind="quadratic"),
+    "gp": partial(_residual, kind="gp"),
+    "gp_on_linear": partial(_residual, kind="gp_on_linear"),
+    "auto": partial(_residual, kind="auto"),
+}
+"""Methods that learn from deployment 0."""
+
+FROM_THE_FIRST_HOP: dict[str, Method] = {
+    "online": partial(_from_the_first_hop, learning=LearningSettings(online=True)),
+    "calibrated": partial(_from_the_first_hop, learning=LearningSettings(calibration=CALIBRATION)),
+    "calibrated_online": partial(_from_the_first_hop, learning=LearningSettings(online=True, calibration=CALIBRATION)),
+}
+"""Methods that make deployment 0 themselves, all with the default residual."""
+
+METHODS = REDEPLOYED | FROM_THE_FIRST_HOP
+
+
+def measure(reference: Reference, twin: int, seed: int, methods: Sequence[str]) -> list[Row]:
+    """What each method makes of a twin; the first row is that of the shared deployment 0."""
+    nominal = ApexMap()
+    with threadpool_limits(limits=1, user_api="blas"):
+        gap, drawn_again = hopping_gap(nominal, reference, twin)
+        trial = Trial(nominal, gap, reference, twin, seed)
+        log = trial.deploy(trial.uncorrected(), 0)
+        rows = [_row(trial, UNCORRECTED, [log]) | {"drawn_again": drawn_again}]
+        for method in methods:
+            before = [log] if method in REDEPLOYED else []
+            rows.append(_row(trial, method, [*before, METHODS[method](trial, log)]))
+    return rows
+
+
+def hopping_gap(nominal: ApexMap, reference: Reference, twin: int) -> tuple[RealityGap, int]:
+    """The twin's gap, and how often it was drawn again because the robot fell within the first steps."""
+    rng, drawn_again = random_stream(twin), 0
+    while True:
+        trial = Trial(nominal, random_gap(rng), reference, twin, seed=0)
+        log = trial.deploy(trial.uncorrected(), 0, most_steps=FIRST_STEPS)
+        if len(log) and not log.falls:
+            return trial.gap, drawn_again
+        drawn_again += 1
+
+
+def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Row:
+    """The measures of the last of the deployments that a method needs."""
+    steps = deployments[-1]
+    row: Row = {"twin": trial.twin, "seed": trial.seed, "method": method}
+    if not len(steps):
+        return row | {"steps": 0, "falls": 1}
+    found = summarise(steps, trial.reference, method)
+    tracked = [StepLog(log.space, (step for step in log.completed() if step.step > 0)) for log in deployments]
+    errors = np.concatenate([log.next_state - log.target for log in tracked])
+    earlier = sum(map(len, deployments)) - len(errors)  # calibrating hops, and those that failed
+    hops = None if found.falls else hops_to_band(errors)
+    covered, counted = coverage(tracked[-1])
+    return row | {
+        "steps": found.steps,
+        "falls": found.falls,
+        "error": float(np.linalg.norm(found.rmse / steps.space.state_scale)),
+        "rmse": found.rmse.tolist(),
+        "transient_rmse": found.transient_rmse.tolist(),
+        "steady_rmse": found.steady_rmse.tolist(),
+        "hops_to_band": None if hops is None else hops + earlier,
+        "covered": covered.tolist(),
+        "counted": counted,
+    }
+
+
+def coverage(steps: StepLog) -> tuple[Array, int]:
+    """How many steps ended within the 95 % interval predicted, by coordinate (n,), and how many had one."""
+    known = np.isfinite(steps.predicted).all(axis=1) & (steps.std > 0).all(axis=1)
+    inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL * steps.std
+    return inside[known].sum(axis=0), int(known.sum())
+
+
+BEGINNING = '[{"twin": '
+"""Of every line of a record."""
+
+
+class Job(NamedTuple):
+    """A twin, a seed, and the methods that are still to be measured."""
+
+    twin: int
+    seed: int
+    methods: tuple[str, ...]
+
+
+def bench_learning(
+    reference: Reference,
+    twins: int,
+    seeds: int,
+    methods: Sequence[str],
+    record: Path,
+    workers: int,
+    say: Say = lambda line: None,
+) -> list[Row]:
+    """Measures what the record does not hold yet, a line per twin and seed as it is done; all rows asked for.
+
+    Args:
+        reference: What is tracked.
+        twins: How many.
+        seeds: How many of each.
+        methods: Names of METHODS.
+        record: JSON lines, each the rows of one twin and seed; need not exist.
+        workers: Processes; 1 is this one.
+        say: Is told of progress.
+    """
+    known = _read(record)
+    done = {(row["twin"], row["seed"], row["method"]) for row in known}
+    pairs = [(twin, seed) for seed in range(seeds) for twin in range(twins)]
+    jobs = [Job(*pair, tuple(method for method in methods if (*pair, method) not in done)) for pair in pairs]
+    jobs = [job for job in jobs if job.methods]
+    begin = perf_counter()
+    with record.open("a", encoding="utf-8") as file:
+        for number, rows in enumerate(_measured(reference, jobs, workers), start=1):
+            file.write(json.dumps(rows) + "\n")
+            file.flush()
+            left = (perf_counter() - begin) * (len(jobs) - number) / number
+            say(f"{number} of {len(jobs)} done, {left / 60:.0f} min left")
+            known += rows
+    rows = {(row["twin"], row["seed"], row["method"]): row for row in known}
+    return [rows[*pair, method] for method in (UNCORRECTED, *methods) for pair in pairs]
+
+
+def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterator[list[Row]]:
+    """The rows of each job, in the order in which they are done."""
+    if workers == 1:
+        yield from (measure(reference, *job) for job in jobs)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        try:
+            for job in as_completed([pool.submit(measure, reference, *job) for job in jobs]):
+                yield job.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _read(record: Path) -> list[Row]:
+    """The rows recorded; a last line cut off in the middle of writing is taken out of the file.
+
+    Raises:
+        InputError: The file is no such record; it stays as it is.
+    """
+    if not record.exists():
+        return []
+    try:
+        content = record.read_text(encoding="utf-8")
+        whole = content[: content.rfind("\n") + 1]
+        if any(not (line.startswith(BEGINNING) or BEGINNING.startswith(line)) for line in content.splitlines()):
+            raise ValueError
+        rows = [row for line in whole.splitlines() for row in _rows(line)]
+    except ValueError:
+        raise InputError(f"--out {record}: it holds something else; choose another name") from None
+    if whole != content:
+        write_whole(record, whole)
+    return rows
+
+
+def _rows(line: str) -> Iterable[dict[str, Any]]:
+    return json.loads(line)

@@ -1,0 +1,301 @@
+"""`stepgap bench map`: what the nominal map costs beside other ways to compute it, and what is built on it.
+
+Engines take turns within one run, so that a busy machine slows all of them alike: compare ratios, not times. The
+peers are no part of the package; they lie in `benchmarks/peers` of a checkout.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from stepgap.bench.timing import machine, peers, timed
+from stepgap.control.command_table import build_table, measure_table
+from stepgap.control.step_controller import StepController
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.step import Array, Reason
+
+PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")
+"""Whose versions the result names."""
+
+Evaluate = Callable[[Any, Any], Any]
+"""State (n,) and command (m,) to next state (n,)."""
+Say = Callable[[str], None]
+
+
+class TooFewSteps(Exception):
+    """The settings let the robot hop too rarely to measure anything; the message is one line."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is measured.
+
+    Attributes:
+        points: Random points, on all of which every engine's error is measured.
+        rounds: How often the engines take turns.
+        jacobians: Points at which the Jacobian is compared with differences of the reference.
+        solves: Random reachable pairs of state and target.
+        table: Points along each axis of the command table.
+        batch: Maps in a batch.
+    """
+
+    points: int
+    rounds: int
+    jacobians: int
+    solves: int
+    table: int
+    batch: int
+
+
+BATCH_ROUNDS = 5
+
+FULL = Size(points=50, rounds=15, jacobians=10, solves=500, table=15, batch=4000)
+QUICK = Size(points=3, rounds=3, jacobians=0, solves=50, table=4, batch=500)
+
+
+@dataclass(frozen=True)
+class Engine:
+    """One way to compute the map.
+
+    Attributes:
+        name: In the table.
+        note: Method and tolerance.
+        evaluate: One step.
+        calls: How many calls are timed in a round.
+        maps: How many maps one call evaluates.
+        error: Its error where it cannot be had by calling it.
+    """
+
+    name: str
+    note: str
+    evaluate: Evaluate
+    calls: int
+    maps: int = 1
+    error: float | None = None
+
+
+def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Say = lambda line: None) -> dict[str, Any]:
+    """Runs every section; the result is plain data for JSON.
+
+    Args:
+        nominal: Our engine.
+        seed: Of the random points.
+        quick: Few points, and only the peer that needs no compilation.
+        say: Is told what comes next.
+    """
+    size, rng = QUICK if quick else FULL, np.random.default_rng(seed)
+    states, commands = draw(nominal, rng, size.points)
+    with peers("catalogue") as catalogue:
+        say("peers" if catalogue else "no checkout, so no peers: their code lies in benchmarks/peers")
+        found, skipped = catalogue.engines(nominal, quick) if catalogue else ([], {})
+        reference = catalogue.reference(nominal, quick) if catalogue else None
+        truth = None if reference is None else np.array([reference(*point) for point in zip(states, commands)])  # noqa: B905
+        say("engines, taking turns")
+        rows = time_engines([*_ours(nominal, states, commands), *found], states, commands, truth, nominal, size.rounds)
+        say("Jacobian")
+        jacobian = _jacobian(nominal, reference, states[: size.jacobians], commands[: size.jacobians])
+    say("root solve")
+    solved = _root_solve(nominal, rng, size.solves)
+    say("batch")
+    batch = _batch(nominal, rng, size.batch)
+    say(f"command table of {size.table}⁴")
+    return {
+        "schema": 1,
+        "quick": quick,
+        "seed": seed,
+        "machine": machine(PACKAGES),
+        "engines": rows,
+        "skipped": skipped if catalogue else {"all peers": "benchmarks/peers is found only in a checkout"},
+        "jacobian": jacobian,
+        "root_solve": solved,
+        "batch": batch,
+        "table": _table(nominal, rng, size.table),
+    }
+
+
+def draw(nominal: ApexMap, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    """Random states and commands within their ranges of use that make a step; shapes (count, n) and (count, m).
+
+    Raises:
+        TooFewSteps: Fewer than a quarter of them do.
+    """
+    space, most = nominal.space, 4 * count
+    lower, upper = ([getattr(quantity, end) for quantity in space.state] for end in ("lower", "upper"))
+    states = rng.uniform(lower, upper, (most, len(lower)))
+    commands = rng.uniform(space.command_lower, space.command_upper, (most, len(space.command)))
+    works = np.flatnonzero(nominal.evaluate(states, commands).reason == Reason.OK)[:count]
+    if len(works) < count:
+        raise TooFewSteps(
+            f"only {len(works)} of {most} random steps succeed; choose settings with which the robot hops"
+        )
+    return states[works], commands[works]
+
+
+def _ours(nominal: ApexMap, states: Array, commands: Array) -> list[Engine]:
+    many = np.resize(states, (15, 2)), np.resize(commands, (15, 2))
+    return [
+        Engine("StepGap", "one call from Python", lambda state, command: nominal(state, command), calls=100),
+        Engine(
+            "StepGap in a batch", "15 maps a call, each map", lambda *_: nominal.evaluate(*many), 20, maps=15, error=0.0
+        ),
+    ]
+
+
+def time_engines(
+    engines: list[Engine], states: Array, commands: Array, truth: Array | None, nominal: ApexMap, rounds: int
+) -> list[dict[str, Any]]:
+    """Median time of one map for each engine, the median over the rounds of its ratio to the first, and its error."""
+    for engine in engines:
+        engine.evaluate(states[0], commands[0])  # compiles
+    times = [[_round(engine, states, commands, turn) for engine in engines] for turn in range(rounds)]
+    medians = np.array([[np.median(taken) for taken in row] for row in times])
+    ratios = np.median(medians / medians[:, :1], axis=0)
+    rows: list[dict[str, Any]] = []
+    for k, engine in enumerate(engines):
+        error = engine.error
+        if engine.maps > 1:
+            error = rows[0]["largest_relative_error"]  # the same engine
+        elif error is None and truth is not None:
+            error = _largest_error(nominal, engine.evaluate, states, commands, truth)
+        rows.append(
+            {
+                "name": engine.name,
+                "note": engine.note,
+                "median_us": 1e6 * float(np.median(np.concatenate([row[k] for row in times]))),
+                "ratio": float(ratios[k]),
+                "largest_relative_error": error,
+                "calls": engine.calls * rounds,
+            }
+        )
+    return rows
+
+
+def _round(engine: Engine, states: Array, commands: Array, turn: int) -> list[float]:
+    """Times of one map in the calls of a round [s]."""
+    taken = []
+    for call in range(engine.calls):
+        i = (turn * engine.calls + call) % len(states)
+        begin = perf_counter()
+        engine.evaluate(states[i], commands[i])
+        taken.append((perf_counter() - begin) / engine.maps)
+    return taken
+
+
+def _largest_error(nominal: ApexMap, evaluate: Evaluate, states: Array, commands: Array, truth: Array) -> float:
+    """Relative to the larger of the true value and half the range of use."""
+    found = np.array([evaluate(state, command) for state, command in zip(states, commands, strict=True)])
+    return float((np.abs(found - truth) / np.maximum(np.abs(truth), nominal.space.state_scale)).max())
+
+
+def _jacobian(nominal: ApexMap, reference: Evaluate | None, states: Array, commands: Array) -> dict[str, Any]:
+    """Cost in maps, and the largest error against Richardson differences of the reference, of its largest entry."""
+    many = draw(nominal, np.random.default_rng(0), 15)
+    pairs = [(timed(lambda: nominal.jacobian(*many)), timed(lambda: nominal.evaluate(*many))) for _ in range(9)]
+    errors = []
+    for state, command in zip(states, commands, strict=True):
+        if reference is not None:
+            exact = richardson(nominal, reference, state, command)
+            errors.append(float(np.abs(nominal.jacobian(state, command) - exact).max() / np.abs(exact).max()))
+    cost = float(np.median([jacobian / single for jacobian, single in pairs]))
+    return {"maps": cost, "largest_error": max(errors, default=None), "points": len(errors)}
+
+
+def richardson(nominal: ApexMap, evaluate: Evaluate, state: Array, command: Array) -> Array:
+    """∂next/∂(state, command) by central differences of two widths, extrapolated; shape (n, n + m)."""
+    point, n = np.concatenate([state, command]), len(state)
+    scale = np.concatenate([nominal.space.state_scale, nominal.space.command_scale])
+    columns = []
+    for index, width in enumerate(1e-2 * scale):
+        wide, narrow = (
+            (evaluate(*np.split(point + offset, [n])) - evaluate(*np.split(point - offset, [n]))) / (2 * h)
+            for h in (width, width / 2)
+            for offset in [h * np.eye(len(point))[index]]
+        )
+        columns.append((4 * narrow - wide) / 3)
+    return np.stack(columns, axis=-1)
+
+
+def _root_solve(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, Any]:
+    """Cold solves of random pairs that a random command connects."""
+    states, commands = draw(nominal, rng, count)
+    targets, controller = nominal(states, commands), StepController(nominal)
+    times, reached = [], []
+    for state, target in zip(states, targets, strict=True):
+        begin = perf_counter()
+        plan = controller(state, target)
+        times.append(perf_counter() - begin)
+        reached.append(plan.reached)
+    median, p99 = (1e3 * float(np.quantile(times, share)) for share in (0.5, 0.99))
+    return {"median_ms": median, "p99_ms": p99, "solved_share": float(np.mean(reached)), "pairs": count}
+
+
+def _batch(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, Any]:
+    """Maps a second on one core and on all, taking turns."""
+    many = draw(nominal, rng, count)
+    if not hasattr(os, "sched_setaffinity"):
+        return {"cores": os.cpu_count(), "one_core_us": None, "all_cores_us": timed(lambda: nominal.evaluate(*many))}
+    cores = os.sched_getaffinity(0)
+    one, every = [], []
+    for _ in range(BATCH_ROUNDS):
+        try:
+            os.sched_setaffinity(0, {min(cores)})
+            one.append(timed(lambda: nominal.evaluate(*many)))
+        finally:
+            os.sched_setaffinity(0, cores)
+        every.append(timed(lambda: nominal.evaluate(*many)))
+    us = [1e6 * float(np.median(taken)) / count for taken in (one, every)]
+    speed_up = float(np.median(np.array(one) / every))
+    return {"cores": len(cores), "one_core_us": us[0], "all_cores_us": us[1], "speed_up": speed_up}
+
+
+def _table(nominal: ApexMap, rng: np.random.Generator, points: int) -> dict[str, Any]:
+    """Time to build a command table and the worst error of interpolating in it."""
+    begin = perf_counter()
+    table = build_table(nominal, points)
+    seconds = perf_counter() - begin
+    try:
+        error = measure_table(table, nominal, rng)
+        worst = {
+            "command": error.worst_command.tolist(),
+            "state": error.worst_state.tolist(),
+            "border_state": error.border_state.tolist() if error.border_samples else None,
+        }
+    except ValueError:  # so coarse that no cell lies within reach
+        worst = None
+    return {"points": points, "seconds": seconds, "within_reach": float(table.reached.mean()), "worst_error": worst}
+
+
+def describe_bench(result: dict[str, Any]) -> str:
+    """The result as a table and a line for each further section."""
+    lines = [f"{'engine':22}{'one map':>12}{'ratio':>10}{'error':>10}   note"]
+    for row in result["engines"]:
+        error = row["largest_relative_error"]
+        shown = "-" if error is None else f"{error:.1e}"
+        lines.append(f"{row['name']:22}{row['median_us']:9.1f} µs{row['ratio']:10.2f}{shown:>10}   {row['note']}")
+    lines += [f"{name:22}{'skipped':>12}{'':20}   {reason}" for name, reason in result["skipped"].items()]
+    jacobian, solve, batch, table = (result[name] for name in ("jacobian", "root_solve", "batch", "table"))
+    error = "" if jacobian["largest_error"] is None else f", error {jacobian['largest_error']:.1e} of its largest entry"
+    lines += [
+        "",
+        f"Jacobian       {jacobian['maps']:.1f} maps{error}",
+        f"root solve     median {solve['median_ms']:.2f} ms, 99 % within {solve['p99_ms']:.2f} ms, "
+        f"{solve['solved_share']:.1%} of {solve['pairs']} solved",
+    ]
+    if batch["one_core_us"] is not None:
+        lines.append(
+            f"batch          {batch['one_core_us']:.1f} µs a map on one core, {batch['all_cores_us']:.1f} on "
+            f"{batch['cores']}: {batch['speed_up']:.2f} times as fast"
+        )
+    lines.append(f"command table  {table['points']}⁴ in {table['seconds']:.1f} s, {_worst(table['worst_error'])}")
+    return "\n".join(lines)
+
+
+def _worst(error: dict[str, list[float]] | None) -> str:
+    if error is None:
+        return "too coarse to be measured"
+    command, state = (", ".join(f"{value:.2g}" for value in error[name]) for name in ("command", "state"))
+    return f"worst error of the command {command}, of the next state {state}"

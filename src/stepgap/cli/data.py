@@ -1,0 +1,158 @@
+"""Verbs for what people carry away from runs, for records that broke, and for what this machine has."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter, validators
+
+from stepgap.base.output_files import check_new, free_name, words_of, write_new, writing
+from stepgap.base.settings_file import InputError
+from stepgap.cli.app import says_if_it_compiles
+
+if TYPE_CHECKING:
+    from stepgap.records.run_folder import RunRecord
+
+
+@says_if_it_compiles
+def export(
+    folder: Path,
+    /,
+    *,
+    to: Literal["mat", "csv", "parquet", "mcap", "mjcf"],
+    iteration: Annotated[int | None, Parameter(validator=validators.Number(gte=0))] = None,
+    out: Path | None = None,
+) -> None:
+    """Write a run for other programs: MATLAB, tables, players of tick logs, viewers of MuJoCo models.
+
+    Args:
+        folder: Folder of the run.
+        to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; mjcf: the twin's model.
+        iteration: Only this deployment; without it all of them, for mcap the last one.
+        out: File to write, for mjcf a folder; without it a new one in the run's folder export/.
+    """
+    if to == "mjcf":
+        _export_model(folder, iteration, out)
+    elif to == "mcap":
+        _export_ticks(folder, iteration, out)
+    else:
+        _export_steps(folder, to, iteration, out)
+
+
+def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None) -> None:
+    from stepgap.records.export.columns import step_columns
+    from stepgap.records.export.matlab import matlab_file
+    from stepgap.records.export.parquet import parquet_file
+    from stepgap.records.export.text import columns_text, steps_text
+
+    record = _read_run(folder)
+    columns = step_columns(record, iteration)
+    contents = {
+        "mat": lambda: matlab_file(record, columns),
+        "csv": lambda: steps_text(columns),
+        "parquet": lambda: parquet_file(columns),
+    }
+    content = contents[to]()
+    name = "run" if to == "mat" else "steps"
+    target = _target(folder, f"{name}{_suffix(iteration)}.{to}", out)
+    legend = target.with_stem(f"{target.stem}_columns")
+    if to == "csv":
+        check_new(legend, "--out")
+    write_new(target, "--out", content)
+    if to == "csv":
+        write_new(legend, "--out", columns_text(columns))
+
+
+def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None:
+    from stepgap.cli.progress import shown_count
+    from stepgap.experiment.plants import SIMULATED
+    from stepgap.experiment.replay import replay
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.records.export.ticks import copy_ticks, write_ticks
+
+    record = _read_run(folder)
+    settings = read_experiment(folder / "experiment.toml")
+    if settings.plant in SIMULATED:
+        chosen = record.steps.iterations[-1] if iteration is None else iteration
+        if out:
+            check_new(out, "--out")
+        with shown_count("steps") as tell:
+            ticks = replay(folder, chosen, tell=tell)
+        target = _target(folder, f"ticks{_suffix(chosen)}.mcap", out)
+        write_ticks(ticks, target)
+        print(target)
+        return
+    if iteration is not None:
+        raise InputError("--iteration: the logs of a rig do not say which deployment they are of; leave it out")
+    logs = folder / "ticks"
+    if not any(logs.glob("*.mcap")):
+        raise InputError(f"{logs}: no .mcap file there, so there are no ticks of this run")
+    target = _target(folder, "ticks", out)
+    with writing(target, "--out"):
+        for line in copy_ticks(logs, target):
+            print(line)
+
+
+def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None:
+    from stepgap.experiment.plants import remade_rig
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
+
+    if iteration is not None:
+        raise InputError("--iteration: the model is the same in all deployments; leave it out")
+    settings = read_experiment(folder / "experiment.toml")
+    _, twin = remade_rig(settings, 0)
+    files = mjcf_files(twin, settings.robot.boom_length)
+    target = _target(folder, "mjcf", out)
+    with writing(target, "--out"):
+        target.mkdir()
+    for name, content in files.items():
+        write_new(target / name, "--out", content)
+
+
+def _read_run(folder: Path) -> "RunRecord":
+    """What the folder of a run says."""
+    from stepgap.records.run_folder import read_run_folder
+
+    try:
+        return read_run_folder(folder)
+    except (ValueError, OSError) as error:
+        raise InputError(words_of(error)) from None
+
+
+def _suffix(iteration: int | None) -> str:
+    return "" if iteration is None else f"_{iteration}"
+
+
+def _target(folder: Path, name: str, out: Path | None) -> Path:
+    """Where to write: what was asked for, or a free name in the run's folder."""
+    if out:
+        check_new(out, "--out")
+        return out
+    home = folder / "export"
+    with writing(home, "--out"):
+        home.mkdir(exist_ok=True)
+    return free_name(home / name)
+
+
+def recover(file: Path, /, *, out: Path | None = None) -> None:
+    """Save what is whole of a steps.csv or a log of ticks that was cut off or damaged.
+
+    Args:
+        file: steps.csv, or a log of ticks, .mcap; it is not changed.
+        out: File for what is whole; without it NAME_recovered beside it.
+    """
+    from stepgap.records.recovery import recover as save
+
+    if out:
+        check_new(out, "--out")
+    target = out or free_name(file.with_stem(f"{file.stem}_recovered"))
+    for line in save(file, target):
+        print(line)
+    print(target)
+
+
+def doctor() -> None:
+    """Say what this machine has: versions, cores, graphics, rights for real time, the cache, extras."""
+    from stepgap.cli.machine import describe_machine
+
+    print(describe_machine())

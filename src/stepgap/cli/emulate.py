@@ -1,0 +1,131 @@
+"""An emulated ring with the twin behind it, for a master that believes in hardware."""
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import fields
+from functools import partial
+from math import isinf
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+
+from stepgap.base.settings_file import InputError, to_table
+from stepgap.experiment.settings import Experiment
+from stepgap.rigs.ethercat.emulator.emulator import emulated, run_emulator
+from stepgap.rigs.ethercat.emulator.machine import TwinMachine
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, run_in_namespace
+from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.rig import RigLayout
+from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.twin.twin import Twin
+
+
+def emulate(
+    experiment: Experiment, ring: RingSettings, interface: str, hold: float, settings_file: Path, program: Sequence[str]
+) -> int:
+    """Emulates a ring until Ctrl-C, or while a command line runs; its exit code, else 0.
+
+    Args:
+        experiment: Its robot and gap are those of the twin.
+        ring: How it passes frames.
+        interface: That a master opens.
+        hold: Time for which the twin is held when the drives have been enabled [s].
+        settings_file: For the rig.toml that fits it.
+        program: The command line, or nothing.
+
+    Raises:
+        InputError: The settings make no twin behind a ring, or a file is in the way.
+        NoNetwork: There can be no ring here; the message says what to do.
+    """
+    make_machine = partial(_make_machine, experiment, hold)
+    layout = _layout_behind_ring(experiment, hold)
+    text = tomli_w.dumps(to_table(emulated_settings(layout, experiment.robot, ring, interface)))
+    if os.geteuid() != 0:
+        _leave_for_namespace(settings_file, program)
+
+    def tell(line: str) -> None:
+        _write_settings(settings_file, text)
+        print(f"{line}; Ctrl-C ends it", flush=True)
+
+    if not program:
+        run_emulator(interface, make_machine(), ring, tell)
+        return 0
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # handed down to the ring: Ctrl-C is for the program
+    with emulated(interface, make_machine, ring):
+        signal.signal(signal.SIGINT, before)
+        _write_settings(settings_file, text)
+        return run_program(program)
+
+
+def run_program(program: Sequence[str]) -> int:
+    """Runs a command line to its end, also when Ctrl-C or SIGTERM makes it end; its exit code as shells have it.
+
+    Raises:
+        InputError: There is no such program.
+    """
+    try:
+        process = subprocess.Popen(program)
+    except OSError as error:
+        raise InputError(f"-- {shlex.join(program)}: cannot be run: {error.strerror}") from None
+    before = signal.signal(signal.SIGTERM, lambda *_: process.terminate())  # it came to this process alone
+    try:
+        while True:
+            try:
+                code = process.wait()
+                return code if code >= 0 else 128 - code
+            except KeyboardInterrupt:
+                continue  # the program got it, too
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _make_machine(experiment: Experiment, hold: float) -> TwinMachine:
+    rng = np.random.default_rng(experiment.seed)
+    return TwinMachine(Twin(experiment.robot, experiment.gap, rng, hold=hold))
+
+
+def _layout_behind_ring(experiment: Experiment, hold: float) -> RigLayout:
+    """The twin's layout, if a ring can carry its counts."""
+    for name in (field.name for field in fields(experiment.gap) if "counts" in field.name):
+        if isinf(getattr(experiment.gap, name)):
+            raise InputError(
+                f"[gap] {name} = inf: a ring carries whole counts; give a number, such as --gap.{name} 16384"
+            )
+    try:
+        rng = np.random.default_rng(experiment.seed)
+        return Twin(experiment.robot, experiment.gap, rng, hold=hold).layout
+    except ValueError as error:
+        raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None
+
+
+def _write_settings(file: Path, text: str) -> None:
+    """Writes rig.toml and says so; one that says the same already will do."""
+    try:
+        if file.is_file() and file.read_text("utf-8") == text:
+            return
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(text)
+    except FileExistsError:
+        raise InputError(f"{file}: exists and describes another rig; choose another --settings") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{file}: exists and is no text; choose another --settings") from None
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written: {error.strerror}; choose another --settings") from None
+    print(file, flush=True)
+
+
+def _leave_for_namespace(settings_file: Path, program: Sequence[str]) -> None:
+    """Goes on in a network of its own, where nobody need be root: with the program, or there would be no master."""
+    if not program:
+        master = shlex.join(["stepgap", "rig", "check", str(settings_file)])
+        typed = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        raise NoNetwork(
+            "only root can make a network interface; else ring and master must be in one network of their "
+            f"own: type `{typed} -- {master}`, or any other command after --"
+        )
+    run_in_namespace([sys.executable, *sys.orig_argv[1:]])

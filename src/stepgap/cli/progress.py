@@ -1,0 +1,128 @@
+"""What a run shows on the terminal while it goes on, to people or to programs."""
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Self
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
+
+from stepgap.experiment.loop import Deployment, Observer, summary_entry
+from stepgap.learning.step_log import LoggedStep, values_of
+from stepgap.step import Reason, StepSpace
+
+
+@contextmanager
+def shown_count(description: str, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal, elsewhere nothing; gives the function to tell of how many of how many are done."""
+    console = Console(stderr=True, highlight=False)
+    columns = TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn()
+    with Bars(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bars:
+        task = bars.add_task(description, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+class Progress:
+    """A bar per deployment with its error so far on a terminal; elsewhere a plain line per deployment.
+
+    Args:
+        space: Names and units of the state.
+        steps: Steps of a deployment.
+        iterations: Redeployments at most.
+        quiet: Show nothing.
+    """
+
+    def __init__(self, space: StepSpace, steps: int, iterations: int, quiet: bool = False):
+        self._space, self._steps, self._iterations, self._quiet = space, steps, iterations, quiet
+        self._console = Console(stderr=True, highlight=False)
+        self._bars = Bars(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[error]}"),
+            console=self._console,
+            disable=quiet or not self._console.is_terminal,
+            transient=True,
+        )
+        self._task: TaskID | None = None
+        self._last = 0
+        self._errors: list[np.ndarray] = []
+
+    @property
+    def observer(self) -> Observer:
+        """To be told of steps and deployments."""
+        return Observer(self._on_step, self._on_deployment, self._on_fault)
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(self, exc_type: object, *exc_info: object) -> None:
+        self._bars.stop()
+        if exc_type is None and self._last < self._iterations and not self._quiet:
+            self._console.print("stopped there: the error no longer falls (learning.least_gain)", soft_wrap=True)
+
+    def _on_step(self, logged: LoggedStep) -> None:
+        if self._task is None:
+            description = f"deployment {logged.iteration} of {self._iterations}"
+            self._task = self._bars.add_task(description, total=self._steps, error="")
+            self._errors = []
+        if logged.record.reason == Reason.OK:
+            self._errors.append(logged.record.next_state - logged.target)
+        error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
+        self._bars.update(self._task, advance=1, error=error)
+
+    def _on_deployment(self, deployment: Deployment) -> None:
+        if self._task is not None:
+            self._bars.remove_task(self._task)
+            self._task = None
+        self._last = deployment.iteration
+        if not self._quiet:
+            fall = ", ended by a fall" if deployment.falls else ""
+            error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"
+            self._console.print(
+                f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "
+                f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{fall}{error}",
+                soft_wrap=True,  # where it is no terminal, a line stays a line
+            )
+
+    def _on_fault(self, words: str) -> None:
+        if not self._quiet:
+            self._console.print(f"it ended before its time: {words}", soft_wrap=True, style="bold")
+
+    def _describe(self, rmse: np.ndarray) -> str:
+        return ", ".join(
+            f"{quantity.name} {value:.4f} {quantity.unit}"
+            for quantity, value in zip(self._space.state, rmse, strict=True)
+        )
+
+
+def tell_event(event: str, **what: Any) -> None:
+    """Prints one JSON object as a line, at once; a number that is not finite becomes null."""
+    known = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in what.items()
+    }
+    print(json.dumps({"event": event, **known}, allow_nan=False), flush=True)
+
+
+def telling_events(observer: Observer, space: StepSpace) -> Observer:
+    """An observer that also prints a line of JSON for every step, deployment and fault, for programs."""
+
+    def on_step(logged: LoggedStep) -> None:
+        tell_event("step", **values_of(logged, space))
+        observer.on_step(logged)
+
+    def on_deployment(deployment: Deployment) -> None:
+        tell_event("deployment", **summary_entry(deployment, space.state_names))
+        observer.on_deployment(deployment)
+
+    def on_fault(words: str) -> None:
+        tell_event("fault", words=words)
+        observer.on_fault(words)
+
+    return Observer(on_step, on_deployment, on_fault)

@@ -1,0 +1,1 @@
+"""The method: settings, deployments, the loop, noise floor, replay."""

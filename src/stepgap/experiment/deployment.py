@@ -1,0 +1,106 @@
+"""One deployment: track a reference with what is known of the map, step by step, and measure how well."""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepgap.control.careful_controller import CarefulController, CarefulPlan
+from stepgap.control.reference import Reference
+from stepgap.experiment.exploration import calibrating_plan, goals_of
+from stepgap.learning.learner import Learner
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.plants.plant import Plant
+from stepgap.step import Array, Reason, StepFailed
+
+Steps = Generator[LoggedStep, None, None]
+"""Steps as they are executed; closing it stops the plant."""
+
+
+@dataclass(frozen=True, eq=False)
+class Deployment:
+    """Tracking errors of one deployment, next state − target, over the steps that ended with an apex.
+
+    Attributes:
+        iteration: Its number.
+        residual: Kind of the residual model that the controller used.
+        steps: Steps executed, those of a calibration included, of which no errors are counted.
+        falls: Steps that ended without an apex; at most one, because the deployment ends with it.
+        rmse: Root-mean-square error; shape (n,).
+        mae: Mean absolute error; shape (n,).
+        bias: Mean error; shape (n,).
+        steady_rmse: RMSE over `Reference.steady`; NaN where there are none; shape (n,).
+        transient_rmse: RMSE over `Reference.transient`; shape (n,).
+    """
+
+    iteration: int
+    residual: str
+    steps: int
+    falls: int
+    rmse: Array
+    mae: Array
+    bias: Array
+    steady_rmse: Array
+    transient_rmse: Array
+
+
+def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment:
+    """The errors of one deployment's steps."""
+    tracked = StepLog(steps.space, (logged for logged in steps.completed() if logged.step > 0))
+    numbers = np.array([logged.step - 1 for logged in tracked], dtype=int)
+    error = tracked.next_state - tracked.target
+
+    def rms(rows: Array) -> Array:
+        return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)
+
+    return Deployment(
+        iteration=steps.iterations[0],
+        residual=residual,
+        steps=len(steps),
+        falls=steps.falls,
+        rmse=rms(error),
+        mae=np.mean(np.abs(error), axis=0) if len(error) else rms(error),
+        bias=np.mean(error, axis=0) if len(error) else rms(error),
+        steady_rmse=rms(error[np.isin(numbers, reference.steady)]),
+        transient_rmse=rms(error[np.isin(numbers, reference.transient)]),
+    )
+
+
+def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int, calibration: int = 0) -> Steps:
+    """Tracks the reference with the map as it is known at each step, until its end or a fall.
+
+    Args:
+        learner: Says what is known, and is told of every step.
+        plant: Executes the steps.
+        reference: What to track, from step 1 on.
+        iteration: Number of the deployment.
+        calibration: Steps before that, numbered up to 0, whose commands are chosen for what they teach.
+    """
+    command = None
+    with learner, plant:
+        state = plant.start()
+        for number in range(1 - calibration, len(reference) + 1):
+            controller = CarefulController(learner.step_map(), learner.nominal, learner.failures)
+            if number < 1:
+                goals = goals_of(reference, controller.step_map)
+                plan = calibrating_plan(controller, learner.residual, state, goals)
+            else:
+                plan = tracking_plan(controller, state, reference.targets[number - 1], command)
+            learner.fit_beside()
+            record = plant.take_step(plan.command)
+            target = reference.targets[number - 1] if number > 0 else plan.predicted
+            logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
+            yield logged
+            if record.reason != Reason.OK:
+                return
+            learner.observe(logged)
+            state, command = record.next_state, plan.command
+
+
+def tracking_plan(controller: CarefulController, state: Array, target: Array, guess: Array | None) -> CarefulPlan:
+    """The command for a target; the middle of the bounds where the map knows none that makes a step."""
+    try:
+        return controller(state, target, guess=guess)
+    except StepFailed:
+        command = controller.step_map.space.command_centre
+        return CarefulPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))

@@ -1,0 +1,307 @@
+"""What `stepgap fit` reads and says: the error of the nominal map in any log, and how much of it can be learnt."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from stepgap.experiment.settings import InputError, read_experiment
+from stepgap.learning.residual import Residual
+from stepgap.learning.residual_fit import ResidualKind
+from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log
+from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
+from stepgap.learning.validation import (
+    FOLDS,
+    LEAST_STEPS,
+    Folds,
+    Reduction,
+    Validation,
+    contiguous_folds,
+    deployment_folds,
+    fit_steps,
+)
+from stepgap.records.columns import Columns
+from stepgap.records.foreign_log import read_foreign_logs
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.step import Array, Quantity, StepSpace
+
+SCHEMA = 1
+"""Version of the JSON file."""
+
+MOST_STEPS = 2000
+"""More would be fitted for hours."""
+
+BASELINES: tuple[ResidualKind, ...] = ("none", "constant")
+"""What every residual is compared with."""
+
+NOMINALS = {
+    "map": "the hopper's apex map",
+    "predicted": "the predictions in the log",
+    "target": "the target, which is what a controller's map predicts",
+    "state": "the state, as if a step changed nothing",
+}
+"""Where the nominal next states come from."""
+
+Settings = Sequence[tuple[str, str]]
+"""Dotted names and values."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What there is to learn from.
+
+    Attributes:
+        steps: With the nominal next states as predictions.
+        nominal: Where these come from, in words.
+    """
+
+    steps: StepTable
+    nominal: str
+
+
+def read_lesson(
+    logs: Sequence[Path], columns: Columns | None, nominal: str | None, experiment: Path | None, overrides: Settings
+) -> Lesson:
+    """The steps of logs with their nominal next states.
+
+    Args:
+        logs: Run folders or their `steps.csv`; with `columns`, any CSV files.
+        columns: What the columns of the logs hold.
+        nominal: A key of `NOMINALS`; None to take what there is.
+        experiment: Settings of the hopper; None for those of the runs, else the defaults.
+        overrides: Single settings of it.
+
+    Raises:
+        InputError: The arguments do not fit each other, or the steps are too few or too many.
+        RecordError: A log is not what it must be.
+    """
+    if nominal not in (None, "map") and (experiment or overrides):
+        raise InputError(f"--nominal {nominal}: it has no settings; leave them out")
+    if columns is None:
+        logs = [log / "steps.csv" if log.is_dir() else log for log in logs]
+        experiment = experiment or _common_experiment(logs)
+    settings = read_experiment(experiment, overrides)
+    hopper = ApexMap(settings.robot, settings.gains, settings.command)
+    steps = _read_runs(logs, hopper.space) if columns is None else read_foreign_logs(logs, columns)
+    source = nominal or _nominal_of(steps, hopper.space)
+    words, predicted = NOMINALS[source], {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
+    if source == "map":
+        steps = replace(steps, space=_same_names(steps.space, hopper.space))
+        predicted = hopper.evaluate(steps.state, steps.command).next_state
+        words += f" with the settings of {experiment}" if experiment else " with default settings"
+        words += ", some overridden" if overrides else ""
+    if predicted is None:
+        raise InputError(f"--nominal {source}: the log has none; name its columns by --{source}")
+    steps = steps.with_predictions(predicted, "that must fail by the nominal map")
+    if not LEAST_STEPS <= len(steps) <= MOST_STEPS:
+        raise InputError(
+            f"{', '.join(map(str, logs))}: {len(steps)} steps to learn from, it must be {LEAST_STEPS} to {MOST_STEPS}; "
+            f"rows left out: {describe_left_out(steps.left_out)}"
+        )
+    return Lesson(steps, words)
+
+
+def _common_experiment(logs: Sequence[Path]) -> Path | None:
+    """The settings beside the logs, if they are the same hopper's."""
+    files = [log.with_name("experiment.toml") if log.with_name("experiment.toml").is_file() else None for log in logs]
+    hoppers = [(read.robot, read.gains, read.command) for read in map(read_experiment, files)]
+    for log, hopper in zip(logs, hoppers, strict=True):
+        if hopper != hoppers[0]:
+            raise InputError(f"{log}: recorded with another robot, gains or bounds than {logs[0]}; give --experiment")
+    return files[0]
+
+
+def _read_runs(logs: Sequence[Path], space: StepSpace) -> StepTable:
+    """The steps of our own logs, whose deployments are numbered through."""
+    found: list[StepLog] = []
+    for path in logs:
+        try:
+            found.append(read_step_log(path, space))
+        except OSError as error:
+            raise InputError(
+                f"{path}: {error.strerror}; give the folder of a run, its steps.csv, or a CSV file"
+            ) from None
+        except RecordError as error:
+            raise InputError(f"{error}; for another log say what its columns hold, see --help") from None
+    return tabulate(joined(found))
+
+
+def _nominal_of(steps: StepTable, hopper: StepSpace) -> str:
+    """Where the nominal next states come from if it is not said."""
+    if steps.predicted is not None:
+        return "predicted"
+    if (steps.space.state_names, steps.space.command_names) == (hopper.state_names, hopper.command_names):
+        return "map"
+    raise InputError(
+        "--nominal: the log predicts no next states; name columns by --predicted, or say by --nominal target or "
+        "--nominal state what stands for them"
+    )
+
+
+def _same_names(found: StepSpace, hopper: StepSpace) -> StepSpace:
+    """The hopper's space, once it is sure that the columns are its own."""
+    wanted = ",".join((*hopper.state_names, *hopper.command_names))
+    names = ",".join((*found.state_names, *found.command_names))
+    if names != wanted:
+        raise InputError(f"--nominal map: state and command are {names}; it must be {wanted}; rename by NAME=COLUMN")
+    return hopper
+
+
+def choose_folds(steps: StepTable, count: int | None) -> Folds:
+    """Deployments if there are several and no count is given, else so many contiguous blocks."""
+    if count is None and len(np.unique(steps.deployment)) > 1:
+        return deployment_folds(steps.deployment)
+    if count is not None and not 2 <= count <= len(steps):
+        raise InputError(f"--folds {count}: it must lie between 2 and the number of steps, {len(steps)}")
+    return contiguous_folds(len(steps), count or FOLDS)
+
+
+def best_residual(steps: StepTable, validation: Validation) -> Residual:
+    """The residual to use for all coordinates, fitted to all steps."""
+    return fit_steps(validation.best(range(len(steps.space.state))), steps)
+
+
+# What is said
+
+
+def verdicts(state: Sequence[Quantity], validation: Validation) -> str:
+    """A sentence for each state coordinate, and one for all together."""
+    lines = [f"{quantity.name + ':':16}{verdict(validation, [index])}" for index, quantity in enumerate(state)]
+    together = [f"{'all together:':16}{verdict(validation, range(len(state)))}"] if len(state) > 1 else []
+    return "\n".join(lines + together)
+
+
+def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
+    """What residual to use for these state coordinates, and how much better it is, in a sentence."""
+    chosen = validation.best(coordinates)
+    if chosen in BASELINES:
+        nearest = validation.nearest(chosen, coordinates)
+        beside = f"the nearest, {nearest}, is {_compared(validation.reduction(nearest, chosen, coordinates), chosen)}"
+        if chosen == "none":
+            return f"nothing to learn: no residual is surely better than none ({beside})"
+        better = _compared(validation.reduction("constant", "none", coordinates), "none")
+        return f"constant is {better}; no residual beats the constant: nothing more to learn ({beside})"
+    constant, none = (_compared(validation.reduction(chosen, other, coordinates), other) for other in BASELINES[::-1])
+    last = chosen == list(validation.held_out)[-1]
+    return f"{chosen} is {constant}, {none}" + ("" if last else "; nothing more complex is surely better")
+
+
+def _compared(by: Reduction, other: str) -> str:
+    """A reduction in words; ± is one standard error."""
+    return f"{'better' if by.value >= 0 else 'worse'} than {other} by {_percent(abs(by.value), by.standard_error)}"
+
+
+def _percent(value: float, standard_error: float) -> str:
+    if not np.isfinite([value, standard_error]).all():
+        return "–"
+    form = "z.0f" if standard_error >= 0.0095 else "z.1f"
+    return f"{100 * value:{form}} ± {100 * standard_error:{form}} %"
+
+
+def describe_lesson(lesson: Lesson, folds: Folds) -> str:
+    """What was read and how it is held out, in a few lines."""
+    steps, space = lesson.steps, lesson.steps.space
+    deployments = len(np.unique(steps.deployment))
+    parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
+    return "\n".join(
+        [
+            f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
+            f"rows left out: {describe_left_out(steps.left_out)}",
+            f"state       {', '.join(map(_with_unit, space.state))}",
+            f"command     {', '.join(map(_with_unit, space.command))}",
+            f"nominal     {lesson.nominal}",
+            f"held out    {folds.count} {parts}, one at a time",
+        ]
+    )
+
+
+def show_validation(state: Sequence[Quantity], validation: Validation, stream: TextIO) -> None:
+    """A table for each state coordinate and one for all of them: framed on a terminal, plain elsewhere."""
+    console = Console(file=stream, highlight=False)
+    if not console.is_terminal:
+        console = Console(file=stream, highlight=False, width=200)
+    framed = console.is_terminal
+    for index, quantity in enumerate(state):
+        table = _table(framed, _with_unit(quantity), "RMSE", "log density", "within 95 %")
+        for kind, held in validation.held_out.items():
+            scores = (_shown(held.rmse[index], ".4g"), _shown(held.log_density[index], ".2f"))
+            table.add_row(
+                kind, *scores, _shown(100 * held.coverage[index], ".0f"), *_compared_all(validation, kind, [index])
+            )
+        console.print(table)
+    table = _table(framed, "all together", "fit [s]")
+    for kind, held in validation.held_out.items():
+        table.add_row(kind, _shown(held.seconds, ".2g"), *_compared_all(validation, kind, range(len(state))))
+    console.print(table)
+
+
+def _table(framed: bool, title: str, *scores: str) -> Table:
+    """An empty table of residuals, ending with how they compare with the baselines."""
+    table = Table(box=SIMPLE if framed else None, pad_edge=False)
+    table.add_column(Text(title))
+    for name in (*scores, *(f"better than {other}" for other in BASELINES)):
+        table.add_column(Text(name), justify="right")
+    return table
+
+
+def _compared_all(validation: Validation, kind: ResidualKind, coordinates: Sequence[int]) -> list[str]:
+    """By how much a residual is better than each baseline."""
+    by = [validation.reduction(kind, other, coordinates) for other in BASELINES]
+    return [
+        "–" if kind == other else _percent(one.value, one.standard_error)
+        for one, other in zip(by, BASELINES, strict=True)
+    ]
+
+
+def _shown(value: float, form: str) -> str:
+    return f"{value:{form}}" if np.isfinite(value) else "–"
+
+
+def _with_unit(quantity: Quantity) -> str:
+    return f"{quantity.name} [{quantity.unit}]" if quantity.unit else quantity.name
+
+
+def fit_report(logs: Sequence[Path], lesson: Lesson, validation: Validation) -> dict[str, Any]:
+    """All of it as JSON-ready data; NaN and infinities become null."""
+    steps, state = lesson.steps, lesson.steps.space.state
+    parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
+
+    def named(values: Array) -> dict[str, float | None]:
+        return {quantity.name: _finite(value) for quantity, value in zip(state, values, strict=True)}
+
+    def better(kind: ResidualKind, other: ResidualKind) -> dict[str, Any]:
+        by = {name: validation.reduction(kind, other, part) for name, part in parts.items()}
+        return {n: {"value": _finite(r.value), "standard_error": _finite(r.standard_error)} for n, r in by.items()}
+
+    return {
+        "schema": SCHEMA,
+        "logs": [str(log) for log in logs],
+        "nominal": lesson.nominal,
+        "units": {quantity.name: quantity.unit for quantity in (*state, *steps.space.command)},
+        "steps": len(steps),
+        "left_out": dict(steps.left_out),
+        "folds": {"count": validation.folds.count, "whole_deployments": validation.folds.whole_deployments},
+        "residuals": [
+            {
+                "kind": kind,
+                "rmse": named(held.rmse),
+                "log_density": named(held.log_density),
+                "coverage": named(held.coverage),
+                "fit_seconds": held.seconds,
+                "better_than": {other: better(kind, other) for other in BASELINES},
+            }
+            for kind, held in validation.held_out.items()
+        ],
+        "best": {name: validation.best(part) for name, part in parts.items()},
+        "verdict": {name: verdict(validation, part) for name, part in parts.items()},
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,90 @@
+"""How well the twin repeats a step: what a controller that knows neither its noise nor the place cannot beat.
+
+One that follows what the place adds, as `learning.drift` does, can.
+"""
+
+from copy import deepcopy
+from math import tau
+
+import numpy as np
+
+from stepgap.control.reference import Reference
+from stepgap.control.step_controller import StepController
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.step import Array, Reason, StepFailed, StepMap
+
+PLACES = 20
+"""Targets of the reference, at most, at which a step is repeated; spread evenly."""
+
+SETTLING = 6
+"""Steps towards a target before the one that is repeated."""
+
+REPEATS = 12
+"""How often it is repeated."""
+
+
+def measure_repeatability(
+    plant: RigPlant, twin: Twin, step_map: StepMap, reference: Reference, rng: np.random.Generator
+) -> Array:
+    """Pooled standard deviation of the next state when the twin repeats a step [state units]; shape (n,).
+
+    Held equal are the command, the true motion of robot, boom and drives at the apex, and all that the controller
+    remembers, so the measured state, too. Fresh are the torque noise, its present value included, and the place: the
+    floor is turned by any angle, because yaw is no part of the state. The spread is that of the measured next state.
+    Where what the place adds is followed from hop to hop, tracking errors may come out a little smaller.
+
+    Args:
+        plant: Hops the twin.
+        twin: The one that `plant` hops.
+        step_map: Its step controller leads to the targets.
+        reference: Whose targets are held.
+        rng: Draws noise and places of the repeated steps.
+
+    Returns:
+        NaN where no step could be repeated twice.
+    """
+    starts = np.unique([0, *reference.changes])
+    chosen = starts[np.unique(np.linspace(0, len(starts) - 1, PLACES).round().astype(int))]
+    controller, deviations, freedom = StepController(step_map), [np.zeros((0, len(reference.names)))], 0
+    with plant:
+        state = plant.start()
+        for target in reference.targets[chosen]:
+            for _ in range(SETTLING):
+                record = plant.take_step(_command(controller, state, target))
+                state = record.next_state
+                if record.reason != Reason.OK:
+                    return _pooled(deviations, freedom)
+            command = _command(controller, state, target)
+            found = np.array([repeated(plant, twin, command, rng, rng.uniform(0, tau)) for _ in range(REPEATS)])
+            found = found[np.isfinite(found).all(axis=1)]
+            if len(found) > 1:
+                deviations.append(found - found.mean(axis=0))
+                freedom += len(found) - 1
+    return _pooled(deviations, freedom)
+
+
+def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, turn: float = 0.0) -> Array:
+    """Next state of a copy of the plant that takes the step with other noise; the plant itself stays at the apex.
+
+    Args:
+        plant: Hops the twin.
+        twin: The one that `plant` hops.
+        command: Of the step; shape (m,).
+        rng: Draws the copy's noise.
+        turn: Angle by which the floor is turned under the copy [rad].
+    """
+    return deepcopy(plant, {id(twin): twin.fork(rng, turn=turn)}).take_step(command).next_state
+
+
+def _command(controller: StepController, state: Array, target: Array) -> Array:
+    """What `deploy` commands."""
+    try:
+        return controller(state, target).command
+    except StepFailed:
+        return controller.step_map.space.command_centre
+
+
+def _pooled(deviations: list[Array], freedom: int) -> Array:
+    squares = np.sum(np.vstack(deviations) ** 2, axis=0)
+    return np.sqrt(squares / freedom) if freedom else np.full_like(squares, np.nan)

@@ -1,0 +1,236 @@
+"""What went on between the steps of a deployment: made again, tick by tick, or read from the tick log of a rig."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.experiment.loop import versions_here
+from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
+from stepgap.experiment.settings import Experiment, InputError, read_experiment
+from stepgap.learning.step_log import LoggedStep, RecordError, read_step_log, row_of
+from stepgap.plants.phases import Phase
+from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick import TICK_UNITS, Tick
+from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
+from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.summary import read_summary
+from stepgap.rigs.entry_points import load_rig
+from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.step import Array
+
+REPLAY_UNITS = {
+    **TICK_UNITS,
+    "step": "",
+    "hip_x": "m",
+    "hip_height": "m",
+    "boom_yaw": "rad",
+    "boom_pitch": "rad",
+    "true_alpha_1": "rad",
+    "true_alpha_2": "rad",
+    "foot_x": "m",
+    "foot_y": "m",
+    "foot_z": "m",
+    "ground_height": "m",
+}
+"""Columns of a replay: those of a tick, the step it belongs to, and what is true of the twin when its sensors are read.
+
+The hip's x is the distance travelled along the circle; the foot is in MuJoCo's frame, whose z points up from the floor.
+The step before the first recorded one is the hop with which the robot is let go.
+"""
+
+
+def replay(
+    folder: Path, iteration: int, every: int = 1, tell: Callable[[int, int], None] = lambda done, total: None
+) -> TickTable:
+    """The ticks of a recorded deployment on the twin or an emulated ring, made again from its seed and its commands.
+
+    Args:
+        folder: The run folder.
+        iteration: Number of the deployment.
+        every: One of so many ticks is kept, from 1 on.
+        tell: Is told how many steps of how many are done.
+
+    Raises:
+        InputError: The run cannot be read, has no such deployment, or was not a simulation.
+        RecordError: The steps are not, to the last bit, those recorded.
+    """
+    experiment, steps = _read(folder, iteration)
+    rows = []
+    for done, ticks in enumerate(_hops(folder, experiment, steps, every)):
+        rows.append(ticks)
+        tell(done, len(steps))
+    return TickTable(REPLAY_UNITS, np.concatenate(rows))
+
+
+def replayed_hops(folder: Path, iteration: int, every: int = 1) -> Iterator[TickTable]:
+    """The same hop by hop, as they are made; the first one is that before the first recorded step."""
+    for ticks in _hops(folder, *_read(folder, iteration), every):
+        yield TickTable(REPLAY_UNITS, ticks)
+
+
+def layout_of(settings: Experiment) -> RigLayout:
+    """How to read the counts of an experiment's ticks.
+
+    Raises:
+        InputError: The rig, or the file that describes it, is not there.
+    """
+    if settings.plant in SIMULATED:
+        return remade_rig(settings, 0)[0].layout
+    return load_rig(settings.plant, Path(settings.rig), settings.robot).layout
+
+
+def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
+    """The ticks of a rig's deployment from its log, with a column `step`, as far as the sensors were read.
+
+    They begin when torque is given, and end with the last step, or where the robot had come to rest after a fall. Which
+    step a tick belongs to is told by the apexes passed while the robot hopped; the one before the first recorded step
+    is the hop with which the robot is let go.
+
+    Args:
+        folder: The run folder.
+        steps: Those of the deployment, at least one.
+
+    Raises:
+        InputError: The log is not there, or not a whole one, or has fewer hops than the deployment.
+    """
+    path = folder / "ticks" / f"ticks-{steps[0].iteration}.mcap"
+    try:
+        ticks = TickTable(*read_ticks(path))
+        phase, hopping = ticks["phase"], ticks["state"] == RigState.HOP
+    except (TickLogError, ValueError) as error:
+        raise InputError(str(error)) from None
+    passed = np.flatnonzero((phase[:-1] == Phase.RISING) & (phase[1:] == Phase.FALLING) & hopping[1:]) + 1
+    hop = np.searchsorted(passed, np.arange(len(ticks)))  # the tick just past an apex ends its hop
+    if len(passed) < len(steps):
+        number = steps[0].iteration
+        raise InputError(f"{path}: has fewer hops than deployment {number}, so it is not known which are which")
+    shown = (ticks["state"] >= RigState.STAND) & (hop <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
+    step = (hop + steps[0].step - 1).astype(float)
+    return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, step])[shown])
+
+
+def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:
+    """Settings of a run and the steps of one of its deployments."""
+    settings, path = read_experiment(folder / "experiment.toml"), folder / "steps.csv"
+    try:
+        log = read_step_log(path, settings.command.space())
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; {folder} must be the folder of a run") from None
+    steps = list(log.of_iteration(iteration))
+    if not steps:
+        there = ", ".join(map(str, log.iterations)) or "none"
+        raise InputError(f"{path}: no step of deployment {iteration}; the deployments there are: {there}")
+    return settings, steps
+
+
+def _hops(folder: Path, settings: Experiment, steps: list[LoggedStep], every: int) -> Iterator[Array]:
+    """The rows of each hop, once its step is found to be the one recorded."""
+    rig, twin = remade_rig(settings, steps[0].iteration)
+    recorder = _Recorder(twin, every)
+    with plant_on(settings, _Watched(rig, recorder.look), recorder.keep) as plant:
+        recorder.step = steps[0].step - 1
+        try:
+            plant.start()
+        except RigFault as fault:
+            raise RecordError(f"{_not_again(folder, steps[0], plant.space.state_names)} ({fault})") from None
+        yield recorder.drain()
+        for logged in steps:
+            recorder.step = logged.step
+            made = replace(logged, record=plant.take_step(logged.record.command))
+            if row_of(made) != row_of(logged):
+                raise RecordError(_not_again(folder, logged, plant.space.state_names))
+            yield recorder.drain()
+
+
+def _not_again(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
+    """That a step could not be made again, and what may be the reason."""
+    here = versions_here()
+    try:
+        recorded = read_summary(folder / "summary.json", names).versions
+    except (ValueError, OSError):
+        recorded = ()
+    changed = [f"{name} {then}, here {here[name]}" for name, then in recorded if here.get(name, then) != then]
+    reason = (
+        f"it was run with {'; '.join(changed)}" if changed else "the record was changed, or made on another machine"
+    )
+    place = f"step {logged.step} of deployment {logged.iteration}"
+    return f"{folder / 'steps.csv'}: {place} could not be made again to the last bit; {reason}"
+
+
+class _Recorder:
+    """Keeps ticks with what was true when their sensors were read.
+
+    Attributes:
+        step: The one that goes on.
+    """
+
+    def __init__(self, twin: Twin, every: int):
+        self.step = 0
+        self._twin, self._every, self._count = twin, every, 0
+        self._truth: tuple[float, ...] = ()
+        self._rows: list[tuple[float, ...]] = []
+
+    def look(self) -> None:
+        """The sensors were read."""
+        if self._count % self._every == 0:
+            self._truth = _truth(self._twin)
+
+    def keep(self, tick: Tick) -> None:
+        """The tick is over."""
+        if self._count % self._every == 0:
+            self._rows.append((*tick.row(), self.step, *self._truth))
+        self._count += 1
+
+    def drain(self) -> Array:
+        """The rows since the last call; shape (k, columns)."""
+        rows, self._rows = self._rows, []
+        return np.array(rows, float).reshape(len(rows), len(REPLAY_UNITS))
+
+
+def _truth(twin: Twin) -> tuple[float, ...]:
+    """The last columns of a row."""
+    true = twin.true_state()
+    front, rear = true.leg
+    return (*true.hip, *true.boom, (front + rear) / 2, (front - rear) / 2, *true.foot, true.ground_height)
+
+
+class _Watched(Rig):
+    """A rig that tells of every read.
+
+    Args:
+        rig: What moves.
+        look: Is called after every read.
+    """
+
+    def __init__(self, rig: Rig, look: Callable[[], None]):
+        self._rig, self._look = rig, look
+
+    @property
+    def layout(self) -> RigLayout:
+        return self._rig.layout
+
+    @property
+    def limits(self) -> SafetyLimits | None:
+        return self._rig.limits
+
+    @property
+    def health(self) -> Health:
+        return self._rig.health
+
+    def connect(self) -> None:
+        self._rig.connect()
+
+    def read(self) -> Reading:
+        reading = self._rig.read()
+        self._look()
+        return reading
+
+    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+        return self._rig.write(torque_1, torque_2)
+
+    def close(self) -> None:
+        self._rig.close()

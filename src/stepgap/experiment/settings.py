@@ -1,0 +1,215 @@
+"""Every setting of an experiment: read strictly from TOML and the command line, written back resolved."""
+
+import csv
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from stepgap.base.files import write_whole
+from stepgap.base.settings_file import (
+    LARGEST_FILE,
+    InputError,
+    Place,
+    located,
+    merge,
+    read_toml,
+    shown,
+    to_table,
+    with_table,
+)
+from stepgap.control.reference import Reference, paper_reference, read_reference
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log, text_of
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.step import StepSpace
+
+PAPER = "paper"
+"""Name of the built-in reference."""
+
+TWIN, EMULATED_RING = "twin", "emulated-ring"
+"""Plants that are simulated; all others are rigs by their name."""
+
+WARM_START = "warm_start.csv"
+"""In a run's folder, the steps that were known before its first deployment."""
+
+PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": RealityGap.none}
+"""What `[gap] preset` may name; a preset sets every difference before single keys change some."""
+
+SHORT_OPTIONS = {
+    "learning.iterations": "iterations",
+    "learning.calibration": "calibrate",
+    "learning.online": "online",
+    "warm_start": "warm-start",
+}
+"""Options of the command line whose name is not that of the setting."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """All settings; the names are those of the TOML file.
+
+    Attributes:
+        seed: Of all randomness.
+        reference: `paper`, or a CSV file of targets, relative to the experiment's file.
+        plant: `twin`, `emulated-ring` (the twin on an EtherCAT bus in software), or the name of a rig.
+        rig: File that describes that rig, relative to the experiment's file.
+        warm_start: Folder of a run whose steps are known before the first deployment, or a `steps.csv`, relative to the
+            experiment's file; empty: nothing is known.
+        robot: The robot as the physics model takes it.
+        gains: Joint controller.
+        command: Bounds of the step command.
+        learning: How often is learnt, and what.
+        gap: How the twin differs from the model.
+    """
+
+    seed: int = 0
+    reference: str = PAPER
+    plant: str = TWIN
+    rig: str = ""
+    warm_start: str = ""
+    robot: RobotParameters = field(default_factory=RobotParameters)
+    gains: Gains = field(default_factory=Gains)
+    command: CommandBounds = field(default_factory=CommandBounds)
+    learning: LearningSettings = field(default_factory=LearningSettings)
+    gap: RealityGap = field(default_factory=RealityGap)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**63:
+            raise ValueError(f"seed = {shown(self.seed)}, but it must lie between 0 and 2⁶³")
+
+
+def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()) -> Experiment:
+    """The experiment of a file with single settings overridden.
+
+    Args:
+        path: TOML file; None for the defaults.
+        overrides: Dotted name and value as TOML, such as ("gains.stiffness", "2400").
+
+    Raises:
+        InputError: Naming file, key and what would be right.
+    """
+    experiment = Experiment()
+    if path is not None:
+        experiment = _changed(experiment, read_toml(path, "an experiment"), lambda name: f"{path}: {with_table(name)}")
+        if experiment.reference != PAPER:
+            experiment = replace(experiment, reference=str(path.parent / experiment.reference))
+        if experiment.rig:
+            experiment = replace(experiment, rig=str(path.parent / experiment.rig))
+        if experiment.warm_start:
+            experiment = replace(experiment, warm_start=str(path.parent / experiment.warm_start))
+    table: dict[str, Any] = {}
+    for name, value in overrides:
+        _set(table, name.replace("-", "_").split("."), _parse_value(value))
+    return _changed(experiment, table, lambda name: f"--{SHORT_OPTIONS.get(name, name)}")
+
+
+def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
+    """The targets to track.
+
+    Raises:
+        InputError: The file is missing or is not a reference.
+    """
+    if experiment.reference == PAPER:
+        return paper_reference()
+    path, wanted = Path(experiment.reference), f"reference must be '{PAPER}' or a CSV file of targets"
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes; {wanted}")
+        return read_reference(path, space)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; {wanted}") from None
+    except csv.Error as error:
+        raise InputError(f"{path}: {error}; {wanted}") from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
+    """The steps known before the first deployment: those of the run to start from, after those it started from itself.
+
+    Raises:
+        InputError: It is no run, one of another state and command, or one without a step.
+    """
+    if not experiment.warm_start:
+        return StepLog(space)
+    path, wanted = Path(experiment.warm_start), "a warm start needs the folder of a run, or its steps.csv"
+    earlier = [path / WARM_START] if (path / WARM_START).is_file() else []
+    files = [*earlier, path / "steps.csv"] if path.is_dir() else [path]
+    try:
+        known = joined([read_step_log(file, space) for file in files])
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror}; {wanted}") from None
+    except RecordError as error:
+        raise InputError(f"{error}; {wanted}, of the same state and command") from None
+    if not len(known):
+        raise InputError(f"{files[-1]}: no step yet; {wanted} with at least one step")
+    return known
+
+
+def write_experiment(folder: Path, experiment: Experiment, reference: Reference, known: StepLog | None = None) -> None:
+    """Writes every setting to `experiment.toml`, so that the file reruns the experiment.
+
+    A reference from a file, and steps known before, are copied into the folder, so that the folder is complete. A rig's
+    file is not: it belongs to the machine on which it was checked.
+    """
+    if experiment.rig:
+        experiment = replace(experiment, rig=str(Path(experiment.rig).resolve()))
+    if experiment.reference != PAPER:
+        rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
+        write_whole(folder / "reference.csv", "\n".join(rows) + "\n")
+        experiment = replace(experiment, reference="reference.csv")
+    if known:
+        write_whole(folder / WARM_START, text_of(known))
+        experiment = replace(experiment, warm_start=WARM_START)
+    write_whole(folder / "experiment.toml", tomli_w.dumps(to_table(experiment)))
+
+
+def _parse_value(text: str) -> Any:
+    """The TOML value that `text` spells; a bare word is a string."""
+    try:
+        table = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return table["value"] if len(table) == 1 else text
+
+
+def _set(table: dict[str, Any], keys: list[str], value: Any) -> None:
+    """Sets the entry of nested tables that dotted keys lead to."""
+    for key in keys[:-1]:
+        inner = table.get(key)
+        table[key] = inner if isinstance(inner, dict) else {}
+        table = table[key]
+    table[keys[-1]] = value
+
+
+def _changed(experiment: Experiment, table: Mapping[str, Any], place: Place) -> Experiment:
+    """The experiment with the values of a TOML table; InputError if it is none then."""
+    experiment = merge(*_with_preset(experiment, table, place), place, more=("gap.preset",))
+    try:
+        experiment.gains.check(experiment.robot)
+    except ValueError as error:
+        raise located(error, place, "gains.") from None
+    return experiment
+
+
+def _with_preset(
+    experiment: Experiment, table: Mapping[str, Any], place: Place
+) -> tuple[Experiment, Mapping[str, Any]]:
+    """The experiment with the gap that `[gap] preset` names, and the table without that key."""
+    gap = table.get("gap")
+    if not isinstance(gap, Mapping) or "preset" not in gap:
+        return experiment, table
+    name = gap["preset"]
+    if name not in list(PRESETS):
+        close = get_close_matches(str(name), PRESETS, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        wanted = " or ".join(f"'{known}'" for known in PRESETS)
+        raise InputError(f"{place('gap.preset')} = {shown(name)}, but it must be {wanted}{hint}")
+    rest = {key: value for key, value in gap.items() if key != "preset"}
+    return replace(experiment, gap=PRESETS[name]()), {**table, "gap": rest}

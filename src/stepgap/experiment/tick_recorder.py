@@ -1,0 +1,90 @@
+"""Ticks of a run that goes on: which hop they belong to, and those that its report will show."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from stepgap.experiment.loop import Deployment, Observer
+from stepgap.learning.step_log import LoggedStep
+from stepgap.plants.phases import Phase
+from stepgap.plants.tick import TICK_UNITS, Tick
+from stepgap.plants.ticks.tick_table import TickTable
+
+
+class HopCount:
+    """Which hop of which deployment goes on.
+
+    Attributes:
+        iteration: Number of the deployment.
+        hop: 0 is the one with which the robot is let go, k the k-th recorded step of the deployment.
+    """
+
+    def __init__(self) -> None:
+        self.iteration, self.hop, self._phase = 0, 0, Phase.FALLING
+
+    def on_tick(self, tick: Tick) -> None:
+        """The tick is over; no step is recorded of the first hop, which ends with the first apex."""
+        if self.hop == 0 and tick.phase == Phase.FALLING != self._phase:
+            self.hop = 1
+        self._phase = tick.phase
+
+    def observing(self, observer: Observer) -> Observer:
+        """The observer, whose steps and deployments are counted after it has been told of them."""
+
+        def on_step(logged: LoggedStep) -> None:
+            observer.on_step(logged)
+            self.hop += 1
+
+        def on_deployment(deployment: Deployment) -> None:
+            observer.on_deployment(deployment)
+            self.iteration, self.hop, self._phase = deployment.iteration + 1, 0, Phase.FALLING
+
+        return replace(observer, on_step=on_step, on_deployment=on_deployment)
+
+
+class TickRecorder:
+    """Keeps ticks of deployment 0 and of the latest one, as far as they were executed since it was made.
+
+    Args:
+        every: One of so many ticks is kept.
+    """
+
+    def __init__(self, every: int):
+        self._every, self._hops, self._count, self._before = every, HopCount(), 0, 0
+        self._rows: list[tuple[float, ...]] = []
+        self._kept: dict[int, TickTable] = {}
+
+    @property
+    def kept(self) -> Mapping[int, TickTable]:
+        """By the number of the deployment: the fields of a tick, and `step`, the number of the step it belongs to."""
+        return self._kept
+
+    def on_tick(self, tick: Tick) -> None:
+        """A tick is over."""
+        if self._count % self._every == 0:
+            self._rows.append((*tick.row(), self._hops.hop))
+        self._count += 1
+        self._hops.on_tick(tick)
+
+    def observing(self, observer: Observer) -> Observer:
+        """The observer, from which steps and deployments are learnt here as well."""
+
+        def on_step(logged: LoggedStep) -> None:
+            self._before = logged.step - self._hops.hop
+            observer.on_step(logged)
+
+        def on_deployment(deployment: Deployment) -> None:
+            self._keep(deployment.iteration)
+            observer.on_deployment(deployment)
+
+        return self._hops.observing(replace(observer, on_step=on_step, on_deployment=on_deployment))
+
+    def _keep(self, iteration: int) -> None:
+        """Takes over the ticks of a deployment, if there are any: one that was recorded earlier has none."""
+        rows, self._rows, self._count = np.array(self._rows), [], 0
+        if not len(rows):
+            return
+        rows[:, -1] += self._before
+        self._kept = {number: ticks for number, ticks in self._kept.items() if number == 0}
+        self._kept[iteration] = TickTable({**TICK_UNITS, "step": ""}, rows)

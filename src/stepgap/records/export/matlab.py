@@ -1,0 +1,86 @@
+"""A run as a MAT-file (version 5), which MATLAB and Octave load: structs of columns."""
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from scipy.io import savemat
+
+from stepgap.base.settings_file import LARGEST_WHOLE, InputError
+from stepgap.records.export.columns import Column
+from stepgap.records.run_folder import RunRecord
+from stepgap.records.summary import MEASURES, Summary
+
+LONGEST_NAME = 63
+"""Of a field in MATLAB."""
+
+
+def matlab_file(record: RunRecord, columns: Sequence[Column]) -> bytes:
+    """The file, with the variables `steps`, `units`, `meanings`, `settings` and `summary`.
+
+    Raises:
+        InputError: A column or setting has a name that MATLAB cannot have.
+    """
+    variables: dict[str, Any] = {
+        "steps": {column.name: _column(column.values) for column in columns},
+        "units": {column.name: column.unit for column in columns},
+        "meanings": {column.name: column.meaning for column in columns},
+        "settings": _struct(tomllib.loads(record.settings or "")),
+        "summary": _summary(record.summary, record.space.state_names),
+    }
+    _check_names(variables)
+    stream = BytesIO()
+    savemat(stream, variables, long_field_names=True, oned_as="column")
+    return stream.getvalue()
+
+
+def _column(values: np.ndarray) -> np.ndarray:
+    """Numbers as doubles; words as a cell array."""
+    return values.astype(object if values.dtype.kind == "U" else float)
+
+
+def _struct(table: Mapping[str, Any]) -> dict[str, Any]:
+    """TOML as structs; lists, of which no experiment has one, as cell arrays."""
+    return {name: _value(value) for name, value in table.items()}
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return _struct(value)
+    if isinstance(value, list):
+        return np.array([_value(each) for each in value] + [None], dtype=object)[:-1]
+    if isinstance(value, bool | float):
+        return value
+    return float(value) if isinstance(value, int) and abs(value) < LARGEST_WHOLE else str(value)
+
+
+def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
+    """Errors of the finished deployments as columns, one number each."""
+    done = summary.deployments
+    count = {
+        name: _column(np.array([getattr(each, name) for each in done])) for name in ("iteration", "steps", "falls")
+    }
+    errors = {
+        measure: {name: np.array([each.errors[measure][i] for each in done], float) for i, name in enumerate(names)}
+        for measure in MEASURES
+    }
+    spread = np.full(len(names), np.nan) if summary.repeatability is None else summary.repeatability
+    return {
+        **count,
+        "residual": np.array([each.residual for each in done], dtype=object),
+        **errors,
+        "repeatability": dict(zip(names, spread.tolist(), strict=True)),
+        "seed": np.nan if summary.seed is None else float(summary.seed),
+        "versions": _struct(dict(summary.versions)),
+    }
+
+
+def _check_names(struct: Mapping[str, Any]) -> None:
+    for name, value in struct.items():
+        if not re.fullmatch(f"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_NAME - 1}}}", name):
+            raise InputError(f"{name!r:.80}: MATLAB has no such names; export to csv instead")
+        if isinstance(value, Mapping):
+            _check_names(value)

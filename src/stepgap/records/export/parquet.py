@@ -1,0 +1,33 @@
+"""Steps as a Parquet file, for data frames; unit and meaning of a column are in its metadata."""
+
+from collections.abc import Sequence
+from importlib import import_module
+from io import BytesIO
+from typing import Any
+
+from stepgap.base.settings_file import InputError
+from stepgap.records.export.columns import Column
+
+
+def parquet_file(columns: Sequence[Column]) -> bytes:
+    """The file.
+
+    Raises:
+        InputError: pyarrow is not installed.
+    """
+    arrow, parquet = _module("pyarrow"), _module("pyarrow.parquet")
+    arrays = [arrow.array(column.values) for column in columns]
+    fields = [
+        arrow.field(column.name, array.type, metadata={"unit": column.unit, "meaning": column.meaning})
+        for column, array in zip(columns, arrays, strict=True)
+    ]
+    stream = BytesIO()
+    parquet.write_table(arrow.Table.from_arrays(arrays, schema=arrow.schema(fields)), stream)
+    return stream.getvalue()
+
+
+def _module(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError:
+        raise InputError("--to parquet needs pyarrow: ./go uv pip install 'stepgap[parquet]'") from None

@@ -1,0 +1,48 @@
+"""Ticks of a run as MCAP files, which Foxglove and PlotJuggler open."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from stepgap.plants.ticks.tick_log import TickLog, TickLogError, read_ticks, recover_ticks
+from stepgap.plants.ticks.tick_table import TickTable
+
+
+def write_ticks(ticks: TickTable, out: Path) -> None:
+    """Writes a new file.
+
+    Raises:
+        TickLogError: It exists or cannot be written.
+    """
+    with TickLog(out, ticks.units) as log:
+        try:
+            log.append(ticks.rows)
+        except BaseException:
+            out.unlink()  # a part of the ticks would look like all of them
+            raise
+
+
+def copy_ticks(logs: Path, out: Path) -> Iterator[str]:
+    """Copies the tick logs of a rig's run into a new folder, what is whole of those that are broken; says of each.
+
+    Raises:
+        OSError: A file cannot be read or written.
+    """
+    out.mkdir(parents=True)
+    for log in sorted(logs.glob("*.mcap")):
+        copy = out / log.name
+        try:
+            read_ticks(log)
+        except TickLogError:
+            yield _recovered(log, copy)
+        else:
+            shutil.copyfile(log, copy)
+            yield str(copy)
+
+
+def _recovered(log: Path, copy: Path) -> str:
+    try:
+        ticks, faults = recover_ticks(log, copy)
+    except TickLogError as error:
+        return f"left out: {error}"
+    return f"{copy} ({ticks} ticks recovered: {'; '.join(faults)})"

@@ -1,0 +1,53 @@
+"""What is left of records that were cut off or damaged: `steps.csv`, and logs of ticks."""
+
+from pathlib import Path
+
+from mcap.writer import MCAP0_MAGIC
+
+from stepgap.base.settings_file import InputError
+from stepgap.learning.step_log import recover_steps, text_of
+from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
+from stepgap.records.run_folder import space_of_header
+
+
+def recover(path: Path, out: Path) -> list[str]:
+    """Writes what is whole of a file into a new one, and says what that is; the file itself stays as it is.
+
+    Raises:
+        InputError: Nothing can be recovered, or `out` exists or cannot be written.
+    """
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: this is no file; give a steps.csv or an .mcap file")
+    try:
+        return _recover_ticks(path, out) if _is_tick_log(path) else _recover_steps(path, out)
+    except FileExistsError:
+        raise InputError(f"{out}: exists already; choose another --out") from None
+    except OSError as error:
+        raise InputError(f"{error.filename or path}: {error.strerror}") from None
+    except (ValueError, TickLogError) as error:
+        raise InputError(str(error)) from None
+
+
+def _is_tick_log(path: Path) -> bool:
+    with path.open("rb") as file:
+        return path.suffix == ".mcap" or file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+
+
+def _recover_ticks(path: Path, out: Path) -> list[str]:
+    ticks, faults = recover_ticks(path, out)
+    return [*(f"{path}: {fault}" for fault in faults), _counted(ticks, "tick", bool(faults))]
+
+
+def _recover_steps(path: Path, out: Path) -> list[str]:
+    steps, fault = recover_steps(path, space_of_header(path))
+    if not len(steps):
+        raise InputError(f"{path}: no whole step in it")
+    with out.open("x", encoding="utf-8") as file:
+        file.write(text_of(steps))
+    return [*([fault] if fault else []), _counted(len(steps), "step", bool(fault))]
+
+
+def _counted(count: int, what: str, broken: bool) -> str:
+    return (
+        f"{count} {what}{'' if count == 1 else 's'} {'recovered' if broken else 'copied: nothing is wrong with them'}"
+    )

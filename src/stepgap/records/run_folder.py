@@ -1,0 +1,170 @@
+"""A run folder read strictly: what was executed, how well it tracked, and with which settings.
+
+The folder may still be growing: `steps.csv` may hold steps of a deployment that `summary.json` does not know yet.
+"""
+
+import tomllib
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.control.reference import paper_reference
+from stepgap.learning.step_log import StepLog, column_names, digest, read_step_log
+from stepgap.records.paper import STATE_NAMES, UNITS
+from stepgap.records.summary import LARGEST_NUMBER, FinishedDeployment, Summary, read_summary, read_text
+from stepgap.step import Array, Quantity, StepSpace
+
+LARGEST_SETTINGS = 2**18
+"""Largest `experiment.toml` that is shown [bytes]."""
+
+LONGEST_HEADER = 2**14
+"""Longest first line of `steps.csv` [bytes]."""
+
+MOST_COORDINATES = 12
+"""State coordinates at most; each has a figure of its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunRecord:
+    """What a run folder says.
+
+    Attributes:
+        folder: Where it was read.
+        space: Names and units of state and command; a unit may be empty, the bounds mean nothing.
+        steps: Every step recorded; at least one.
+        summary: Errors of the deployments that are finished.
+        settings: Text of `experiment.toml`; None if there is none.
+    """
+
+    folder: Path
+    space: StepSpace
+    steps: StepLog
+    summary: Summary
+    settings: str | None
+
+    @property
+    def deployments(self) -> tuple[FinishedDeployment, ...]:
+        """The finished ones, rising."""
+        return self.summary.deployments
+
+    @property
+    def repeatability(self) -> Array:
+        """Spread of the next state at equal state and command, NaN where unknown; shape (n,)."""
+        spread = self.summary.repeatability
+        return np.full(len(self.space.state), np.nan) if spread is None else spread
+
+    @property
+    def shown(self) -> list[int]:
+        """Iterations that figures show: the finished ones, or while there are none, those with steps."""
+        return [deployment.iteration for deployment in self.deployments] or self.steps.iterations
+
+    @property
+    def like_paper(self) -> bool:
+        """Whether it tracked the paper's state along the paper's reference, so that the paper's errors compare."""
+        if self.space.state_names != STATE_NAMES:
+            return False
+        wanted, fell = paper_reference().targets, {each.iteration for each in self.deployments if each.falls}
+        for number in self.steps.iterations:
+            targets = self.steps.of_iteration(number).tracking().target
+            broken_off = number in fell or number in self.unfinished
+            if not np.array_equal(targets, wanted[: len(targets)]) or not (broken_off or len(targets) == len(wanted)):
+                return False
+        return True
+
+    @property
+    def unfinished(self) -> dict[int, int]:
+        """Number of steps recorded of each deployment that is not in `summary.json`."""
+        finished = {deployment.iteration for deployment in self.deployments}
+        return {
+            number: len(self.steps.of_iteration(number)) for number in self.steps.iterations if number not in finished
+        }
+
+
+def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
+    """Reads `steps.csv`, and where they are there, `summary.json` and `experiment.toml`.
+
+    Args:
+        folder: The run folder.
+        space: Names and units of state and command; by default those of the header of `steps.csv`.
+
+    Raises:
+        ValueError: A file is not what it must be; the message names it and says what would be right.
+        OSError: The folder or a file cannot be read.
+    """
+    path = folder / "steps.csv"
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file; {folder} must be the folder of a run, which holds it")
+    space = space or space_of_header(path)
+    summary = read_summary(folder / "summary.json", space.state_names)  # before the steps, which only grow meanwhile
+    steps = _read_steps(path, space)
+    _check_same_run(summary, steps, folder / "summary.json")
+    return RunRecord(folder, space, steps, summary, _read_settings(folder / "experiment.toml"))
+
+
+def space_of_header(path: Path) -> StepSpace:
+    """Names of state and command as the header of `steps.csv` gives them.
+
+    The file does not know bounds, so that they are −1 and 1, nor units, so that they are the paper's for the
+    coordinates that it has, and empty for others.
+
+    Raises:
+        ValueError: The first line is not a header of a step log.
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        header = file.readline(LONGEST_HEADER).decode(errors="replace").rstrip("\r\n").split(",")
+    if header == [""]:
+        raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
+    for n in range(1, min(MOST_COORDINATES, len(header) // 5) + 1):
+        m = (len(header) - 4 - 5 * n) // 2
+        state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
+        space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)))
+        if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
+            return space
+    raise ValueError(
+        f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
+        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, place_after, "
+        "status"
+    )
+
+
+def _coordinate(name: str) -> Quantity:
+    return Quantity(name, UNITS.get(name, ""), -1.0, 1.0)
+
+
+def _read_steps(path: Path, space: StepSpace) -> StepLog:
+    """The steps, checked to be of a size that can be drawn."""
+    steps = read_step_log(path, space)
+    if not len(steps):
+        raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
+    columns = np.hstack([steps.state, steps.target, steps.next_state, steps.predicted, steps.std])
+    if (np.abs(columns[np.isfinite(columns)]) > LARGEST_NUMBER).any() or (steps.std < 0).any():
+        raise ValueError(
+            f"{path}: a state is beyond ±{LARGEST_NUMBER:g} or an std_… negative; both must be in SI units"
+        )
+    return steps
+
+
+def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
+    """Raises ValueError unless the summary is of these steps, or of the first of them."""
+    for deployment in summary.deployments:
+        rows = steps.of_iteration(deployment.iteration)
+        if (len(rows), rows.falls) != (deployment.steps, deployment.falls):
+            raise ValueError(
+                f"{path}: deployment {deployment.iteration} has {deployment.steps} steps and {deployment.falls} falls, "
+                f"in steps.csv {len(rows)} and {rows.falls}; both must be of one run"
+            )
+    count = sum(deployment.steps for deployment in summary.deployments)
+    if summary.steps_sha256 and summary.steps_sha256 != digest(StepLog(steps.space, islice(steps, count))):
+        raise ValueError(f"{path}: steps.csv was changed after it was written; both must be of one run")
+
+
+def _read_settings(path: Path) -> str | None:
+    text = read_text(path, LARGEST_SETTINGS)
+    try:
+        tomllib.loads(text or "")
+    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
+        raise ValueError(f"{path}: not TOML ({error}); it must be the file that the run wrote") from None
+    return text

@@ -1,0 +1,1 @@
+"""Which machine: one folder per robot."""

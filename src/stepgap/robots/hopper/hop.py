@@ -1,0 +1,230 @@
+"""One hop of the model: apex → touchdown → mid-stance → take-off → next apex (Fig. 2).
+
+The chain of smooth pieces and what ends each of them; `hybrid.integrator` moves along a piece of the reduced motion.
+The hop is cut at mid-stance, where the command sets in: `descend` knows nothing of it, `ascend` does the rest.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stepgap.base.compiled import compiled, implements
+from stepgap.hybrid.integrator import BROKEN, Tolerance, integrate, retrace, rewind
+from stepgap.hybrid.motion import observe, rate, slopes
+from stepgap.hybrid.rosenbrock import difference_slopes
+from stepgap.robots.hopper.dynamics import impact, terms
+from stepgap.robots.hopper.joint_control import landing_posture
+from stepgap.robots.hopper.leg import foot, four_bar
+from stepgap.robots.hopper.reduced import (
+    Flight,
+    Hip,
+    Stance,
+    flight_motion,
+    flight_of,
+    hip_in_flight,
+    piece_guards,
+    stance_motion,
+)
+from stepgap.step import Reason
+
+CONTACT, RISING, FALLING_OVER, STRETCHING, MOTOR_1, MOTOR_2 = range(6)  # guards, as `piece_guards` has them
+
+SCUFF_DEPTH = 1e-4  # how far the foot may dip below the ground as it leaves it [m]
+FLIGHT_LIMIT, STANCE_LIMIT = 2.0, 1.0  # longest phases [s]
+MOST_PIECES = 100  # of one phase
+STANDSTILL = 1e-9  # ẏ that a body may have by rounding alone [m/s]
+FIRST_STEP = 3e-3  # tried at the start of a phase [s]
+
+OK = int(Reason.OK)
+FELL = int(Reason.FELL)
+NO_TAKE_OFF = int(Reason.NO_TAKE_OFF)
+FULL_STRETCH = int(Reason.FULL_STRETCH)
+FOOT_SCUFFED = int(Reason.FOOT_SCUFFED)
+NO_APEX = int(Reason.NO_APEX)
+INVALID = int(Reason.INVALID)
+
+
+class Tolerances(NamedTuple):
+    """Local error per step in flight and in stance."""
+
+    flight: Tolerance
+    stance: Tolerance
+
+
+@implements(rate, Flight)
+def _flight_rate(system, state):
+    return flight_motion(system, 0.0, state)[0]
+
+
+@implements(observe, Flight)
+def _flight_observe(system, time, state):
+    motion, hip, clearance, torques = flight_motion(system, time, state)
+    return motion, piece_guards(system, clearance + system.depth, hip, state, torques)
+
+
+@implements(slopes, Flight)
+def _flight_slopes(system, state, here):
+    return difference_slopes(system, state, here)
+
+
+@implements(rate, Stance)
+def _stance_rate(system, state):
+    return stance_motion(system, state)[0]
+
+
+@implements(observe, Stance)
+def _stance_observe(system, time, state):
+    motion, hip, force, torques = stance_motion(system, state)
+    return motion, piece_guards(system, force, hip, state, torques)
+
+
+@implements(slopes, Stance)
+def _stance_slopes(system, state, here):
+    return None
+
+
+def switched(system, time, state, motor) -> Any:
+    """The system after motor 1 or 2 has begun or ceased to saturate."""
+    raise TypeError(f"{type(system).__name__} has no motors")
+
+
+@compiled
+def _next_mode(mode, torque):
+    """Of a motor that switches while its law asks for this torque."""
+    return 0.0 if mode != 0.0 else np.sign(torque)
+
+
+@implements(switched, Flight)
+def _flight_switched(system, time, state, motor):
+    s, torques = system, flight_motion(system, time, state)[3]
+    mode_1 = _next_mode(s.mode_1, torques[0]) if motor == 1 else s.mode_1
+    mode_2 = _next_mode(s.mode_2, torques[1]) if motor == 2 else s.mode_2
+    return Flight(s.masses, s.law, s.side, s.depth, s.momentum_x, s.momentum_y, s.moment_y, mode_1, mode_2)
+
+
+@implements(switched, Stance)
+def _stance_switched(system, time, state, motor):
+    s, torques = system, stance_motion(system, state)[3]
+    mode_1 = _next_mode(s.mode_1, torques[0]) if motor == 1 else s.mode_1
+    mode_2 = _next_mode(s.mode_2, torques[1]) if motor == 2 else s.mode_2
+    return Stance(s.masses, s.law, s.side, s.force_x, s.force_y, mode_1, mode_2)
+
+
+@compiled
+def _run_phase(system, state, time_limit, tolerance, trace, again):
+    """Goes on through saturation switches until the contact changes or ẏ changes sign.
+
+    Args:
+        system: `Flight` or `Stance` with both motors obeying their laws.
+        state: Leg angles and rates at the start.
+        time_limit: Longest duration [s].
+        tolerance: `Tolerance`.
+        trace: `Trace`.
+        again: Whether to retrace the steps of a neighbouring motion; then nothing can fail.
+
+    Returns:
+        (reason, event, time, state): OK and CONTACT or RISING, or a reason that is common to both phases.
+    """
+    guards, time, event, h = observe(system, 0.0, state)[1], 0.0, BROKEN, FIRST_STEP
+    if guards[MOTOR_1] <= 0.0:
+        system = switched(system, time, state, 1)
+    if guards[MOTOR_2] <= 0.0:
+        system = switched(system, time, state, 2)
+    guards = observe(system, 0.0, state)[1]
+    if not again:
+        if guards[FALLING_OVER] <= 0.0:
+            return FELL, event, time, state
+        if guards[STRETCHING] <= 0.0:
+            return FULL_STRETCH, event, time, state
+        if guards[CONTACT] <= 0.0:  # the ground never pulls: a stance that begins without load ends at once
+            return OK, CONTACT, time, state
+    for _ in range(MOST_PIECES):
+        if again:
+            time, state, event = retrace(system, time, state, trace)
+        else:
+            time, state, event, h = integrate(system, time, state, time_limit, tolerance, h, trace)
+        if event != MOTOR_1 and event != MOTOR_2:
+            break
+        system = switched(system, time, state, 1 if event == MOTOR_1 else 2)
+    if event == CONTACT or event == RISING:
+        return OK, event, time, state
+    reason = FELL if event == FALLING_OVER else FULL_STRETCH if event == STRETCHING else NO_APEX
+    return reason, event, time, state
+
+
+@compiled
+def descend(masses, law, tolerances, speed, height, trace, again):
+    """From the apex through the impact to mid-stance, where ẏ = 0.
+
+    Args:
+        masses: `Masses`.
+        law: `JointLaw`.
+        tolerances: `Tolerances`.
+        speed: Forward speed at the apex ẋ [m/s]; the leg is at rest in its landing posture.
+        height: Hip height at the apex y [m].
+        trace: `Trace` for the steps.
+        again: Whether to retrace the steps it holds.
+
+    Returns:
+        (reason, state): `Reason` as an integer, and leg angles and rates at mid-stance.
+    """
+    rewind(trace)
+    alpha_1, alpha_2 = landing_posture(law, speed)
+    state = (alpha_1, alpha_2, 0.0, 0.0)
+    if not np.isfinite(speed + height):
+        return INVALID, state
+    falling = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
+    if not again and observe(falling, 0.0, state)[1][CONTACT] <= 0.0:
+        return FOOT_SCUFFED, state
+    reason, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
+    if reason != OK or event != CONTACT:
+        return reason if reason != OK else NO_APEX, state
+
+    bar = four_bar(masses.leg, state[1])
+    toe, m = foot(masses.leg, bar, state[0]), terms(masses, bar, state[0], state[1], state[2], state[3])
+    hip = hip_in_flight(falling, m, time, state)
+    _, speed_y, rate_1, rate_2 = impact(m, toe, hip.speed_x, hip.speed_y, state[2], state[3])
+    state = (state[0], state[1], rate_1, rate_2)
+    if speed_y >= 0.0:
+        return OK, state
+    loading = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
+    reason, event, _, state = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, trace, again)
+    if reason == NO_APEX or event == CONTACT:
+        reason = NO_TAKE_OFF
+    return reason, state
+
+
+@compiled
+def ascend(masses, law, tolerances, state, force_x, force_y, trace, again):
+    """From mid-stance, where the command sets in, through take-off to the next apex.
+
+    Args:
+        masses: `Masses`.
+        law: `JointLaw`.
+        tolerances: `Tolerances`.
+        state: Leg angles and rates at mid-stance.
+        force_x: Forward command force [N].
+        force_y: Upward command force [N].
+        trace: `Trace` for the steps.
+        again: Whether to retrace the steps it holds.
+
+    Returns:
+        (reason, next speed, next height): `Reason` as an integer; NaN if there is no next apex.
+    """
+    rewind(trace)
+    pushing = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
+    if not np.isfinite(force_x + force_y):
+        return INVALID, np.nan, np.nan
+    reason, event, _, state = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, trace, again)
+    hip = stance_motion(pushing, state)[1]
+    if reason == NO_APEX or (reason == OK and (event == RISING or hip.speed_y <= STANDSTILL)):
+        reason = NO_TAKE_OFF
+    if reason != OK:
+        return reason, np.nan, np.nan
+
+    rising = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
+    reason, event, time, state = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
+    if reason != OK or event == CONTACT:
+        return FOOT_SCUFFED if reason == OK else reason, np.nan, np.nan
+    _, hip, _, _ = flight_motion(rising, time, state)
+    return OK, hip.speed_x, hip.height

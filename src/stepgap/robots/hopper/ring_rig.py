@@ -1,0 +1,134 @@
+"""The twin behind an emulated ring as a `Rig`: the whole path of a robot on EtherCAT, tried without hardware."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+
+from stepgap.rigs.ethercat.emulator.drive import ELMO_GOLD
+from stepgap.rigs.ethercat.emulator.emulator import emulated
+from stepgap.rigs.ethercat.emulator.machine import Machine
+from stepgap.rigs.ethercat.emulator.network import NoNetwork
+from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLER_IDENTITY, ENCODER_IDENTITY
+from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.ethercat.rig_settings import Contact, Encoder, Motor, RigSettings, Slave
+from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import RobotParameters
+
+INTERFACE = "stepgap0"
+"""Name of the network interface that a master opens."""
+
+PATIENT_REPLY = 0.2
+"""How long a frame of a ring in lock-step is waited for [s]; its time stands still meanwhile."""
+
+PATIENT_WATCHDOG = 0.5
+"""The longest; a ring in lock-step counts its own ticks."""
+
+_DEVICES = (
+    ("drive_1", ELMO_GOLD, "elmo-cst"),
+    ("drive_2", ELMO_GOLD, "elmo-cst"),
+    ("coupler", COUPLER_IDENTITY, "none"),
+    ("boom_horizontal", ENCODER_IDENTITY, "beckhoff-el5151"),
+    ("boom_vertical", ENCODER_IDENTITY, "beckhoff-el5151"),
+    ("contact_force", ANALOG_IDENTITY, "analog-input"),
+)
+"""The slaves of `ring.robot_devices` and their sets of PDOs."""
+
+
+def emulated_settings(
+    layout: RigLayout, robot: RobotParameters, ring: RingSettings, interface: str = INTERFACE
+) -> RigSettings:
+    """What `rig.toml` says of an emulated ring, whose encoders all count from zero, forward positive.
+
+    Args:
+        layout: Of the twin behind the ring.
+        robot: Whose torque limit the motors have, as far as the drives give it.
+        ring: How the ring is made up.
+        interface: That a master opens.
+    """
+    rated = ring.rated_torque / 1000
+    most = min(robot.torque_limit, rated * ring.largest_torque / 1000)
+
+    def motor(slave: str) -> Motor:
+        return Motor(slave=slave, counts_per_turn=layout.motor_counts, rated_torque=rated, torque_limit=most)
+
+    return RigSettings(
+        interface=interface,
+        pivot_height=layout.pivot_height,
+        slaves=tuple(
+            Slave(name=name, vendor=identity.vendor, product=identity.product, pdos=pdos)
+            for name, identity, pdos in _DEVICES
+        ),
+        motor_1=motor("drive_1"),
+        motor_2=motor("drive_2"),
+        boom_horizontal=Encoder(slave="boom_horizontal", counts_per_turn=layout.boom_counts_horizontal),
+        boom_vertical=Encoder(slave="boom_vertical", counts_per_turn=layout.boom_counts_vertical),
+        contact=Contact(
+            slave="contact_force",
+            newton_per_count=ring.force_resolution,
+            touchdown_force=layout.touchdown_force,
+            takeoff_length=layout.takeoff_length,
+        ),
+        limits=SafetyLimits(torque=most, lost_frames=5, stale_ticks=5, late_ticks=40),  # nothing here can break
+        tick=layout.tick,
+        reply_timeout=PATIENT_REPLY if ring.lock_step else layout.tick / 2,
+        watchdog=PATIENT_WATCHDOG if ring.lock_step else 0.05,
+    )
+
+
+class RingRig(Rig):
+    """A machine behind an emulated ring that runs in a process of its own while the rig is connected.
+
+    Args:
+        make_machine: Makes what the drives move, in that process; it must be possible to pickle it.
+        ring: How the ring is made up and how it passes frames.
+        settings: What the master is told of it.
+        robot: Its boom gives the layout.
+    """
+
+    def __init__(
+        self, make_machine: Callable[[], Machine], ring: RingSettings, settings: RigSettings, robot: RobotParameters
+    ):
+        self._make_machine, self._ring, self._settings, self._robot = make_machine, ring, settings, robot
+        self._rig, self._running = EthercatRig(settings, robot), ExitStack()
+
+    @property
+    def layout(self) -> RigLayout:
+        """How to read the counts."""
+        return self._rig.layout
+
+    @property
+    def limits(self) -> SafetyLimits:
+        """The settings'."""
+        return self._rig.limits
+
+    @property
+    def health(self) -> Health:
+        """Whether the last frame was lost."""
+        return self._rig.health
+
+    def connect(self) -> None:
+        """Starts the ring, its machine in its starting pose, and brings it up as a real one.
+
+        Raises:
+            RigFault: There can be no ring here, with what to do about it; or as for `EthercatRig`.
+        """
+        self.close()
+        try:
+            self._running.enter_context(emulated(self._settings.interface, self._make_machine, self._ring))
+        except NoNetwork as reason:
+            raise RigFault(str(reason)) from None
+        self._rig = EthercatRig(self._settings, self._robot)
+        self._running.enter_context(self._rig)
+
+    def read(self) -> Reading:
+        """As `EthercatRig.read`."""
+        return self._rig.read()
+
+    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+        """As `EthercatRig.write`."""
+        return self._rig.write(torque_1, torque_2)
+
+    def close(self) -> None:
+        """No torque, bus and ring ended; may be called twice."""
+        self._running.close()

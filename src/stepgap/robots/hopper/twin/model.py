@@ -1,0 +1,321 @@
+"""Builds the twin as a MuJoCo model: a boom, a four-bar leg and a ground that can be moved up and down.
+
+MuJoCo's x points forward at yaw 0, y to the boom's pivot side, z up. On the arc the pivot stands over the
+origin; in the plane the hip starts over it. Angles of the leg turn forward, about −y.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+from math import cos, inf, isinf, pi, sin, sqrt, tan
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+
+FOOT_RADIUS = 1e-5
+"""Of the colliding foot point [m]; the ground lies lower by as much, so contact starts where the foot ends."""
+
+STICKING = 1e4
+"""Stands for infinite friction; the force needed never comes near."""
+
+HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""The stiffest impedance that MuJoCo allows."""
+
+RECOVERY_RATE = 2000.0
+"""Rate at which rigid ground undoes a penetration [1/s]: faster, it would throw the light foot up; slower, the foot
+would still be in it, and stick to it, at take-off."""
+
+RIGID_SHARE = 2.0
+"""Mass that joins the foot on rigid ground, in foot masses: enough that the load presses the foot down more than the
+inaccuracy of a step lifts it."""
+
+SLIP_RATE = 2000.0
+"""Rate at which friction brings a sliding foot to rest if it can [1/s]. MuJoCo's convex friction adds a normal force of
+friction coefficient × this × slip speed × the mass that joins the foot, so neither may be large."""
+
+HARMONICS = (3, 5, 8, 13, 21)
+"""Waves of the rough ground in one turn of the boom; the shortest is about two hops long."""
+
+FORWARD, UP, LEG_AXIS, PITCH_AXIS = (1, 0, 0), (0, 0, 1), (0, -1, 0), (-1, 0, 0)
+
+
+class GroundProfile:
+    """Height of the ground around the circle: a tilted floor plus a smooth random profile.
+
+    Args:
+        gap: Its slope and roughness.
+        boom_length: Radius of the circle [m].
+        rng: Draws the phases; the profile is fixed from then on.
+    """
+
+    def __init__(self, gap: RealityGap, boom_length: float, rng: np.random.Generator):
+        amplitude = gap.ground_roughness * sqrt(2 / len(HARMONICS))
+        phases = rng.uniform(0, 2 * pi, len(HARMONICS))
+        waves = [(k, float(phase), amplitude) for k, phase in zip(HARMONICS, phases, strict=True) if amplitude > 0]
+        slope = boom_length * tan(gap.ground_slope)
+        self._waves = ([(1, 0.0, slope)] if slope else []) + waves
+
+    @property
+    def is_flat(self) -> bool:
+        """The height is zero everywhere."""
+        return not self._waves
+
+    def height(self, yaw: float) -> float:
+        """Height of the ground at a boom angle ψ [rad] of the foot, [m]."""
+        return sum(amplitude * sin(k * yaw + phase) for k, phase, amplitude in self._waves)
+
+
+def carried_mass(robot: RobotParameters, gap: RealityGap) -> float:
+    """Mass at the boom's tip: body and links [kg]."""
+    links = 2 * (robot.top_mass + robot.bottom_mass)
+    return gap.body_mass_scale * robot.body_mass + gap.leg_mass_scale * links
+
+
+def gravity(robot: RobotParameters, gap: RealityGap, turn: float = 0.0) -> NDArray[np.float64]:
+    """Gravity seen from the boom's leaning axis, with the floor turned by an angle [rad]; shape (3,) [m/s²]."""
+    tilt = gap.boom_tilt if gap.boom_arc else 0.0
+    return robot.gravity * np.array([sin(tilt) * sin(turn), sin(tilt) * cos(turn), -cos(tilt)])
+
+
+def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False) -> mujoco.MjSpec:
+    """The twin as an editable MuJoCo specification.
+
+    Args:
+        robot: What the physics model takes the robot to be.
+        gap: How the twin differs from it.
+        timestep: Physics step [s].
+        visual: Adds shapes to look at, which carry no mass and touch nothing.
+
+    Raises:
+        ValueError: A boom without inertia cannot be elastic.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = "stepgap_twin"
+    _set_options(spec, robot, gap, timestep)
+    hopper = _add_boom(spec, robot, gap)
+    _add_leg(spec, hopper, robot, gap)
+    _close_four_bar(spec, timestep)
+    _add_hand(spec, gap, timestep)
+    _add_motors(spec, gap, timestep)
+    _add_ground(spec, gap)
+    if visual:
+        _add_shapes(spec, robot, gap)
+    return spec
+
+
+def build_model(robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False) -> mujoco.MjModel:
+    """The twin compiled, with the ground's stiffness set in true newtons per metre; arguments as `build_spec`."""
+    model = build_spec(robot, gap, timestep, visual).compile()
+    _set_contact(model, robot, gap)
+    return model
+
+
+def export_xml(robot: RobotParameters, gap: RealityGap, timestep: float, start: NDArray[np.float64]) -> str:
+    """The twin as MJCF, with shapes to look at and the contact as `build_model` sets it.
+
+    Args:
+        robot: As `build_spec`.
+        gap: As `build_spec`.
+        timestep: As `build_spec`.
+        start: Coordinates of the pose that viewers offer as keyframe `start`; shape (nq,).
+    """
+    spec = build_spec(robot, gap, timestep, visual=True)
+    spec.add_key(name="start", qpos=start)
+    model = spec.compile()
+    _set_contact(model, robot, gap)
+    pair = spec.pairs[0]
+    pair.solref, pair.solimp = model.pair_solref[0], model.pair_solimp[0]
+    pair.solreffriction = model.pair_solreffriction[0]
+    spec.compile()
+    return spec.to_xml()
+
+
+def _set_options(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap, timestep: float) -> None:
+    off = mujoco.mjtDisableBit
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = timestep
+    option.gravity = gravity(robot, gap)
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.impratio = 1e5
+    option.iterations, option.tolerance = 20, 1e-10
+    option.disableflags = (
+        off.mjDSBL_LIMIT | off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE | off.mjDSBL_CLAMPCTRL | off.mjDSBL_ISLAND
+    )
+
+
+def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> mujoco.MjsBody:
+    """The body at the boom's tip. The boom is inertia without weight, so it is armature of the joints at its root."""
+    radius = robot.boom_length
+    inertia_x, inertia_z = (
+        gap.boom_inertia_scale * value for value in (robot.boom_inertia_vertical, robot.boom_inertia_horizontal)
+    )
+    hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+    hopper = spec.worldbody.add_body(name="hopper")
+    hopper.explicitinertial = True
+    hopper.mass = gap.body_mass_scale * robot.body_mass
+    hopper.ipos = np.array([gap.body_com_offset, 0, 0])
+    hopper.inertia = np.full(3, 1e-6)  # the body's own inertia counts as the boom's
+    if gap.boom_arc:
+        hopper.pos = np.array([0, -radius, gap.boom_pivot_height])
+        pivot = np.array([0, radius, 0])
+        yaw = hopper.add_joint(name="boom_horizontal", type=hinge, axis=UP, pos=pivot, armature=inertia_z)
+        yaw.frictionloss, yaw.damping[0] = radius * gap.boom_friction, radius**2 * gap.boom_drag
+        hopper.add_joint(name="boom_vertical", type=hinge, axis=PITCH_AXIS, pos=pivot, armature=inertia_x)
+    else:
+        travel = hopper.add_joint(name="boom_horizontal", type=slide, axis=FORWARD, armature=inertia_z / radius**2)
+        travel.frictionloss, travel.damping[0] = gap.boom_friction, gap.boom_drag
+        hopper.add_joint(name="boom_vertical", type=slide, axis=UP, armature=inertia_x / radius**2)
+    if gap.boom_stiffness < inf:
+        if not min(inertia_x, inertia_z) > 0:
+            raise ValueError(f"boom_stiffness = {gap.boom_stiffness}, but it must be inf for a boom without inertia")
+        damping = 2 * gap.boom_damping_ratio * sqrt(gap.boom_stiffness * carried_mass(robot, gap))
+        for name, axis in (("deflection_horizontal", FORWARD), ("deflection_vertical", UP)):
+            joint = hopper.add_joint(name=name, type=slide, axis=axis)
+            joint.stiffness[0], joint.damping[0] = gap.boom_stiffness, damping
+    return hopper
+
+
+def _add_leg(spec: mujoco.MjSpec, hopper: mujoco.MjsBody, robot: RobotParameters, gap: RealityGap) -> None:
+    """Two chains of top and bottom link, hanging straight down at zero; motor 1 drives the front one."""
+    for motor, side in ((1, "front"), (2, "rear")):
+        top = hopper.add_body(name=f"{side}_top")
+        _add_link_inertia(top, robot.top_mass, robot.top_inertia, robot.top_com, gap)
+        _add_hinge(top, f"motor_{motor}", gap, gap.rotor_inertia)
+        bottom = top.add_body(name=f"{side}_bottom", pos=(0, 0, -robot.top_length))
+        _add_link_inertia(bottom, robot.bottom_mass, robot.bottom_inertia, robot.bottom_com, gap)
+        _add_hinge(bottom, f"knee_{motor}", gap, 0)
+        bottom.add_site(name=f"{side}_joint", pos=(0, 0, -robot.bottom_length), size=[0.001, 0, 0])
+        if side == "rear":
+            tip = (0, 0, -robot.bottom_length - robot.foot_length)
+            bottom.add_geom(name="foot", pos=tip, size=[FOOT_RADIUS, 0, 0], contype=0, conaffinity=0)
+            bottom.add_site(name="foot", pos=tip, size=[1, 0, 0], group=5)  # large: feels contact at any depth
+            spec.add_sensor(
+                name="contact_force",
+                type=mujoco.mjtSensor.mjSENS_TOUCH,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                objname="foot",
+            )
+
+
+def _add_link_inertia(link: mujoco.MjsBody, mass: float, inertia: float, com: float, gap: RealityGap) -> None:
+    """A slender rod along −z; its inertia about its own axis hardly matters."""
+    inertia *= gap.leg_inertia_scale
+    link.explicitinertial = True
+    link.mass = gap.leg_mass_scale * mass
+    link.ipos = np.array([0, 0, -com])
+    link.inertia = np.array([inertia, inertia, 0.01 * inertia])
+
+
+def _add_hinge(link: mujoco.MjsBody, name: str, gap: RealityGap, armature: float) -> None:
+    joint = link.add_joint(name=name, axis=LEG_AXIS, armature=armature, frictionloss=gap.joint_friction)
+    joint.damping[0] = gap.joint_damping
+
+
+def _close_four_bar(spec: mujoco.MjSpec, timestep: float) -> None:
+    closure = spec.add_equality(name="four_bar", name1="front_joint", name2="rear_joint")
+    closure.type, closure.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_SITE
+    closure.solref, closure.solimp = _deadbeat(timestep), np.array(HARD)
+
+
+def _add_hand(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
+    """What holds the hip before the start: locks that the twin switches off."""
+    names = ["boom_horizontal", "boom_vertical"]
+    if gap.boom_stiffness < inf:
+        names += ["deflection_horizontal", "deflection_vertical"]
+    for name in names:
+        lock = spec.add_equality(name=f"hold_{name}", name1=name, active=False)
+        lock.type, lock.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
+        lock.solref, lock.solimp = _deadbeat(timestep), np.array(HARD)
+
+
+def _deadbeat(timestep: float) -> NDArray[np.float64]:
+    """Spring and damper (negative: per unit mass) that undo an error of a constraint within one step."""
+    return np.array([-1 / timestep**2, -1 / timestep])
+
+
+def _add_motors(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
+    """Torque command → delay → first-order lag → scale."""
+    steps = round(gap.delay / timestep)
+    for name, share in (("motor_1", 1 + gap.torque_imbalance), ("motor_2", 1 - gap.torque_imbalance)):
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.gainprm[0] = gap.torque_scale * share
+        if gap.torque_lag > 0:
+            motor.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+            motor.dynprm[0] = gap.torque_lag
+        if steps > 0:
+            # Half a step less: MuJoCo looks the command up by the clock, whose rounding would else make it one more.
+            motor.delay, motor.nsample = (steps - 0.5) * timestep, steps + 1
+
+
+def _add_ground(spec: mujoco.MjSpec, gap: RealityGap) -> None:
+    """A level plane whose height can be moved, met by nothing but the foot."""
+    ground = spec.worldbody.add_body(name="ground", mocap=True)
+    plane = ground.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, pos=(0, 0, -FOOT_RADIUS))
+    plane.size = np.array([4, 4, 0.05])
+    plane.contype = plane.conaffinity = 0
+    friction = STICKING if isinf(gap.ground_friction) else gap.ground_friction
+    pair = spec.add_pair(name="contact", geomname1="foot", geomname2="ground", condim=3)
+    pair.friction = np.array([friction, friction, 0, 0, 0])
+
+
+def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap) -> None:
+    """Sets the contact's spring and damper.
+
+    MuJoCo's contact force is f = −(a + b v + k r)/R for penetration −r and acceleration a, with
+    R = w (1 − d)/d, impedance d and the constant inverse weight w of the foot; −solref is (k d, b d).
+    So k/R is a stiffness [N/m], b/R a damping [N·s/m] and 1/R a mass [kg] that joins the foot in contact.
+    Soft ground takes that mass as small as an explicit step of spring and damper allows. Rigid ground
+    stops the foot within a few steps, without a bounce, and gives way by micrometres.
+    """
+    step = model.opt.timestep
+    sticks = isinf(gap.ground_friction)
+    foot_mass = 0.25 * gap.leg_mass_scale * 2 * (robot.top_mass + robot.bottom_mass)
+    if not isinf(gap.ground_stiffness):
+        stiffness = gap.ground_stiffness
+        damping = 2 * gap.ground_damping_ratio * sqrt(stiffness * carried_mass(robot, gap))
+        mass = max(0.5 * (damping * step + stiffness * step**2) - foot_mass, 1e-3)
+    else:
+        mass = (RIGID_SHARE if sticks else 0.5) * foot_mass
+        damping = (mass + foot_mass) / step
+        stiffness = RECOVERY_RATE * damping
+    weighted = mass * model.body_invweight0[model.geom("foot").bodyid[0], 0]
+    impedance = weighted / (1 + weighted)
+    model.pair_solimp[0] = [impedance, impedance, 0.001, 0.5, 2]
+    model.pair_solref[0] = [-stiffness / mass * impedance, -damping / mass * impedance]
+    model.pair_solreffriction[0] = [-1, -impedance * (1 / step if sticks else min(SLIP_RATE, 0.5 / step))]
+
+
+def _add_shapes(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> None:
+    """Boom, body and links to look at."""
+    capsule, cylinder = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
+    dark, blue, orange = (0.2, 0.2, 0.25, 1), (0.15, 0.45, 0.75, 1), (0.85, 0.4, 0.15, 1)
+
+    def add(body: str, kind: mujoco.mjtGeom, ends: list[float], radius: float, colour: tuple[float, ...]) -> None:
+        shape = spec.body(body).add_geom(type=kind, fromto=ends, size=[radius, 0, 0], rgba=colour, group=1)
+        shape.contype = shape.conaffinity = 0
+
+    spec.worldbody.add_light(pos=(0, -1, 3), dir=(0, 0, -1))
+    _add_squares(spec)
+    add("hopper", cylinder, [0, -0.03, 0, 0, 0.03, 0], 0.046, dark)
+    if gap.boom_arc:
+        add("hopper", capsule, [0, 0, 0, 0, robot.boom_length, 0], 0.015, dark)
+    for side, colour, foot in (("front", blue, 0), ("rear", orange, robot.foot_length)):
+        for part, length in (("top", robot.top_length), ("bottom", robot.bottom_length + foot)):
+            add(f"{side}_{part}", capsule, [0, 0, 0, 0, 0, -length], 0.007, colour)
+
+
+def _add_squares(spec: mujoco.MjSpec) -> None:
+    """A floor on which one sees that the robot moves."""
+    two_d, checker = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+    squares = spec.add_texture(name="squares", type=two_d, builtin=checker, width=256, height=256)
+    squares.rgb1, squares.rgb2 = np.full(3, 0.8), np.full(3, 0.7)
+    material = spec.add_material(name="squares", texrepeat=(1, 1), texuniform=True)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "squares"
+    spec.geom("ground").material = "squares"

@@ -1,0 +1,366 @@
+"""The twin as a rig: what the sensors of the MuJoCo hopper say, and its motors."""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+from collections.abc import Iterator, MutableSequence
+from copy import copy
+from dataclasses import dataclass
+from math import acos, asin, atan2, ceil, cos, exp, inf, isfinite, nan, pi, sin, sqrt, tanh
+from typing import Any, Self, cast
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+from stepgap.robots.hopper.parameters import Gains, RobotParameters, require
+from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+
+EXACT_COUNTS = 16384
+"""Counts a turn by which an exact sensor reports; it does not round them."""
+
+LONGEST_STEP = 2.5e-4
+"""Longest physics step [s]."""
+
+FEWEST_STEPS = 4
+"""Fewest physics steps in a tick."""
+
+START_LENGTH = Gains().landing_length
+"""Leg length in which the twin is held [m]."""
+
+OVERSPEED = 400.0
+"""Motor speed at which the drives trip [rad/s], ten times that of a hop; MuJoCo would diverge not far beyond."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrueState:
+    """What really goes on in the twin; for tests and viewers, never for a controller.
+
+    Attributes:
+        time: Since connecting [s].
+        held: The hip is still held.
+        hip: Distance travelled along the circle and height of the hip, boom deflection included [m, m].
+        hip_rate: Rate of `hip` [m/s, m/s].
+        boom: Yaw and pitch at the boom's root [rad, rad].
+        leg: Angles of the top links driven by motor 1 and 2 [rad, rad].
+        leg_rate: Rate of `leg` [rad/s, rad/s].
+        deflection: Horizontal and vertical deflection of the boom's tip [m, m].
+        foot: Position of the foot in MuJoCo's frame; shape (3,) [m].
+        ground_height: Of the ground under the foot [m].
+        contact_force: Vertical ground force on the foot [N].
+        closure_error: Distance of the two bottom links at their common joint [m].
+        qpos: MuJoCo's coordinates, for a viewer.
+    """
+
+    time: float
+    held: bool
+    hip: NDArray[np.float64]
+    hip_rate: NDArray[np.float64]
+    boom: NDArray[np.float64]
+    leg: NDArray[np.float64]
+    leg_rate: NDArray[np.float64]
+    deflection: NDArray[np.float64]
+    foot: NDArray[np.float64]
+    ground_height: float
+    contact_force: float
+    closure_error: float
+    qpos: NDArray[np.float64]
+
+
+class Twin(Rig):
+    """The MuJoCo hopper: a robot apart from its physics model by a `RealityGap`.
+
+    It starts with the leg straight down at landing length and the hip held in the air for a while, so
+    that the controller can take hold of the leg, and is then let go. Connecting again starts anew; the noise goes on.
+
+    Args:
+        robot: What the physics model takes the robot to be.
+        gap: How the twin differs from it.
+        rng: Draws torque noise, in blocks, and before that the ground's profile if none is given.
+        tick: Time from one read to the next [s].
+        start_height: Height of the held hip [m].
+        start_speed: Horizontal speed of the hip when let go [m/s].
+        hold: Time for which the hip is held [s].
+        ground: The floor, where several twins are to hop on the same one.
+        turn: Place on the circle to start from: the angle by which the floor is turned under the robot [rad].
+
+    Raises:
+        ValueError: An argument is out of range, or the foot would start in the ground.
+    """
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        gap: RealityGap,
+        rng: np.random.Generator,
+        tick: float = 1e-3,
+        start_height: float = 0.55,
+        start_speed: float = 0.0,
+        hold: float = 0.3,
+        ground: GroundProfile | None = None,
+        turn: float = 0.0,
+    ):
+        require(isfinite(tick) and tick > 0, "tick", tick, "be positive")
+        require(isfinite(start_height), "start_height", start_height, "be finite")
+        require(isfinite(start_speed), "start_speed", start_speed, "be finite")
+        require(isfinite(turn), "turn", turn, "be finite")
+        require(isfinite(hold) and hold >= 0, "hold", hold, "not be negative")
+        self._robot, self._gap, self._rng = robot, gap, rng
+        self._start_height, self._start_speed = start_height, start_speed
+        self._hold_ticks = round(hold / tick)
+        self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
+        self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
+        self._layout = RigLayout(
+            tick=tick,
+            boom_length=robot.boom_length,
+            pivot_height=gap.boom_pivot_height,
+            motor_counts=_finite(gap.motor_counts),
+            boom_counts_horizontal=_finite(gap.boom_counts_horizontal),
+            boom_counts_vertical=_finite(gap.boom_counts_vertical),
+            touchdown_force=gap.touchdown_force,
+            takeoff_length=gap.takeoff_length,
+        )
+        self._limit = min(robot.torque_limit, gap.torque_limit)
+        self._motor_scale, self._yaw_scale, self._pitch_scale = (
+            counts / (2 * pi)
+            for counts in (
+                self._layout.motor_counts,
+                self._layout.boom_counts_horizontal,
+                self._layout.boom_counts_vertical,
+            )
+        )
+        self._model = build_model(robot, gap, tick / self._substeps)
+        self._data = mujoco.MjData(self._model)
+        self._bind()
+        self._noise = self._draw_noise()
+        self._noise_kept = exp(-tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
+        self._noise_fresh = gap.torque_noise * sqrt(1 - self._noise_kept**2)
+        self._connected, self._fault, self._hold_left = False, "", 0
+        self._turn_floor(turn)
+        lowest = START_LENGTH + robot.foot_length + max(self._ground.height(turn), 0.0)
+        rule = f"exceed {lowest:.4g}, or the foot is in the ground"
+        require(start_height > lowest, "start_height", start_height, rule)
+        self._vertical_coordinate(start_height)
+
+    def _bind(self) -> None:
+        """Views of MuJoCo's memory: reading a number through them costs 40 ns, through its interface 1 µs."""
+        model, data = self._model, self._data
+        self._shown = mujoco.MjData(model)  # for `true_state`, which must not touch the motion
+        self._qpos, self._qvel, self._ctrl = _view(data.qpos), _view(data.qvel), _view(data.ctrl)
+        self._applied_force, self._touch = _view(data.qfrc_applied), _view(data.sensordata)
+        self._foot, self._ground_position = _view(data.geom("foot").xpos), _view(data.mocap_pos[0])
+        self._motor_1, self._motor_2 = (int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2))
+
+    @property
+    def layout(self) -> RigLayout:
+        """How to read the counts; all zeros are at angle 0."""
+        return self._layout
+
+    def connect(self) -> None:
+        """Puts the robot into its starting pose, held, motors limp, and the clock to zero."""
+        model, data = self._model, self._data
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = self._start_pose()
+        model.eq("hold_boom_vertical").data[0] = data.qpos[1]
+        self._ground_position[2] = self._ground.height(self._turn)
+        data.eq_active[:] = 1
+        mujoco.mj_forward(model, data)
+        self._connected, self._fault = True, ""
+        self._hold_left = self._hold_ticks
+        if self._hold_left == 0:
+            self._let_go()
+
+    def read(self) -> Reading:
+        """Sensor values at the present tick.
+
+        Raises:
+            RigFault: Not connected, the motion has left what can be measured, or a motor runs away.
+        """
+        if not self._connected:
+            raise RigFault("the twin is not connected")
+        qpos, gap = self._qpos, self._gap
+        motor_1 = (qpos[self._motor_1] + gap.motor_offset_1) * self._motor_scale
+        motor_2 = (qpos[self._motor_2] + gap.motor_offset_2) * self._motor_scale
+        yaw, pitch = self._boom_angles()
+        yaw, pitch = yaw * self._yaw_scale, pitch * self._pitch_scale
+        if not isfinite(motor_1 + motor_2 + yaw + pitch):
+            raise self._trip("the motion is no longer within the boom's reach")
+        if max(abs(self._qvel[self._motor_1]), abs(self._qvel[self._motor_2])) > OVERSPEED:
+            raise self._trip(f"a motor turned faster than {OVERSPEED:g} rad/s")
+        if gap.motor_counts < inf:
+            motor_1, motor_2 = round(motor_1), round(motor_2)
+        if gap.boom_counts_horizontal < inf:
+            yaw = round(yaw)
+        if gap.boom_counts_vertical < inf:
+            pitch = round(pitch)
+        return Reading(motor_1, motor_2, yaw, pitch, self._touch[0])
+
+    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+        """Commands the motor torques for one tick [N·m] and returns them as limited.
+
+        Delay, lag, scale and noise come after that and stay unknown to the caller, as with real drives.
+
+        Raises:
+            RigFault: A torque is not finite, or the rig is stopped.
+        """
+        if self._fault or not self._connected:
+            raise RigFault(self._fault or "the twin is not connected")
+        if not (isfinite(torque_1) and isfinite(torque_2)):
+            raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
+        limit = self._limit
+        torque_1, torque_2 = min(max(torque_1, -limit), limit), min(max(torque_2, -limit), limit)
+        self._ctrl[0], self._ctrl[1] = self._saturated(torque_1), self._saturated(torque_2)
+        if self._gap.torque_noise > 0:
+            force = self._applied_force
+            kept, fresh = self._noise_kept, self._noise_fresh
+            for motor in (self._motor_1, self._motor_2):
+                force[motor] = kept * force[motor] + fresh * next(self._noise)
+        if not self._ground.is_flat and self._touch[0] == 0:
+            self._ground_position[2] = self._ground_under(self._foot[0], self._foot[1])
+        mujoco.mj_step(self._model, self._data, self._substeps)
+        if self._hold_left > 0:
+            self._hold_left -= 1
+            if self._hold_left == 0:
+                self._let_go()
+        return torque_1, torque_2
+
+    def fork(self, rng: np.random.Generator, turn: float = 0.0) -> Self:
+        """Another twin in the very same motion, down to what is under way in the drives; this one stays as it is.
+
+        Args:
+            rng: Draws its torque noise, the present value included.
+            turn: Angle by which the floor, and with it gravity's pull around the circle, is turned under it [rad]: as
+                if the robot did the same elsewhere.
+        """
+        twin = copy(self)
+        twin._model, twin._data, twin._rng = copy(self._model), copy(self._data), rng
+        twin._bind()
+        twin._turn_floor(self._turn + turn)
+        twin._noise = twin._draw_noise()
+        if self._gap.torque_noise > 0:
+            for motor in (self._motor_1, self._motor_2):
+                twin._applied_force[motor] = self._gap.torque_noise * next(twin._noise)
+        return twin
+
+    def close(self) -> None:
+        """Torque off; the twin can be connected again."""
+        self._torque_off()
+        self._connected = False
+
+    def true_state(self) -> TrueState:
+        """What really goes on; for tests and viewers, never for a controller. Leaves the motion as it is."""
+        model, data = self._model, self._shown
+        data.qpos[:], data.qvel[:] = self._data.qpos, self._data.qvel
+        mujoco.mj_kinematics(model, data)
+        elastic = self._gap.boom_stiffness < inf
+        deflection, deflection_rate = (data.qpos[2:4].copy(), data.qvel[2:4]) if elastic else (np.zeros(2), np.zeros(2))
+        hip, hip_rate = data.qpos[:2] + deflection, data.qvel[:2] + deflection_rate
+        if self._gap.boom_arc:
+            radius, (yaw, pitch) = self._layout.boom_length, data.qpos[:2]
+            x, z = deflection
+            hip = np.array([radius * yaw + x, self._gap.boom_pivot_height + radius * sin(pitch) + z * cos(pitch)])
+            turning = np.array([radius, radius * cos(pitch) - z * sin(pitch)])
+            hip_rate = turning * data.qvel[:2] + deflection_rate * [1, cos(pitch)]
+        motors = [self._motor_1, self._motor_2]
+        foot = data.geom("foot").xpos.copy()
+        gap = data.site("front_joint").xpos - data.site("rear_joint").xpos
+        return TrueState(
+            time=self._data.time,
+            held=self._hold_left > 0,
+            hip=hip,
+            hip_rate=hip_rate,
+            boom=np.array(self._boom_angles()),
+            leg=data.qpos[motors],
+            leg_rate=data.qvel[motors],
+            deflection=deflection,
+            foot=foot,
+            ground_height=self._ground_under(foot[0], foot[1]),
+            contact_force=self._touch[0],
+            closure_error=float(np.linalg.norm(gap)),
+            qpos=data.qpos.copy(),
+        )
+
+    def model_xml(self) -> str:
+        """The twin as MJCF with shapes to look at, its hip free; any MuJoCo viewer opens it (keyframe `start`)."""
+        return export_xml(self._robot, self._gap, self._model.opt.timestep, self._start_pose())
+
+    def _start_pose(self) -> NDArray[np.float64]:
+        """MuJoCo's coordinates of the held robot: leg straight down at landing length."""
+        model = self._model
+        qpos = np.zeros(model.nq)
+        qpos[1] = self._vertical_coordinate(self._start_height)
+        alpha, beta = _leg_triangle(self._robot, START_LENGTH)
+        for motor, side in ((1, 1), (2, -1)):
+            qpos[model.joint(f"motor_{motor}").qposadr[0]] = side * alpha
+            qpos[model.joint(f"knee_{motor}").qposadr[0]] = -side * (alpha + beta)
+        return qpos
+
+    def _let_go(self) -> None:
+        self._data.eq_active[1:] = 0
+        self._data.qvel[0] = self._start_speed / (self._layout.boom_length if self._gap.boom_arc else 1.0)
+
+    def _trip(self, message: str) -> RigFault:
+        """Torque off until connected again; returns the fault to raise."""
+        self._fault = message
+        self._torque_off()
+        return RigFault(message)
+
+    def _torque_off(self) -> None:
+        data = self._data
+        data.ctrl[:] = 0
+        data.act[:] = 0
+        data.qfrc_applied[:] = 0
+
+    def _boom_angles(self) -> tuple[float, float]:
+        """Yaw and pitch at the boom's root [rad]; NaN where the boom does not reach."""
+        horizontal, vertical, layout = self._qpos[0], self._qpos[1], self._layout
+        if self._gap.boom_arc:
+            return horizontal, vertical
+        sine = (vertical - layout.pivot_height) / layout.boom_length
+        return horizontal / layout.boom_length, asin(sine) if abs(sine) <= 1 else nan
+
+    def _vertical_coordinate(self, height: float) -> float:
+        """MuJoCo's vertical coordinate for a height of the hip [m]: the height, or the pitch [rad] on the arc."""
+        if not self._gap.boom_arc:
+            return height
+        rise = height - self._gap.boom_pivot_height
+        require(abs(rise) < self._robot.boom_length, "start_height", height, "be within the boom's reach")
+        return asin(rise / self._robot.boom_length)
+
+    def _turn_floor(self, turn: float) -> None:
+        """Turns the floor by an angle under the robot [rad]; the boom's axis leans as the floor does."""
+        self._turn = turn
+        self._model.opt.gravity[:] = gravity(self._robot, self._gap, turn)
+
+    def _ground_under(self, x: float, y: float) -> float:
+        """Height of the ground at a point [m]."""
+        yaw = atan2(x, -y) if self._gap.boom_arc else x / self._layout.boom_length
+        return self._ground.height(yaw + self._turn)
+
+    def _saturated(self, torque: float) -> float:
+        """What a motor's iron makes of a torque command [N·m]."""
+        most = self._gap.torque_saturation
+        return most * tanh(torque / most) if most < inf else torque
+
+    def _draw_noise(self) -> Iterator[float]:
+        """Standard normal numbers; drawn in blocks, because single draws take a microsecond."""
+        while True:
+            yield from self._rng.standard_normal(1024).tolist()
+
+
+def _view(array: NDArray[np.float64]) -> MutableSequence[float]:
+    return cast("MutableSequence[float]", memoryview(cast("Any", array)))
+
+
+def _finite(counts: float) -> float:
+    """Counts a turn as the layout gives them."""
+    return counts if counts < inf else EXACT_COUNTS
+
+
+def _leg_triangle(robot: RobotParameters, length: float) -> tuple[float, float]:
+    """Angles at hip and lower joint between a leg of this length and its links: α₂ and β [rad]."""
+    top, bottom = robot.top_length, robot.bottom_length
+    alpha = acos((top**2 + length**2 - bottom**2) / (2 * top * length))
+    return alpha, asin(top * sin(alpha) / bottom)

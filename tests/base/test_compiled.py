@@ -1,0 +1,146 @@
+"""The disk cache: it notices what changed, survives having no folder, and works for every program that reads it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[2] / "src"
+
+CALLER = """
+from stepgap.base.compiled import compiled
+from robot.inner import value
+from robot.numbers import FACTOR
+
+@compiled
+def doubled(x):
+    return FACTOR * value(x)
+"""
+CALLEE = """
+from stepgap.base.compiled import compiled
+
+@compiled
+def value(x):
+    return x + {}
+"""
+MOTION = """
+from typing import NamedTuple
+from stepgap.base.compiled import implements
+from stepgap.hybrid.integrator import Tolerance, integrate, make_trace
+from stepgap.hybrid.motion import observe, rate, slopes
+
+class Ball(NamedTuple):
+    gravity: float
+
+@implements(rate, Ball)
+def _rate(system, state):
+    return state[2], state[3], -system.gravity, 0.0
+
+@implements(observe, Ball)
+def _observe(system, time, state):
+    return rate(system, state), (state[0],)
+
+@implements(slopes, Ball)
+def _slopes(system, state, here):
+    return None
+
+def duration():
+    start = (1.0, 0.0, 0.0, 0.0)
+    return round(integrate(Ball(2.0), 0.0, start, 9.0, Tolerance(1e-6, 1e-6), 0.1, make_trace())[0], 9)
+"""
+
+
+def run(code: str, folder: Path, **environment: str | None) -> str:
+    """Output of a fresh interpreter that finds packages in `folder`; a variable that is None is unset."""
+    changed = {
+        "PYTHONPATH": os.pathsep.join([str(SOURCE), str(folder)]),
+        "NUMBA_CACHE_DIR": str(folder / "cache"),
+        **environment,
+    }
+    everything = {name: value for name, value in {**os.environ, **changed}.items() if value is not None}
+    outcome = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env=everything,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    return outcome.stdout.strip()
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package `robot` of a compiled function that calls another file's, and uses a third file's number."""
+    package = tmp_path / "robot"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "outer.py").write_text(CALLER)
+    (package / "inner.py").write_text(CALLEE.format(1.0))
+    (package / "numbers.py").write_text("FACTOR = 2.0\n")
+    (package / "motion.py").write_text(MOTION)
+    return package
+
+
+CALL = "from robot.outer import doubled; doubled(1.0); print(doubled(1.0), sum(doubled.stats.cache_hits.values()))"
+
+
+def test_a_second_process_compiles_only_what_changed_in_a_called_file(package) -> None:
+    assert run(CALL, package.parent) == "4.0 0"
+    assert run(CALL, package.parent) == "4.0 1"
+    (package / "inner.py").write_text(CALLEE.format(2.0))
+    assert run(CALL, package.parent) == "6.0 0"
+
+
+def test_only_a_process_that_compiles_tells(package) -> None:
+    told = """
+from stepgap.base.compiling import telling_of_compilation
+from robot.outer import doubled
+with telling_of_compilation(lambda: print("compiling")):
+    print(doubled(1.0), doubled(2))
+"""
+    assert run(told, package.parent) == "compiling\n4.0 6.0"
+    assert run(told, package.parent) == "4.0 6.0"
+
+
+def test_a_change_of_a_constant_from_a_file_without_compiled_functions_is_noticed(package) -> None:
+    assert run(CALL, package.parent) == "4.0 0"
+    (package / "numbers.py").write_text("FACTOR = 3.0\n")
+    assert run(CALL, package.parent) == "6.0 0"
+
+
+def test_system_types_of_one_program_do_not_break_another(package, tmp_path) -> None:
+    """The integrator's cache must not name a type that the next program cannot import."""
+    cache = str(tmp_path / "cache")
+    code = "from {}.motion import duration; print(duration())"
+    assert run(code.format("robot"), package.parent) == "1.0"
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    package.rename(elsewhere / "other_robot")
+    assert run(code.format("other_robot"), elsewhere, NUMBA_CACHE_DIR=cache) == "1.0"
+
+
+@pytest.mark.parametrize("chosen", ["/dev/null/no", "robot/__init__.py"])
+def test_a_chosen_folder_that_cannot_be_written_breaks_nothing(package, chosen) -> None:
+    assert run(CALL, package.parent, NUMBA_CACHE_DIR=chosen) == "4.0 0"
+
+
+def test_without_a_writable_home_the_temporary_folder_serves(package) -> None:
+    places = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": "/dev/null/no", "TMPDIR": str(package.parent)}
+    assert run(CALL, package.parent, **places) == "4.0 0"
+    assert any((package.parent / "stepgap-cache").iterdir())
+
+
+def test_no_home_at_all_breaks_nothing(package) -> None:
+    """A user without an entry in the password file, as in a container."""
+    nobody = "import pathlib\ndef home(*_): raise RuntimeError('no home')\npathlib.Path.home = home\n"
+    places = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": None, "TMPDIR": str(package.parent)}
+    assert run(nobody + CALL, package.parent, **places) == "4.0 0"
+
+
+def test_a_function_that_lies_in_no_file_is_compiled_without_cache(tmp_path) -> None:
+    code = "from stepgap.base.compiled import compiled\n@compiled\ndef twice(x):\n    return 2 * x\nprint(twice(2.0))"
+    assert run(code, tmp_path) == "4.0"

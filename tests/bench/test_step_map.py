@@ -1,0 +1,96 @@
+"""`stepgap bench map`: that it runs and says what it measured; how fast anything is, no test says."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.peers import full_system
+from stepgap.bench import step_map as bench_map
+from stepgap.bench import timing
+from stepgap.robots.hopper import Gains, RobotParameters
+from stepgap.robots.hopper.apex_map import ApexMap
+from tests.cli.command_line import Command, refused
+from tests.robots.hopper.reference_hop import Hopper, reference_hop
+
+TINY = bench_map.Size(points=1, rounds=1, jacobians=0, solves=3, table=5, batch=20)
+
+
+@pytest.fixture
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench_map, "QUICK", TINY)
+
+
+@pytest.mark.usefixtures("tiny")
+def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
+    said = stepgap("bench", "map", "--quick")
+    assert said.code == 0, said.err
+    assert said.out.endswith("\nbench_map.json\n")
+    for line in ("StepGap ", "SciPy DOP853, NumPy ", "heyoka ", "Jacobian ", "root solve ", "batch ", "command table "):
+        assert re.search(f"^{line}", said.out, re.MULTILINE), line
+    result = json.loads(Path("bench_map.json").read_text())
+    assert result.keys() == {
+        "schema", "quick", "seed", "machine", "engines", "skipped", "jacobian", "root_solve", "batch", "table"
+    }  # fmt: skip
+    ours, _, scipy = result["engines"]
+    assert (ours["name"], scipy["name"]) == ("StepGap", "SciPy DOP853, NumPy")
+    for engine in (ours, scipy):
+        assert engine["largest_relative_error"] < 1e-6
+        assert engine["median_us"] > 0
+    assert ours["ratio"] == 1
+    assert set(result["skipped"]) == {"SciPy DOP853, Numba", "heyoka", "numbalsoda", "MuJoCo"}
+    assert result["root_solve"]["solved_share"] == 1
+    assert result["machine"]["numpy"] == np.__version__
+
+
+@pytest.mark.usefixtures("tiny")
+def test_outside_a_checkout_it_says_that_there_are_no_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timing, "__file__", str(tmp_path / "lib" / "stepgap" / "bench" / "timing.py"))
+    said: list[str] = []
+    result = bench_map.bench_map(ApexMap(), 0, True, said.append)
+    assert said[0] == "no checkout, so no peers: their code lies in benchmarks/peers"
+    assert [engine["name"] for engine in result["engines"]] == ["StepGap", "StepGap in a batch"]
+    assert result["skipped"] == {"all peers": "benchmarks/peers is found only in a checkout"}
+    assert "all peers" in bench_map.describe_bench(result)
+
+
+def test_bad_input_is_refused(stepgap: Command) -> None:
+    Path("there.json").write_text("keep me")
+    refused(stepgap("bench", "map", "--out", "there.json"), "there.json: exists already; choose another --out")
+    refused(stepgap("bench", "map", "--gains.stifness", "3"), "did you mean stiffness?")
+    refused(stepgap("bench", "maps"), "maps")
+    assert Path("there.json").read_text() == "keep me"
+
+
+def test_settings_with_which_nothing_hops_fail_in_one_line(stepgap: Command) -> None:
+    said = stepgap("bench", "map", "--quick", "--gains.rest_length", "0.2")
+    assert (said.code, said.out) == (1, "")
+    assert said.err.splitlines()[-1].startswith("stepgap: only 0 of 12 random steps succeed; choose settings")
+    assert not list(Path().iterdir())
+
+
+@pytest.fixture(scope="module")
+def peer() -> Callable:
+    return full_system.make_hop(RobotParameters(), Gains(), full_system.plain, 1e-9, 1e-10)
+
+
+def test_the_peer_is_the_same_robot(peer: Callable) -> None:
+    hopper = Hopper(RobotParameters(), Gains())
+    for state, command in (([0.1, 0.54], [-3.0, 5.0]), ([0.35, 0.62], [6.0, -15.0])):
+        reason, expected = reference_hop(hopper, np.array(state), np.array(command))
+        assert reason == 0
+        np.testing.assert_allclose(peer(state, command), expected, rtol=1e-7)
+
+
+def test_extrapolated_differences_are_derivatives() -> None:
+    nominal = ApexMap()
+
+    def polynomial(state: np.ndarray, command: np.ndarray) -> np.ndarray:
+        return np.array([state[0] ** 3 * command[1], state[1] * command[0]])
+
+    state, command = np.array([0.2, 0.5]), np.array([3.0, 7.0])
+    exact = [[3 * 0.04 * 7, 0, 0, 0.008], [0, 3.0, 0.5, 0]]
+    np.testing.assert_allclose(bench_map.richardson(nominal, polynomial, state, command), exact, atol=1e-12)

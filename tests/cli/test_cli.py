@@ -1,0 +1,403 @@
+"""The command line: its contract with people and programs, and that bad input does no harm."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from stepgap.base.compiled import generic
+from stepgap.cli.app import main
+from stepgap.learning.step_log import StepWriter
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.parameters import CommandBounds
+from stepgap.step import Outcome, StepRecord
+from tests.cli.command_line import Command, Said, refused
+
+TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
+SHORT = 'seed = 5\nreference = "targets.csv"\n[learning]\niterations = 1\n'
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `short.toml` and its run in `run`."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "targets.csv").write_text(TARGETS)
+    (folder / "short.toml").write_text(SHORT)
+    main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def record(folder: Path) -> dict[str, bytes]:
+    """Without figures and report."""
+    return {name: data for name, data in contents(folder).items() if name.endswith((".csv", ".json", ".toml"))}
+
+
+def copied(folder: Path, target: Path) -> Path:
+    for name, data in record(folder).items():
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        (target / name).write_bytes(data)
+    return target
+
+
+# The contract of a run
+
+
+def test_a_run_folder_is_complete(finished: Path) -> None:
+    names = set(contents(finished / "run"))
+    figures = {name for name in names if re.fullmatch(r"figures/[a-z_]+\.(pdf|png)", name)}
+    assert figures
+    assert names - figures == {
+        "experiment.toml", "reference.csv", "steps.csv", "models/iteration_1.json", "summary.json", "report.html",
+        "replay/deployment_0.npz", "replay/deployment_1.npz",
+    }  # fmt: skip
+    summary = json.loads((finished / "run" / "summary.json").read_text())
+    assert [entry["steps"] for entry in summary["iterations"]] == [3, 3]
+    assert (finished / "run" / "steps.csv").read_text().count("\n") == 7
+
+
+def test_its_settings_rerun_it(finished: Path, stepgap: Command) -> None:
+    said = stepgap("run", finished / "run" / "experiment.toml", "--out", "again")
+    assert (said.code, said.out) == (0, "again/report.html\n")
+    assert record(Path("again")) == record(finished / "run")
+    lines = said.err.splitlines()
+    assert len(lines) == 2, "a plain line for each deployment"
+    assert re.fullmatch(r"deployment 0 of 1 \(none\): 3 steps, RMSE speed [0-9.]+ m/s, height [0-9.]+ m", lines[0])
+    assert lines[1].startswith("deployment 1 of 1 (gp_on_linear): 3 steps, RMSE")
+
+
+def test_without_out_a_run_gets_a_new_folder(finished: Path, stepgap: Command) -> None:
+    arguments = ["run", "--reference", finished / "targets.csv", "--iterations", 0, "--quiet"]
+    first, second = stepgap(*arguments), stepgap(*arguments, "--seed=6", "--gains.stiffness", "2400")
+    for said in (first, second):
+        assert re.fullmatch(r"runs/\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d(_2)?/report\.html\n", said.out)
+        assert (said.code, said.err) == (0, "")
+        assert Path(said.out.strip()).is_file()
+    assert first.out != second.out
+    assert Path("runs/latest").resolve() == Path(second.out).parent.resolve()
+    text = Path("runs/latest/experiment.toml").read_text()
+    assert "seed = 6\n" in text
+    assert "stiffness = 2400.0\n" in text
+    assert json.loads(Path("runs/latest/summary.json").read_text())["seed"] == 6
+
+
+@pytest.mark.parametrize("rows", [0, 2, 4])
+def test_a_run_that_was_broken_off_is_resumed(finished: Path, stepgap: Command, rows: int) -> None:
+    folder = copied(finished / "run", Path("run"))
+    lines = (folder / "steps.csv").read_text().splitlines(keepends=True)
+    (folder / "steps.csv").write_text("".join(lines[: rows + 1]) + "".join(lines[rows + 1 : rows + 2])[:30])
+    (folder / "summary.json").unlink()
+    said = stepgap("run", "--out", folder, "--resume", "--quiet")
+    assert said == Said(0, "run/report.html\n", "")
+    assert record(folder) == record(finished / "run")
+
+
+def test_the_report_is_made_anew(finished: Path, stepgap: Command) -> None:
+    folder = copied(finished / "run", Path("run"))
+    assert stepgap("report", folder) == Said(0, "run/report.html\n", "")
+    assert (folder / "report.html").read_bytes() == (finished / "run" / "report.html").read_bytes()
+
+
+def test_the_gait_and_its_picture(stepgap: Command) -> None:
+    for name in ("gait.png", "gait_2.png"):
+        said = stepgap("gait", "--speed", "0.1")
+        assert (said.code, said.err) == (0, "")
+        assert said.out.endswith(f"\n{name}\n")
+        assert Path(name).read_bytes().startswith(b"\x89PNG")
+
+
+# Bad input: one line, exit code 2, nothing made or changed
+
+
+RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("walk", ['"walk"']),
+        ("run --frobnicate", ["--frobnicate"]),
+        ("run --sed 3", ["--sed", "--seed"]),
+        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting, name its table", "--robot.body_mass"]),
+        ("run --port 8080", ["--host, --port: ", "give --view, too"]),
+        ("run --host ::1", ["--host, --port: ", "give --view, too"]),
+        ("run --view --port 65536", ["65536", "--port"]),
+        ("run a.toml b.toml", ["b.toml"]),
+        ("run none.toml", ["none.toml: No such file or directory; give an existing TOML file"]),
+        ("run --seed", ["--seed requires an argument"]),
+        ("run --seed --quiet", ["--seed requires an argument"]),
+        ("run --seed -1", ["--seed = -1, but it must lie between 0 and 2⁶³"]),
+        ("run --seed 1.5", ["--seed = 1.5, but it must be a whole number"]),
+        ("run --seed one", ["--seed = 'one', but it must be a whole number"]),
+        ("run --iterations -1", ["--iterations = -1, but it must lie between 0 and 1000"]),
+        ("run --iterations=x", ["--iterations = 'x', but it must be a whole number"]),
+        ("run --learning.residual cubic", ["--learning.residual = 'cubic', but it must be one of none, "]),
+        ("run --gains.stiffness", ["--gains.stiffness: give a value"]),
+        ("run --gains.stiffness --quiet", ["--gains.stiffness: give a value"]),
+        ("run --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
+        ("run --robot.body_mass -1", ["--robot.body_mass = -1.0, but it must be positive"]),
+        ("run --robot.body_mass 1e6", ["reference paper, step 1: ", "out of reach"]),
+        ("run --command.fx_lower 40", ["--command.fx_lower = 40.0, but it must lie below fx_upper = 30.0"]),
+        ("run --robot.boom_inertia_vertical 0 --robot.boom_inertia_horizontal 0", ["boom_stiffness", "must"]),
+        ("run --reference none.csv", ["none.csv: No such file or directory; reference must be 'paper' or"]),
+        ("run --reference far.csv", ["reference far.csv, step 2: speed 3 m/s, height 0.55 m is out of reach"]),
+        ("run --reference deep.csv", ["reference deep.csv, step 1: speed 0.1 m/s, height -1 m is out of reach"]),
+        ("run --reference nan.csv", ["nan.csv, line 2, column 'speed': 'nan'; it must be a finite number"]),
+        ("run --reference empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height'"]),
+        ("run --out file/below", ["file/below: cannot be written: Not a directory; choose another --out"]),
+        ("run --out file", ["file: cannot be written"]),
+        ("run --plant ethercat", ["--plant ethercat: say which robot by --rig RIG.toml"]),
+        ("run --plant twn", ["--plant twn: unknown; it must be one of twin, emulated-ring, ethercat, moteus"]),
+        (
+            "run --out used --reference used/reference.csv",
+            ["used: reference.csv is there already and would be written"],
+        ),
+        ("run --plant ethercatt --rig none.toml", ["rig 'ethercatt': unknown; did you mean ethercat?"]),
+        ("run --plant ethercat --rig none.toml --arm", ["none.toml: No such file or directory"]),
+        ("run --plant ethercat --rig rig.toml", ["gives torque only with --arm", "rig dry-run"]),
+        ("run --arm", ["plant 'twin' takes neither"]),
+        ("run --plant emulated-ring --gap.preset none", ["gap.motor_counts must be finite"]),
+        ("run --resume", ["--resume: say which run by --out RUN"]),
+        ("run --resume --out none", ["none: no experiment.toml there, so there is no run to resume"]),
+        ("run --resume --out folder", ["folder: no experiment.toml there"]),
+        ("run --resume --out folder --seed 3", ["--resume: the run goes on with the settings it has"]),
+        ("run --resume --out folder a.toml", ["--resume: the run goes on with the settings it has"]),
+        ("report", ["FOLDER"]),
+        ("report none", ["none/steps.csv: no such file"]),
+        ("report folder", ["folder/steps.csv: no such file"]),
+        ("report folder --gains.stiffness 3", ["--gains.stiffness: this verb takes no settings"]),
+        ("gait --speed nan", ["--speed nan --height 0.58: both must be finite numbers"]),
+        ("gait --height inf", ["--speed 0.2 --height inf: both must be finite numbers"]),
+        ("gait --speed fast", ["--speed", "fast"]),
+        ("gait --height -1", ["--speed 0.2 --height -1: no command makes a step from there"]),
+        ("gait --out file", ["file: exists already; choose another --out"]),
+        ("gait --out file/below.png", ["file/below.png: cannot be written: Not a directory; choose another --out"]),
+        ("gait --out none/gait.png", ["none/gait.png: cannot be written: No such file or directory"]),
+        ("gait --out gait.xyz", ["gait.xyz: the name must end with one of .", ".png"]),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, words: list[str]) -> None:
+    Path("file").write_text("keep me")
+    Path("folder").mkdir()
+    Path("used").mkdir()
+    Path("used/reference.csv").write_text("speed,height\n0.1,0.55\n")
+    Path("far.csv").write_text("speed,height\n0.1,0.55\n3,0.55\n")
+    Path("deep.csv").write_text("speed,height\n0.1,-1\n")
+    Path("nan.csv").write_text("speed,height\nnan,0.55\n")
+    Path("empty.csv").write_bytes(b"")
+    Path("rig.toml").write_bytes(RIG.read_bytes())
+    before = contents(Path())
+    refused(stepgap(*arguments.split()), *words)
+    assert contents(Path()) == before
+    assert not Path("runs").exists()
+    assert not list(Path("folder").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[gains]\nstifness = 3\n", ["bad.toml: [gains] stifness: unknown key; did you mean stiffness?"]),
+        ("[gains]\nstiffness = 'a\\nb'\n", ["bad.toml: [gains] stiffness = 'a\\\\nb', but it must be a number"]),
+        ("[robot]\ngravity = nan\n", ["bad.toml: [robot] gravity = nan, but it must be finite"]),
+        ("'a\nb' = 1", ["not TOML"]),
+        ('"a\\nb" = 1', ["unknown key"]),
+    ],
+)
+def test_bad_settings_are_refused_in_one_line(stepgap: Command, text: str, words: list[str]) -> None:
+    Path("bad.toml").write_text(text)
+    for verb in ("run", "gait"):
+        refused(stepgap(verb, "bad.toml"), *words)
+    assert list(contents(Path())) == ["bad.toml"]
+
+
+def test_a_folder_with_a_run_is_not_overwritten(finished: Path, stepgap: Command) -> None:
+    before = contents(finished)
+    said = stepgap("run", "--out", finished / "run", "--iterations", 0)
+    refused(said, "run: holds a run already; go on with it by --resume, or choose another --out")
+    assert contents(finished) == before
+
+
+def drop_row(text: str) -> str:
+    lines = text.splitlines(keepends=True)
+    return "".join(lines[:2] + lines[3:])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda text: text.replace("0.1,0.56", "0.1,0.57", 1), ["steps.csv: replaying deployment 0"]),
+        (drop_row, ["steps.csv, line 3: not the next step"]),
+        (lambda text: text + "rubbish\n", ["steps.csv, line 8: not the next step"]),
+        (lambda text: "rubbish\n", ["steps.csv, line 1: the columns must be iteration,"]),
+    ],
+)
+def test_a_record_that_was_tampered_with_is_refused(
+    finished: Path, stepgap: Command, spoil: Callable[[str], str], words: list[str]
+) -> None:
+    folder = copied(finished / "run", Path("run"))
+    (folder / "steps.csv").write_text(spoil((folder / "steps.csv").read_text()))
+    before = contents(Path())
+    refused(stepgap("run", "--resume", "--out", "run", "--quiet"), *words)
+    assert contents(Path()) == before
+
+
+def test_a_run_in_progress_is_left_alone(finished: Path, stepgap: Command) -> None:
+    folder = copied(finished / "run", Path("run"))
+    before = contents(folder)
+    with StepWriter(folder / "steps.csv", CommandBounds().space()):
+        refused(stepgap("run", "--resume", "--out", "run"), "run/steps.csv: another process is writing this run")
+    assert contents(folder) == before
+
+
+# Other ends
+
+
+@pytest.fixture
+def trouble(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], None]:
+    """Lets something happen in the fifth step."""
+
+    def make(happen: Callable[[], None]) -> None:
+        take_step, count = RigPlant.take_step, iter(range(1, 100))
+
+        def watched(plant: RigPlant, command: np.ndarray) -> StepRecord:
+            if next(count) == 5:
+                happen()
+            return take_step(plant, command)
+
+        monkeypatch.setattr(RigPlant, "take_step", watched)
+
+    return make
+
+
+@pytest.fixture
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C interrupts, though a shell in the background lets its children ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_interruptible")
+def test_ctrl_c_says_how_to_go_on(finished: Path, stepgap: Command, trouble: Callable) -> None:
+    trouble(lambda: signal.raise_signal(signal.SIGINT))
+    said = stepgap("run", finished / "short.toml", "--out", "my run", "--quiet")
+    assert said == Said(130, "", "stepgap: stopped; go on with: stepgap run --out 'my run' --resume\n")
+    assert Path("my run/steps.csv").read_text().count("\n") == 5
+    assert stepgap("run", "--out", "my run", "--resume", "--quiet").code == 0
+    assert record(Path("my run")) == record(finished / "run")
+
+
+def test_a_verb_says_once_that_it_compiles(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    evaluate = ApexMap.evaluate
+
+    def compiling(nominal: ApexMap, state: ArrayLike, command: ArrayLike) -> Outcome:
+        for function in (lambda x: x, lambda x: 2 * x):
+            generic(function)(1.0)
+        return evaluate(nominal, state, command)
+
+    monkeypatch.setattr(ApexMap, "evaluate", compiling)
+    main(["map"])
+    assert capfd.readouterr().err == "stepgap: compiling for this machine; takes about half a minute, once\n"
+
+
+def raising(error: Exception) -> Callable[[], None]:
+    def happen() -> None:
+        raise error
+
+    return happen
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (RigFault("a drive tripped"), "stepgap: a drive tripped\n"),
+        (ValueError("a fault\nof ours"), "stepgap: ValueError: a fault of ours\n"),
+        (
+            OSError(28, "No space left on device", "a.csv"),
+            "stepgap: OSError: [Errno 28] No space left on device: 'a.csv'\n",
+        ),
+    ],
+)
+def test_a_failure_is_no_bad_input(
+    finished: Path, stepgap: Command, trouble: Callable, error: Exception, line: str
+) -> None:
+    trouble(raising(error))
+    assert stepgap("run", finished / "short.toml", "--out", "run", "--quiet") == Said(1, "", line)
+    assert Path("run/steps.csv").read_text().count("\n") == 5, "what was recorded stays, to be resumed"
+
+
+def test_what_may_not_be_read_or_written_is_bad_input(finished: Path, stepgap: Command, trouble: Callable) -> None:
+    trouble(raising(PermissionError(13, "Permission denied", "a.csv")))
+    said = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
+    assert said == Said(2, "", "stepgap: a.csv: Permission denied\n")
+
+
+def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:
+    with pytest.raises(ValueError, match="give a value"):
+        stepgap("run", "--gains.stiffness", "--debug")
+
+
+# Help
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--help"], ["Usage: stepgap COMMAND", "run", "gait", "map", "report", "--TABLE.KEY VALUE"]),
+        ([], ["Usage: stepgap COMMAND"]),
+        (["run", "--help"], ["--out", "--seed", "--iterations", "--resume", "--quiet", "--reference", "EXPERIMENT"]),
+        (["gait", "--help"], ["--speed", "--height", "[m/s]"]),
+        (["report", "--help"], ["FOLDER"]),
+    ],
+)
+def test_help_is_on_stdout(stepgap: Command, arguments: list[str], words: list[str]) -> None:
+    said = stepgap(*arguments)
+    assert (said.code, said.err) == (0, "")
+    assert "--no-" not in said.out
+    for word in words:
+        assert word in said.out
+
+
+@pytest.mark.parametrize("verb", ["report", "export", "recover", "doctor", "view", "bench gp", "rig check"])
+def test_the_help_of_a_verb_without_settings_names_none(stepgap: Command, verb: str) -> None:
+    said = stepgap(*verb.split(), "--help").out
+    assert "--TABLE" not in said
+    assert "--debug" in said
+
+
+def test_the_version_is_that_of_the_package(stepgap: Command) -> None:
+    assert re.fullmatch(r"\d+\.\d+\.\d+\S*\n", stepgap("--version").out)
+
+
+HEAVY = {"numpy", "numba", "scipy", "mujoco", "matplotlib", "rich.markdown"}
+
+
+@pytest.mark.parametrize("arguments", ["--help", "run --help", "--no-such-option", "run --no-such-option"])
+def test_help_and_a_wrong_option_wait_for_nothing_heavy(arguments: str) -> None:
+    asked = f"""
+import sys, stepgap.cli.app
+try:
+    stepgap.cli.app.main({arguments.split()})
+except SystemExit:
+    pass
+print({HEAVY} & sys.modules.keys(), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert done.stderr.splitlines()[-1] == "set()"
+
+
+@pytest.mark.parametrize("arguments", [["run", "one.toml", "two.toml"], ["doctor", "two.toml"]])
+def test_what_is_too_much_is_named(arguments: list[str], stepgap: Command) -> None:
+    refused(stepgap(*arguments), "two.toml: more than this verb takes")

@@ -1,0 +1,345 @@
+"""`stepgap export`, `recover` and `doctor`: what they write is what was recorded, and bad input does no harm."""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+import csv
+import json
+import math
+import shutil
+import sys
+import tomllib
+from collections.abc import Callable
+from importlib.metadata import metadata
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from scipy.io import loadmat
+
+from stepgap.cli.app import main
+from stepgap.cli.machine import describe_machine
+from stepgap.experiment.replay import REPLAY_UNITS, replay
+from stepgap.learning.step_log import StepLog, read_step_log
+from stepgap.plants.tick import TICK_UNITS
+from stepgap.plants.ticks.tick_log import TickLog, read_ticks
+from stepgap.robots.hopper.parameters import CommandBounds
+from tests.cli.command_line import Command, Said, refused
+from tests.report.runs import make_run
+
+SPACE = CommandBounds().space()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of two deployments of three steps."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, np.nan]))
+        paths = ["--reference", str(folder / "targets.csv"), "--out", str(folder / "run")]
+        main(["run", *paths, "--iterations", "1", "--seed", "5", "--quiet"])
+    return folder / "run"
+
+
+@pytest.fixture
+def run(made: Path, stepgap: Command) -> Path:
+    return Path(shutil.copytree(made, "run"))
+
+
+@pytest.fixture
+def log(made: Path) -> StepLog:
+    return read_step_log(made / "steps.csv", SPACE)
+
+
+def contents(folder: Path = Path()) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+# Steps
+
+
+def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: StepLog) -> None:
+    assert stepgap("export", run, "--to", "mat") == Said(0, "run/export/run.mat\n", "")
+    file = loadmat("run/export/run.mat", simplify_cells=True)
+    steps, summary = file["steps"], file["summary"]
+    assert list(steps) == (run / "steps.csv").read_text().splitlines()[0].split(",")
+    np.testing.assert_array_equal(np.stack([steps["speed"], steps["height"]], axis=1), log.state)
+    np.testing.assert_array_equal(np.stack([steps["applied_fx"], steps["applied_fy"]], axis=1), log.applied)
+    assert steps["status"].tolist() == 6 * ["ok"]
+    assert steps["iteration"].tolist() == [0, 0, 0, 1, 1, 1]
+    assert file["units"]["next_speed"] == "m/s"
+    assert (file["units"]["applied_fx"], len(file["units"]["step"])) == ("N", 0)
+    wanted = tomllib.loads((run / "experiment.toml").read_text())
+    assert file["settings"]["gains"] == pytest.approx(wanted["gains"])
+    assert (file["settings"]["seed"], file["settings"]["learning"]["residual"]) == (5, "gp_on_linear")
+    known = json.loads((run / "summary.json").read_text())
+    assert summary["rmse"]["speed"].tolist() == [entry["rmse"]["speed"] for entry in known["iterations"]]
+    assert summary["residual"].tolist() == ["none", "gp_on_linear"]
+    assert (summary["repeatability"]["speed"], math.isnan(summary["repeatability"]["height"])) == (0.01, True)
+    columns = loadmat("run/export/run.mat")["steps"]["speed"][0, 0]
+    assert columns.shape == (6, 1), "columns, as MATLAB has them"
+
+
+def test_a_run_of_another_robot_that_is_not_finished(stepgap: Command) -> None:
+    make_run(Path("other"), iterations=1)
+    Path("other/summary.json").unlink()
+    Path("other/experiment.toml").write_text(f"a-b = 1\nlong = 1{'0' * 400}\n")
+    refused(stepgap("export", "other", "--to", "mat"), "'a-b': MATLAB has no such names; export to csv instead")
+    Path("other/experiment.toml").write_text(f"[[list]]\nb = 1\n[c]\nlong = 1{'0' * 400}\nyes = true\n")
+    assert stepgap("export", "other", "--to", "mat").code == 0
+    file = loadmat("other/export/run.mat", simplify_cells=True)
+    assert file["settings"]["list"]["b"] == 1
+    assert (file["settings"]["c"]["yes"], len(file["settings"]["c"]["long"])) == (1, 401)
+    assert file["summary"]["rmse"]["speed"].size == 0
+    assert len(file["steps"]["speed"]) == 80
+    assert stepgap("export", "other", "--to", "csv").code == 0
+    Path("other/experiment.toml").unlink()
+    assert stepgap("export", "other", "--to", "mat").code == 0
+
+
+def test_csv_has_a_second_table_of_units(run: Path, stepgap: Command) -> None:
+    said = stepgap("export", run, "--to", "csv")
+    assert said == Said(0, "run/export/steps.csv\nrun/export/steps_columns.csv\n", "")
+    assert Path("run/export/steps.csv").read_bytes() == (run / "steps.csv").read_bytes()
+    legend = list(csv.DictReader(Path("run/export/steps_columns.csv").read_text("utf-8").splitlines()))
+    assert [row["column"] for row in legend] == (run / "steps.csv").read_text().splitlines()[0].split(",")
+    units = {row["column"]: row["unit"] for row in legend}
+    assert [units[name] for name in ("std_speed", "target_height", "fy", "status")] == ["m/s", "m", "N", ""]
+    assert all(row["meaning"] for row in legend)
+
+
+def test_one_deployment_alone(run: Path, stepgap: Command) -> None:
+    assert stepgap("export", run, "--to", "csv", "--iteration", 1).out.startswith("run/export/steps_1.csv\n")
+    header, *rows = (run / "steps.csv").read_text().splitlines()
+    assert Path("run/export/steps_1.csv").read_text().splitlines() == [header, *rows[3:]]
+
+
+def test_parquet_keeps_numbers_and_units(run: Path, stepgap: Command, log: StepLog) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is an extra")
+    assert stepgap("export", run, "--to", "parquet").out == "run/export/steps.parquet\n"
+    table = parquet.read_table("run/export/steps.parquet")
+    np.testing.assert_array_equal(table["next_height"].to_numpy(), log.next_state[:, 1])
+    assert table.schema.field("speed").metadata[b"unit"] == b"m/s"
+    assert table["status"].to_pylist() == 6 * ["ok"]
+
+
+def test_without_pyarrow_it_says_what_to_install(run: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    refused(stepgap("export", run, "--to", "parquet"), "pip install 'stepgap[parquet]'")
+    assert not Path("run/export").exists()
+
+
+# Ticks
+
+
+def test_every_tick_of_a_deployment(run: Path, stepgap: Command) -> None:
+    assert stepgap("export", run, "--to", "mcap") == Said(0, "run/export/ticks_1.mcap\n", "")
+    units, ticks = read_ticks(Path("run/export/ticks_1.mcap"))
+    assert units == REPLAY_UNITS
+    np.testing.assert_array_equal(ticks, replay(run, 1).rows)
+    with Path("run/export/ticks_1.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == len(ticks), "by the library itself"
+    assert stepgap("export", run, "--to", "mcap", "--iteration", 0, "--out", "a.mcap").out == "a.mcap\n"
+
+
+def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -> None:
+    (run / "experiment.toml").write_text('plant = "ethercat"\n')
+    ticks = np.arange(14 * 4000.0).reshape(4000, 14) * 1e-3
+    for number in range(2):
+        with TickLog(run / "ticks" / f"ticks-{number}.mcap", TICK_UNITS) as rows:
+            rows.append(ticks)
+    whole = (run / "ticks" / "ticks-0.mcap").read_bytes()
+    (run / "ticks" / "ticks-1.mcap").write_bytes(whole[: len(whole) // 2])
+    (run / "ticks" / "ticks-2.mcap").write_bytes(b"rubbish")
+    before = contents(run / "ticks")
+    lines = stepgap("export", run, "--to", "mcap").out.splitlines()
+    assert lines[0] == "run/export/ticks/ticks-0.mcap"
+    assert lines[1].startswith("run/export/ticks/ticks-1.mcap (")
+    assert "ticks recovered: it breaks off" in lines[1]
+    assert lines[2] == "left out: run/ticks/ticks-2.mcap: this is no MCAP file; give a tick log"
+    assert Path("run/export/ticks/ticks-0.mcap").read_bytes() == whole
+    _, found = read_ticks(Path("run/export/ticks/ticks-1.mcap"))
+    np.testing.assert_array_equal(found, ticks[: len(found)])
+    assert len(found) > 1000
+    assert contents(run / "ticks") == before
+    refused(stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: the logs of a rig do not say")
+    refused(stepgap("export", run, "--to", "mjcf"), "plant 'ethercat'")
+    shutil.rmtree(run / "ticks")
+    refused(stepgap("export", run, "--to", "mcap"), "run/ticks: no .mcap file there")
+
+
+# Model
+
+
+def test_the_model_is_opened_by_mujoco_and_falls(run: Path, stepgap: Command) -> None:
+    assert stepgap("export", run, "--to", "mjcf").out == "run/export/mjcf/hopper.xml\nrun/export/mjcf/scene.xml\n"
+    for name in ("hopper.xml", "scene.xml"):
+        model = mujoco.MjModel.from_xml_path(f"run/export/mjcf/{name}")
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+        height = data.qpos[1]
+        mujoco.mj_step(model, data, 200)
+        assert data.qpos[1] < height, "it falls, its hip free"
+        assert np.isfinite(data.qpos).all()
+    assert model.camera("side").id == 0
+
+
+# Broken records
+
+
+def cut(count: int) -> Callable[[bytes], bytes]:
+    return lambda content: content[:-count]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "steps", "fault"),
+    [
+        (bytes, 6, ""),
+        (cut(9), 5, "the last line breaks off after "),
+        (cut(1), 5, "the last line breaks off after "),
+        (lambda content: content + b"\0" * 4096, 6, "the last line breaks off after 4096 bytes"),
+        (lambda content: content + b"\xff\xfe\n1,2\n", 6, "no text from byte "),
+        (lambda content: content.replace(b"\n1,1,", b"\n1,9,"), 3, "line 5: not the next step"),
+        (lambda content: content.replace(b",ok\n", b",okay\n", 3).replace(b",okay\n", b",ok\n", 2), 2, "line 4: not"),
+    ],
+)
+def test_the_whole_steps_of_a_broken_record(
+    run: Path, stepgap: Command, log: StepLog, spoil: Callable[[bytes], bytes], steps: int, fault: str
+) -> None:
+    broken = spoil((run / "steps.csv").read_bytes())
+    (run / "steps.csv").write_bytes(broken)
+    said = stepgap("recover", run / "steps.csv")
+    *faults, count, path = said.out.splitlines()
+    assert (said.code, said.err, path) == (0, "", "run/steps_recovered.csv")
+    assert count == (f"{steps} steps recovered" if fault else "6 steps copied: nothing is wrong with them")
+    assert len(faults) == bool(fault)
+    assert fault in "".join(faults)
+    recovered = read_step_log(Path(path), SPACE)
+    np.testing.assert_array_equal(recovered.next_state, log.next_state[:steps])
+    assert (run / "steps.csv").read_bytes() == broken
+
+
+def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
+    ticks = np.arange(28000.0).reshape(2000, 14) * 1e-3
+    with TickLog(Path("a.mcap"), TICK_UNITS) as rows:
+        rows.append(ticks)
+    whole = Path("a.mcap").read_bytes()
+    Path("a.mcap").write_bytes(whole[:200_000])
+    said = stepgap("recover", "a.mcap", "--out", "b.mcap")
+    assert said.out.splitlines()[0].startswith("a.mcap: it breaks off")
+    _, found = read_ticks(Path("b.mcap"))
+    assert said.out.splitlines()[1:] == [f"{len(found)} ticks recovered", "b.mcap"]
+    np.testing.assert_array_equal(found, ticks[: len(found)])
+    assert len(found) > 1000
+    assert (
+        stepgap("recover", "b.mcap").out == f"{len(found)} ticks copied: nothing is wrong with them\nb_recovered.mcap\n"
+    )
+
+
+# Bad input: one line, exit code 2, nothing made or changed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("export run", ["--to"]),
+        ("export run --to xls", ["--to", "xls"]),
+        ("export none --to mat", ["none/steps.csv: no such file"]),
+        ("export none --to mcap", ["none/steps.csv: no such file"]),
+        ("export none --to mjcf", ["none/experiment.toml: No such file"]),
+        ("export run --to csv --iteration 2", ["--iteration 2: no step of it in run; there are 0, 1"]),
+        ("export run --to mcap --iteration 2", ["no step of deployment 2; the deployments there are: 0, 1"]),
+        ("export run --to mjcf --iteration 1", ["--iteration: the model is the same in all deployments"]),
+        ("export run --to csv --iteration -1", ["--iteration"]),
+        ("export run --to mat --out file", ["file: exists already; choose another --out"]),
+        ("export run --to mcap --out file", ["file: exists already; choose another --out"]),
+        ("export run --to mjcf --out run", ["run: exists already; choose another --out"]),
+        ("export run --to csv --out a.csv", ["a_columns.csv: exists already; choose another --out"]),
+        ("export run --to csv --out none/a.csv", ["none/a.csv: cannot be written: no folder to write in"]),
+        ("export cut --to mat", ["cut/summary.json: deployment 1 has 3 steps"]),
+        ("export changed --to mcap --iteration 0", ["changed/summary.json: steps.csv was changed"]),
+        ("export foreign --to mat", ["foreign/steps.csv, line 1: not the header of a step log"]),
+        ("export binary --to parquet", ["binary/steps.csv"]),
+        ("export unsettled --to mat", ["unsettled/experiment.toml: not TOML"]),
+        ("export unsettled --to mjcf", ["unsettled/experiment.toml: not TOML"]),
+        ("export nested --to mat", ["nested/experiment.toml: not TOML"]),
+        ("recover none", ["none: No such file or directory"]),
+        ("recover run", ["run: this is no file; give a steps.csv or an .mcap file"]),
+        ("recover file", ["file, line 1: not the header of a step log"]),
+        ("recover empty.csv", ["empty.csv: no step yet"]),
+        ("recover header.csv", ["header.csv: no whole step in it"]),
+        ("recover rubbish.mcap", ["rubbish.mcap: this is no MCAP file"]),
+        ("recover magic.mcap", ["magic.mcap: nothing in it says what its ticks are"]),
+        ("recover run/steps.csv --out file", ["file: exists already; choose another --out"]),
+        ("doctor now", ["now"]),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(run: Path, stepgap: Command, arguments: str, words: list[str]) -> None:
+    text = (run / "steps.csv").read_text()
+    for name in ("cut", "changed", "foreign", "binary", "unsettled", "nested"):
+        shutil.copytree(run, name)
+    Path("cut/steps.csv").write_text(text[:-9])
+    Path("changed/steps.csv").write_text(text.replace("0.56", "0.57"))
+    Path("foreign/steps.csv").write_text("time,speed\n0,1\n")
+    Path("binary/steps.csv").write_bytes(bytes(range(256)) * 8)
+    Path("unsettled/experiment.toml").write_text("[[[\n")
+    Path("nested/experiment.toml").write_text(f"a = {'[' * 5000}")
+    Path("file").write_text("keep me")
+    Path("a_columns.csv").write_text("keep me")
+    Path("empty.csv").write_bytes(b"")
+    Path("header.csv").write_text(text[: text.index("\n") + 1])
+    Path("rubbish.mcap").write_bytes(b"rubbish")
+    Path("magic.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(1000))
+    before = contents()
+    refused(stepgap(*arguments.split()), *words)
+    assert contents() == before
+
+
+def test_nothing_is_written_over(run: Path, stepgap: Command) -> None:
+    for name in ("run.mat", "run_2.mat"):
+        assert stepgap("export", run, "--to", "mat").out == f"run/export/{name}\n"
+    for name in ("mjcf", "mjcf_2"):
+        assert stepgap("export", run, "--to", "mjcf").out.startswith(f"run/export/{name}/hopper.xml\n")
+    for name in ("steps_recovered.csv", "steps_recovered_2.csv"):
+        assert stepgap("recover", run / "steps.csv").out.endswith(f"\nrun/{name}\n")
+
+
+# The machine
+
+
+def test_doctor_says_what_there_is(stepgap: Command) -> None:
+    said = stepgap("doctor")
+    assert (said.code, said.err) == (0, "")
+    table = dict(line.split(maxsplit=1) for line in said.out.splitlines() if not line.startswith("extra"))
+    assert table["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert {"numpy", "mujoco", "cores", "display", "OpenGL", "raw", "real", "cache"} <= set(table)
+    for extra in metadata("stepgap").get_all("Provides-Extra") or []:
+        assert f"extra {extra} " in said.out, "doctor.PURPOSES says what it is for"
+
+
+def test_doctor_knows_a_machine_that_has_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("stepgap.cli.machine._tried", lambda *_, **__: None)
+    monkeypatch.setattr("stepgap.cli.machine._version", lambda _: None)
+    monkeypatch.setattr("stepgap.cli.machine.cache_folder", lambda: None)
+    monkeypatch.setattr("socket.socket", refuse)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
+        monkeypatch.delenv(name, raising=False)
+    found = describe_machine()
+    for words in (
+        "none; only MuJoCo's own pictures need it",
+        "apt install libegl1",
+        "EtherCAT needs",
+        "could not be tried",
+        "no folder can be written",
+        "to have it: ./go uv pip install 'stepgap[parquet]'",
+    ):
+        assert words in found

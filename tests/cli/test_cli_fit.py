@@ -1,0 +1,162 @@
+"""`stepgap fit`: what it says of logs whose truth is known, what it writes, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.learning.residual_fit import residual_from_dict
+from stepgap.learning.step_log import LoggedStep, StepWriter
+from stepgap.robots.hopper import CommandBounds
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.step import Reason, StepRecord
+from tests.cli.command_line import Command, refused
+
+FOREIGN = ("--state", "v,y", "--next", "v2,y2", "--command", "fx,fy", "--nominal", "state")
+
+
+@pytest.fixture(autouse=True)
+def _few_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stepgap.learning.residual_fit.KINDS", ("none", "constant", "gp"))
+
+
+def write_log(path: Path, offset: float, count: int = 40, seed: int = 0) -> None:
+    """Steps that change the first coordinate by an offset, but for noise, and have nothing to do with the command."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.uniform(-1, 1, (count, 4))
+    after = numbers[:, :2] + rng.normal(size=(count, 2)) * 0.1 + [offset, 0]
+    rows = [",".join(map(repr, row)) for row in np.hstack([numbers, after]).tolist()]
+    path.write_text("\n".join(["v,y,fx,fy,v2,y2", *rows]) + "\n")
+
+
+def write_run(folder: Path, offset: float) -> None:
+    """The record of two deployments on a hopper that is off by an offset in height; the last step is a fall."""
+    folder.mkdir()
+    rng, bounds = np.random.default_rng(0), CommandBounds().space()
+    states, commands = rng.uniform([0.1, 0.55], [0.3, 0.6], (31, 2)), rng.uniform(-2, 2, (31, 2))
+    after = ApexMap()(states, commands) + [0, offset] + rng.normal(size=(31, 2)) * [4e-3, 1e-3]
+    with StepWriter(folder / "steps.csv", bounds) as writer:
+        for i in range(31):
+            reason = Reason.OK if i < 30 else Reason.FELL
+            end = after[i] if i < 30 else np.full(2, np.nan)
+            record = StepRecord(states[i], 3 * commands[i], commands[i], end, reason)
+            writer.append(LoggedStep(i // 15, i % 15 + 1, states[i], states[i], np.zeros(2), record))
+
+
+def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
+    write_log(Path("log.csv"), 0.5)
+    said = stepgap("fit", "log.csv", *FOREIGN, "--out", "fit.json", "--save", "model.json", "--plot", "fit.png")
+    assert (said.code, said.err) == (0, "")
+    lines = said.out.splitlines()
+    assert lines[0] == "steps       40 of 1 deployment; rows left out: none"
+    assert "held out    10 contiguous blocks, one at a time" in lines
+    assert lines[-3:] == ["fit.json", "fit.png", "model.json"]
+    sentences = dict(line.split(":", 1) for line in lines if line.startswith(("v:", "y:", "all together:")))
+    assert "constant is better than none by" in sentences["v"]
+    assert "no residual beats the constant: nothing more to learn" in sentences["v"]
+    assert "nothing to learn: no residual is surely better than none" in sentences["y"]
+    report = json.loads(Path("fit.json").read_text())
+    assert report["best"] == {"v": "constant", "y": "none", "all": "constant"}
+    assert report["verdict"]["v"] == sentences["v"].strip()
+    assert [entry["kind"] for entry in report["residuals"]] == ["none", "constant", "gp"]
+    constant = report["residuals"][1]
+    assert constant["rmse"]["v"] == pytest.approx(0.1, rel=0.4)
+    assert constant["better_than"]["none"]["v"]["value"] == pytest.approx(0.8, abs=0.1)
+    assert Path("fit.png").read_bytes().startswith(b"\x89PNG")
+    residual = residual_from_dict(json.loads(Path("model.json").read_text()))
+    np.testing.assert_allclose(residual.mean(np.zeros((1, 4))), [[0.5, 0]], atol=0.06)
+
+
+def test_a_run_is_judged_against_the_nominal_map(stepgap: Command) -> None:
+    write_run(Path("run"), 0.01)
+    said = stepgap("fit", "run")
+    assert (said.code, said.err) == (0, "")
+    assert "steps       30 of 2 deployments; rows left out: 1 that ended without an apex" in said.out
+    assert "state       speed [m/s], height [m]" in said.out
+    assert "nominal     the hopper's apex map with default settings" in said.out
+    assert "held out    2 parts of whole deployments, one at a time" in said.out
+    speed, height, _ = said.out.splitlines()[-3:]
+    assert "nothing to learn" in speed
+    assert "constant is better than none by" in height
+    # The same rows as any CSV, by the names of their columns, without their deployments.
+    columns = {"state": "speed,height", "next": "next_speed,next_height", "command": "fx=applied_fx,fy=applied_fy"}
+    options = [part for name, text in columns.items() for part in (f"--{name}", text)]
+    again = stepgap("fit", "run/steps.csv", *options, "--folds", 2)
+    assert "rows left out: 1 with a number missing" in again.out
+    assert "held out    2 contiguous blocks" in again.out
+    assert rmse_of_gp(again.out) == rmse_of_gp(said.out), "deployments of this run are its two halves"
+
+
+def rmse_of_gp(out: str) -> str:
+    """In the first state coordinate."""
+    return next(line.split()[1] for line in out.splitlines() if line.startswith("gp "))
+
+
+def test_settings_are_those_of_the_run(stepgap: Command) -> None:
+    write_run(Path("run"), 0.0)
+    Path("run/experiment.toml").write_text("[gains]\nstiffness = 2400\n")
+    said = stepgap("fit", "run", "--gains.rest_length", "0.28")
+    assert "apex map with the settings of run/experiment.toml, some overridden" in said.out
+    assert "nothing to learn" not in said.out.splitlines()[-1]
+    write_run(Path("other"), 0.0)
+    refused(stepgap("fit", "run", "other"), "other/steps.csv: recorded with another robot, gains or bounds than run/")
+
+
+def test_columns_from_a_file(stepgap: Command) -> None:
+    write_log(Path("log.csv"), 0.0, count=21)
+    Path("columns.toml").write_text('state = ["v", "y"]\ntarget = ["v2", "y2"]\n[units]\nv = "m/s"\n')
+    said = stepgap("fit", "log.csv", "--columns", "columns.toml", "--nominal", "target", "--folds", "2")
+    assert said.code == 0
+    assert "steps       20 of 1 deployment; rows left out: 1 at the end of a chain" in said.out
+    assert "state       v [m/s], y" in said.out
+    assert "command     v2, y2" in said.out
+    assert "nominal     the target" in said.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("fit", ["LOG: none given"]),
+        ("fit none.csv", ["none.csv: No such file or directory; give the folder of a run"]),
+        ("fit folder", ["folder/steps.csv: No such file or directory; give the folder of a run"]),
+        ("fit log.csv", ["log.csv, line 1: the columns must be iteration,", "say what its columns hold"]),
+        ("fit log.csv --state v,y", ["--command: no column"]),
+        ("fit log.csv --state w,y --command fx", ["log.csv, line 1: state 'w': no column 'w'; there is v, y, fx"]),
+        ("fit log.csv --state v,y --command fxx", ["command 'fxx': no column 'fxx'; did you mean 'fx'?"]),
+        ("fit log.csv --state v, --command fx", ["--state 'v,': a name is empty"]),
+        ("fit log.csv --columns none.toml", ["none.toml: No such file or directory"]),
+        ("fit log.csv --columns file", ["file: not TOML"]),
+        ("fit log.csv --state v,y --command fx,fy", ["--nominal: the log predicts no next states; name columns by"]),
+        ("fit log.csv --state v,y --command fx --nominal map", ["--nominal map: state and command are v,y,fx; it"]),
+        ("fit log.csv --state v,y --command fx --nominal target", ["--nominal target: the log has none; name"]),
+        ("fit log.csv --state v,y --command fx --nominal mean", ["--nominal", "mean"]),
+        ("fit log.csv --state v --command fx --nominal state --gains.stiffness 3", ["state: it has no settings"]),
+        ("fit log.csv --state v --command fx --nominal state --folds 1", ["--folds 1: it must lie between 2 and"]),
+        ("fit log.csv --state v --command fx --nominal state --folds x", ["--folds", "x"]),
+        ("fit few.csv --state v --command fx --nominal state", ["few.csv: 4 steps to learn from, it must be 20 to"]),
+        ("fit many.csv --state v --command fx --nominal state", ["many.csv: 2100 steps to learn from, it must be 20"]),
+        ("fit log.csv --out file", ["file: exists already; choose another --out"]),
+        ("fit log.csv --save file", ["file: exists already; choose another --save"]),
+        ("fit log.csv --plot file", ["file: exists already; choose another --plot"]),
+        ("fit log.csv --plot none/fit.png", ["none/fit.png: cannot be written", "choose another --plot"]),
+        ("fit log.csv --plot fit.xyz", ["fit.xyz: the name must end with one of .pdf, .png, .svg"]),
+        ("fit log.csv --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, words: list[str]) -> None:
+    Path("file").write_text("keep me")
+    Path("folder").mkdir()
+    write_log(Path("log.csv"), 0.0)
+    write_log(Path("few.csv"), 0.0, count=5)
+    write_log(Path("many.csv"), 0.0, count=2101)
+    before = {path: path.read_bytes() for path in Path().iterdir() if path.is_file()}
+    refused(stepgap(*arguments.split()), *words)
+    assert {path: path.read_bytes() for path in Path().iterdir() if path.is_file()} == before
+
+
+def test_help(stepgap: Command) -> None:
+    said = stepgap("fit", "--help")
+    assert (said.code, said.err) == (0, "")
+    for word in ("LOG", "--columns", "--next", "--nominal", "--folds", "--save"):
+        assert word in said.out

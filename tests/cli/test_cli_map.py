@@ -1,0 +1,150 @@
+"""`stepgap map`: one step, many rows, a table of commands."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.control.command_table_file import read_table
+from stepgap.robots.hopper import Gains
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.sampled_map import SampledApexMap
+from stepgap.step import Reason
+from tests.cli.command_line import Command, refused
+
+HEADER = "speed,height,fx,fy\n"
+
+
+def numbers(text: str) -> list[float]:
+    return [float(word) for word in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", text)]
+
+
+def test_one_step_and_its_derivatives(stepgap: Command) -> None:
+    said = stepgap("map", "--speed", 0.1, "--height", 0.56, "--fx", -3, "--fy", "2.5")
+    assert (said.code, said.err) == (0, "")
+    first, _, header, *rows = said.out.splitlines()
+    apex_map = ApexMap()
+    assert numbers(first) == pytest.approx(apex_map([0.1, 0.56], [-3, 2.5]), abs=1e-6)
+    assert [word for word in ("speed", "height", "fx", "fy") if f"by {word} [" in header] == [
+        *apex_map.space.state_names,
+        *apex_map.space.command_names,
+    ]
+    found = np.array([numbers(row.partition("]")[2]) for row in rows])
+    np.testing.assert_allclose(found, apex_map.jacobian([0.1, 0.56], [-3, 2.5]), rtol=1e-5)
+
+
+def test_a_tick_holds_the_torques(stepgap: Command) -> None:
+    said = stepgap("map", "--tick", "0.0005")
+    assert said.code == 0
+    expected = SampledApexMap(tick=5e-4)([0.2, 0.58], [0, 0])
+    assert numbers(said.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
+    refused(stepgap("map", "--tick", "0.1"), "--tick: tick = 0.1, but it must lie between")
+
+
+def test_settings_change_the_map(stepgap: Command) -> None:
+    Path("soft.toml").write_text("[gains]\nstiffness = 2400\n")
+    expected = ApexMap(gains=Gains(stiffness=2400))([0.2, 0.58], [0, 0])
+    for arguments in (["soft.toml"], ["--gains.stiffness", "2400"]):
+        said = stepgap("map", *arguments)
+        assert said.code == 0
+        assert numbers(said.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_step_that_fails_says_why(stepgap: Command) -> None:
+    said = stepgap("map", "--height", 0.2)
+    refused(said, "--speed 0.2 --height 0.2 --fx 0 --fy 0: ", "(foot_scuffed: ", "ask for a higher apex")
+
+
+ROWS = "fy, speed,height,fx\n0,0.2,0.58,0\n\n2,0.1,0.2,1\n-1e1,0.3,0.6,0.5\n"
+
+
+@pytest.mark.parametrize("out", [None, "next.csv"])
+def test_many_rows(stepgap: Command, out: str | None) -> None:
+    Path("points.csv").write_text(ROWS)
+    said = stepgap("map", "--csv", "points.csv", *(["--out", out] if out else []))
+    assert (said.code, said.err) == (0, "")
+    if out:
+        assert said.out == "next.csv\n"
+    header, *rows = (Path(out).read_text() if out else said.out).splitlines()
+    assert header == "speed,height,fx,fy,next_speed,next_height,status"
+    assert [row.split(",")[-1] for row in rows] == ["ok", "foot_scuffed", "ok"]
+    first = [float(cell) for cell in rows[0].split(",")[:-1]]
+    assert first == [0.2, 0.58, 0, 0, *ApexMap()([0.2, 0.58], [0, 0])]
+    assert rows[1].startswith("0.1,0.2,1.0,2.0,nan,nan,")
+    assert rows[2].startswith("0.3,0.6,0.5,-10.0,")
+
+
+def test_a_table(stepgap: Command) -> None:
+    said = stepgap(
+        "map", "--table", "table.npz", "--points", 5, "--gains.stiffness", "2400", "--command.fy_upper", "18"
+    )
+    assert (said.code, said.err) == (0, "")
+    assert said.out.endswith("\ntable.npz\n")
+    assert "625 commands" in said.out
+    assert "worst error of the command" in said.out
+    table = read_table("table.npz")
+    assert table.points == 5
+    assert table.space.command_upper.tolist() == [30, 18]
+    apex_map = ApexMap(gains=Gains(stiffness=2400))
+    works = table.reasons == Reason.OK
+    speed, height = np.linspace(0, 0.4, 5), np.linspace(0.52, 0.64, 5)
+    states = np.stack(np.meshgrid(speed, height, speed, height, indexing="ij"), axis=-1)[..., :2]
+    predicted = apex_map.evaluate(states[works], table.commands[works]).next_state
+    np.testing.assert_allclose(predicted, table.predicted[works], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("map --speed nan", ["--speed nan --height 0.58 --fx 0 --fy 0: all must be finite numbers"]),
+        ("map --fx strong", ["--fx", "strong"]),
+        ("map --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
+        ("map none.toml", ["none.toml: No such file or directory"]),
+        ("map --csv good.csv --speed 0.1", ["--csv and --speed, --height, --fx, --fy: give only one of them"]),
+        ("map --csv good.csv --table t.npz", ["--csv and --table: give only one of them"]),
+        ("map --out next.csv", ["--out: goes with --csv"]),
+        ("map --points 5", ["--points 5: goes with --table, a whole number between 2 and 50"]),
+        ("map --table t.npz --points 1", ["--points 1: goes with --table, a whole number between 2 and 50"]),
+        ("map --table t.npz --points 1.5", ["--points", "1.5"]),
+        ("map --table good.csv --points 2", ["good.csv: exists already; choose another --table"]),
+        ("map --table none/t.npz --points 2", ["none/t.npz: cannot be written", "choose another --table"]),
+        ("map --csv good.csv --out good.csv", ["good.csv: exists already; choose another --out"]),
+        ("map --csv good.csv --out none/n.csv", ["none/n.csv: cannot be written", "choose another --out"]),
+        ("map --csv none.csv", ["none.csv: No such file or directory; it must be a CSV file with the columns"]),
+        ("map --csv folder", ["folder: Is a directory; it must be a CSV file"]),
+        ("map --csv empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height,fx,fy'"]),
+        ("map --csv header.csv", ["header.csv, line 2: there is no point"]),
+        ("map --csv names.csv", ["names.csv, line 1: the header is 'speed,height,fx,f'; it must be"]),
+        ("map --csv short.csv", ["short.csv, line 3: 3 values; it must have 4, one for each of speed,height,fx,fy"]),
+        ("map --csv word.csv", ["word.csv, line 2, column 'fx': 'strong'; it must be a finite number in N, for"]),
+        ("map --csv nan.csv", ["nan.csv, line 2, column 'height': 'nan'; it must be a finite number in m, for"]),
+        ("map --csv binary.csv", ["binary.csv: this is not text; it must be a CSV file"]),
+        ("map --csv quote.csv", ["quote.csv, line 2: "]),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, words: list[str]) -> None:
+    Path("folder").mkdir()
+    texts = {
+        "good": HEADER + "0.2,0.58,0,0\n",
+        "empty": "",
+        "header": HEADER,
+        "names": "speed,height,fx,f\n1,1,1,1\n",
+        "short": HEADER + "0.2,0.58,0,0\n0.2,0.58,0\n",
+        "word": HEADER + "0.2,0.58,strong,0\n",
+        "nan": HEADER + "0.2,nan,0,0\n",
+        "quote": HEADER + '0.2,0.58,0,"0\n',
+    }
+    for name, text in texts.items():
+        Path(f"{name}.csv").write_text(text)
+    Path("binary.csv").write_bytes(b"\xff\xfe\x00")
+    before = {path: path.read_bytes() for path in Path().glob("*.csv")}
+    refused(stepgap(*arguments.split()), *words)
+    assert {path: path.read_bytes() for path in Path().iterdir() if path.is_file()} == before
+
+
+def test_help(stepgap: Command) -> None:
+    said = stepgap("map", "--help")
+    assert (said.code, said.err) == (0, "")
+    for word in ("--csv", "--table", "--points", "[m/s]", "[N]"):
+        assert word in said.out

@@ -1,0 +1,152 @@
+"""`stepgap report`: the replay is simulated once, several runs are compared, and bad input does no harm."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.cli.app import main
+from stepgap.experiment.replay import layout_of, replay
+from stepgap.experiment.settings import Experiment
+from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick import TICK_UNITS
+from stepgap.plants.ticks.tick_log import TickLog
+from tests.cli.command_line import Command, Said, refused
+
+SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two deployments of two steps."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
+    (folder / "short.toml").write_text(SHORT)
+    main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
+    return folder / "run"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_a_run_has_a_replay_and_its_settings(finished: Path) -> None:
+    text = (finished / "report.html").read_text(encoding="utf-8")
+    assert '<canvas id="replay-canvas"' in text
+    assert [int(number) for number in re.findall(r'"deployment":(\d)', text)] == [0, 1]
+    assert '<tr><th scope="row">learning.iterations</th><td>1</td><td>4</td></tr>' in text
+    assert len(text) < 1_000_000
+
+
+@pytest.mark.parametrize("damage", [b"", b"foreign"])
+def test_a_damaged_replay_is_made_again(finished: Path, stepgap: Command, damage: bytes) -> None:
+    shutil.copytree(finished, "run")
+    Path("run/replay/deployment_1.npz").write_bytes(damage)
+    assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
+    assert contents(Path("run")) == contents(finished)
+
+
+def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
+    finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stepgap.cli.run_report.replay", lambda *_: pytest.fail("simulated again"))
+    settings = [finished / "experiment.toml", "--reference", finished.parent / "targets.csv"]
+    assert stepgap("run", *settings, "--out", "run", "--quiet") == Said(0, "run/report.html\n", "")
+
+
+def test_a_rigs_motion_comes_from_its_tick_logs(
+    finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(finished, "run")
+    shutil.rmtree("run/replay")
+    layout = layout_of(Experiment())
+    for iteration in (0, 1):
+        ticks = replay(finished, iteration)
+        rows = np.column_stack([ticks.rows[:, : len(TICK_UNITS)], np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
+        with TickLog(Path(f"run/ticks/ticks-{iteration}.mcap"), LOOP_UNITS) as log:
+            log.append(rows)
+    settings = Path("run/experiment.toml")
+    settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))
+    said = stepgap("report", "run")
+    assert said.err == "stepgap: left out of the report: replay (.: Is a directory; give an existing TOML file)\n"
+    monkeypatch.setattr("stepgap.cli.run_report.layout_of", lambda settings: layout)
+    assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
+    for iteration in (0, 1):
+        name = f"replay/deployment_{iteration}.npz"
+        with np.load(finished / name) as simulated, np.load(Path("run") / name) as logged:
+            for channel in ("travel", "height", "alpha_1", "alpha_2", "force"):
+                shown = logged[channel]
+                np.testing.assert_array_equal(shown, simulated[channel][: len(shown)])
+    Path("run/ticks/ticks-0.mcap").unlink()
+    shutil.rmtree("run/replay")
+    said = stepgap("report", "run")
+    assert said.code == 0
+    assert "left out of the report: replay (run/ticks/ticks-0.mcap: No such file" in said.err
+
+
+def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
+    Path("run").mkdir()
+    rows = (finished / "steps.csv").read_text()
+    Path("run/steps.csv").write_text(rows[:-9])
+    said = stepgap("report", "run")
+    assert (said.code, said.out) == (0, "run/report.html\n")
+    assert said.err == (
+        "stepgap: left out of the report: the last line of steps.csv (it breaks off); errors (no deployment is "
+        "finished according to summary.json); what was learnt (no models/iteration_1.json); settings, gait and replay "
+        "(no experiment.toml)\n"
+    )
+
+
+def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap: Command) -> None:
+    shutil.copytree(finished, "run")
+    settings = Path("run/experiment.toml")
+    settings.write_text(settings.read_text().replace("body_mass = 1.466", "body_mass = 1.5"))
+    said = stepgap("report", "run")
+    assert said.code == 0
+    assert said.err.startswith("stepgap: left out of the report: replay (run/steps.csv: step 1 of")
+    text = Path("run/report.html").read_text(encoding="utf-8")
+    assert "There is no replay: run/steps.csv: step 1 of deployment 0 could not be made again" in text
+    assert "<script" not in text
+
+
+def test_settings_that_are_not_understood_are_named(finished: Path, stepgap: Command) -> None:
+    shutil.copytree(finished, "run")
+    Path("run/experiment.toml").write_text("unheard_of = 1\n")
+    assert stepgap("report", "run").code == 0
+    text = Path("run/report.html").read_text(encoding="utf-8")
+    assert "The settings are not understood here: run/experiment.toml: unheard_of" in text
+
+
+def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
+    for name in ("a", "b"):
+        shutil.copytree(finished, name)
+    Path("comparison.html").write_text("precious")
+    said = stepgap("report", "a", "b")
+    assert (said.code, said.err) == (0, "")
+    assert Path(said.out.strip()).samefile("comparison_2.html")
+    assert "StepGap comparison of 2 runs" in Path("comparison_2.html").read_text(encoding="utf-8")
+    assert stepgap("report", "a", "b", "--out", "page.html") == Said(0, "page.html\n", "")
+    assert Path("comparison.html").read_text() == "precious"
+    refused(stepgap("report", "a", "b", "--out", "page.html"), "page.html: exists already; choose another --out")
+    refused(stepgap("report", "a", "b", "--out", "none/page.html"), "none/page.html: cannot be written")
+    refused(stepgap("report", "a", "a"), "a run is named twice")
+    refused(stepgap("report", "a", "none"), "none/steps.csv: no such file")
+    refused(stepgap("report", "a", "--out", "other.html"), "--out: goes with several runs")
+
+
+@pytest.mark.parametrize("name", ["steps.csv", "summary.json", "experiment.toml", "models/iteration_1.json"])
+def test_damaged_files_are_refused_and_nothing_is_written(finished: Path, stepgap: Command, name: str) -> None:
+    shutil.copytree(finished, "run")
+    whole = (finished / name).read_bytes()
+    for damage in (whole[: len(whole) // 2], b"\x89PNG\r\n\xff\xfe", b"[[["):
+        (Path("run") / name).write_bytes(damage)
+        before = contents(Path("run"))
+        said = stepgap("report", "run")
+        if said.code:  # half a TOML may be a whole one
+            refused(said, Path(name).name)
+            assert contents(Path("run")) == before
+        else:
+            assert name == "experiment.toml"

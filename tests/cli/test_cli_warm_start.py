@@ -1,0 +1,113 @@
+"""`stepgap run --warm-start` and `--json`: what a run takes from another one, and what programs are told of it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.cli.app import main
+from stepgap.robots.hopper.parameters import CommandBounds
+from tests.cli.command_line import Command, Said, refused
+
+TARGETS = "speed,height\n" + 6 * "0.1,0.56\n" + 10 * "0.25,0.6\n"
+
+
+@pytest.fixture(autouse=True)
+def _no_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+
+
+@pytest.fixture(scope="module")
+def cold(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run of two deployments in `run`."""
+    folder = tmp_path_factory.mktemp("cold")
+    (folder / "targets.csv").write_text(TARGETS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        reference = ["--reference", str(folder / "targets.csv")]
+        main(["run", *reference, "--iterations", "1", "--out", str(folder / "run"), "--seed", "5", "--quiet"])
+    return folder
+
+
+def error(entry: dict) -> float:
+    """Tracking error in half ranges of use, both coordinates together."""
+    rmse = [entry["rmse"][quantity.name] for quantity in CommandBounds().space().state]
+    return float(np.linalg.norm(rmse / CommandBounds().space().state_scale))
+
+
+def entries(run: Path) -> list[dict]:
+    return json.loads((run / "summary.json").read_text())["iterations"]
+
+
+def test_a_warm_start_is_far_better_and_reruns_by_itself(cold: Path, stepgap: Command) -> None:
+    arguments = ["--reference", cold / "targets.csv", "--iterations", 0, "--quiet", "--out"]
+    said = stepgap("run", *arguments, "warm", "--seed", 8, "--warm-start", cold / "run")
+    assert said == Said(0, "warm/report.html\n", "")
+    first, (warm,) = entries(cold / "run")[0], entries(Path("warm"))
+    assert (first["residual"], warm["residual"]) == ("none", "gp_on_linear")
+    assert error(warm) < 0.5 * error(first)
+    assert Path("warm/warm_start.csv").read_bytes() == (cold / "run" / "steps.csv").read_bytes()
+    assert 'warm_start = "warm_start.csv"\n' in Path("warm/experiment.toml").read_text()
+
+    assert stepgap("run", "warm/experiment.toml", "--out", "again", "--quiet").code == 0
+    names = ("experiment.toml", "steps.csv", "summary.json", "warm_start.csv", "models/iteration_0.json")
+    assert all(Path("again", name).read_bytes() == Path("warm", name).read_bytes() for name in names)
+
+    lines = Path("again/steps.csv").read_text().splitlines(keepends=True)
+    Path("again/steps.csv").write_text("".join(lines[:9]))
+    Path("again/summary.json").unlink()
+    assert stepgap("run", "--resume", "--out", "again", "--quiet").code == 0
+    assert all(Path("again", name).read_bytes() == Path("warm", name).read_bytes() for name in names)
+
+
+def test_what_the_other_run_knew_is_passed_on(cold: Path, stepgap: Command) -> None:
+    short = Path("short.csv")
+    short.write_text("speed,height\n0.1,0.56\n")
+    arguments = ["--reference", short, "--iterations", 0, "--quiet", "--out"]
+    stepgap("run", *arguments, "second", "--warm-start", cold / "run")
+    stepgap("run", *arguments, "third", "--warm-start", "second")
+    known = Path("third/warm_start.csv").read_text().splitlines()
+    own = Path("second/steps.csv").read_text().splitlines()[1]
+    assert known[:-1] == (cold / "run" / "steps.csv").read_text().splitlines()
+    assert known[-1] == own.replace("0,1,", "2,1,", 1), "the deployments are numbered through"
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        ("none", ["none: No such file or directory; a warm start needs the folder of a run"]),
+        ("empty", ["empty/steps.csv: No such file or directory; a warm start needs"]),
+        ("foreign", ["foreign/steps.csv, line 1: the columns must be iteration,step,speed", "of the same state"]),
+        ("binary", ["binary/steps.csv: not a text file in UTF-8"]),
+        ("header.csv", ["header.csv: no step yet; a warm start needs"]),
+        ("damaged.csv", ["damaged.csv, line 3: not the next step"]),
+    ],
+)
+def test_what_is_no_run_is_refused(cold: Path, stepgap: Command, other: str, words: list[str]) -> None:
+    text = (cold / "run" / "steps.csv").read_text()
+    for folder in ("empty", "foreign", "binary"):
+        Path(folder).mkdir()
+    Path("foreign/steps.csv").write_text(text.replace("speed", "pace"))
+    Path("binary/steps.csv").write_bytes(b"\xff\xfe\x00\n")
+    Path("header.csv").write_text(text[: text.index("\n") + 1])
+    Path("damaged.csv").write_text(text.replace("\n0,2,", "\n0,3,"))
+    before = sorted(Path().rglob("*"))
+    refused(stepgap("run", "--out", "run", "--warm-start", other), *words)
+    assert sorted(Path().rglob("*")) == before
+
+
+def test_programs_are_told_in_lines_of_json(stepgap: Command) -> None:
+    Path("short.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
+    said = stepgap("run", "--reference", "short.csv", "--iterations", 1, "--out", "run", "--json")
+    assert said.code == 0
+    told = [json.loads(line) for line in said.out.splitlines()]
+    kinds = [each.pop("event") for each in told]
+    assert kinds == ["step", "step", "deployment", "step", "step", "deployment", "report"]
+    assert told[-1] == {"path": "run/report.html"}
+    assert [told[2], told[5]] == entries(Path("run"))
+    header, *rows = Path("run/steps.csv").read_text().splitlines()
+    steps = [each for kind, each in zip(kinds, told, strict=True) if kind == "step"]
+    assert [",".join(map(str, step.values())) for step in steps] == rows
+    assert ",".join(steps[0]) == header
+    assert [line.split(" (")[0] for line in said.err.splitlines()] == ["deployment 0 of 1", "deployment 1 of 1"]

@@ -1,0 +1,64 @@
+"""The hops before tracking: each leaves less uncertainty where the reference needs the map than others would."""
+
+import numpy as np
+
+from stepgap.control.careful_controller import CarefulController
+from stepgap.control.reference import Reference
+from stepgap.experiment.deployment import deploy
+from stepgap.experiment.exploration import calibrating_plan, goals_of
+from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import StepLog
+from stepgap.plants.model_plant import ModelPlant
+from tests.control.maps import LossyHopper
+from tests.learning.test_learner import NOISE, NOMINAL, REALITY, fitted, hops, log_of
+
+REFERENCE = Reference.from_segments(
+    ("speed", "height"), [(1, (0.1, 0.55)), (8, (0.3, 0.58)), (16, (0.1, 0.61))], steps=24
+)
+NO_FAILURES = np.empty((0, 4))
+
+
+def test_goals_are_the_steps_of_the_reference() -> None:
+    goals = goals_of(REFERENCE, NOMINAL)
+    assert goals.weights.sum() == len(REFERENCE)
+    assert len(goals.points) == 5  # three targets held, two changes
+    np.testing.assert_allclose(sorted(goals.weights), [1, 1, 7, 7, 8])
+    for point in goals.points:
+        following = NOMINAL(point[:2], point[2:])
+        assert np.isclose(following, REFERENCE.targets).all(axis=1).any() or (np.abs(point[2:]) > 14.9).any()
+
+
+def test_a_calibrating_step_teaches_more_than_the_middle_of_the_bounds() -> None:
+    residual = fitted(hops(REALITY, 6, seed=0))
+    step_map = CorrectedMap(NOMINAL, residual)
+    goals, state = goals_of(REFERENCE, step_map), np.array([0.2, 0.58])
+    plan = calibrating_plan(CarefulController(step_map, NOMINAL, NO_FAILURES), residual, state, goals)
+    chosen = goals.uncertainty_after(residual, np.append(state, plan.command))
+    middle = goals.uncertainty_after(residual, np.append(state, NOMINAL.space.command_centre))
+    assert chosen < middle < goals.uncertainty_after(residual)
+
+
+def test_calibrating_steps_come_first_and_stay_within_what_the_reference_needs() -> None:
+    plant = ModelPlant(REALITY, np.array([0.1, 0.55]), NOISE, np.random.default_rng(0))
+    learner = Learner(NOMINAL, log_of([]), LearningSettings(calibration=10), iteration=0)
+    steps = list(deploy(learner, plant, REFERENCE, 0, calibration=10))
+    assert [logged.step for logged in steps] == list(range(-9, len(REFERENCE) + 1))
+    lower, upper = REFERENCE.targets.min(axis=0), REFERENCE.targets.max(axis=0)
+    room = 0.2 * NOMINAL.space.state_scale + 4 * NOISE
+    ends = StepLog(NOMINAL.space, steps[3:10]).next_state  # the first ones know nothing of the robot yet
+    assert ((ends >= lower - room) & (ends <= upper + room)).all()
+
+
+def tracked_error(calibration: int) -> np.ndarray:
+    plant = ModelPlant(REALITY, np.array([0.1, 0.55]), NOISE, np.random.default_rng(1))
+    learner = Learner(NOMINAL, log_of([]), LearningSettings(calibration=calibration), iteration=0)
+    tracked = [logged for logged in deploy(learner, plant, REFERENCE, 0, calibration) if logged.step > 0]
+    error = [logged.record.next_state - logged.target for logged in tracked]
+    return np.sqrt(np.mean(np.square(error), axis=0))
+
+
+def test_calibration_pays_in_the_first_deployment() -> None:
+    assert isinstance(REALITY, LossyHopper)
+    assert (tracked_error(12) < 0.5 * tracked_error(0)).all()

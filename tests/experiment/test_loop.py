@@ -1,0 +1,628 @@
+"""The loop: what it learns from, when it stops, what it records, and that breaking it off loses nothing."""
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.base.random_streams import random_stream
+from stepgap.control.reference import Reference
+from stepgap.experiment import loop
+from stepgap.experiment.deployment import Deployment, deploy, summarise
+from stepgap.experiment.loop import (
+    Observer,
+    repeatability,
+    run,
+    write_whole,
+)
+from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.learner import Learner
+from stepgap.learning.observations import next_context
+from stepgap.learning.residual_fit import residual_from_dict
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, read_step_log
+from stepgap.plants.model_plant import ModelPlant
+from stepgap.plants.plant import Plant
+from stepgap.rigs.rig import RigFault
+from stepgap.step import Array, Codes, Reason, StepMap, StepRecord
+from tests.control.maps import LossyHopper, NeverWorks, StumblingHopper
+
+NOMINAL = LossyHopper()
+REALITY = LossyHopper(loss=0.45, keep=0.6, drift=0.09)
+START = np.array([0.1, 0.55])
+NOISE = np.array([0.004, 0.001])
+REFERENCE = Reference.from_segments(
+    ("speed", "height"), [(1, (0.1, 0.55)), (4, (0.2, 0.58)), (10, (0.1, 0.6))], steps=16
+)
+ALWAYS = LearningSettings(iterations=2, least_gain=0.0)
+
+MakePlant = Callable[[np.random.Generator], Plant]
+
+
+def plant_of(reality: StepMap, noise: Array = NOISE) -> MakePlant:
+    return lambda rng: ModelPlant(reality, START, noise, rng)
+
+
+def run_in(
+    folder: Path,
+    make_plant: MakePlant = plant_of(REALITY),  # noqa: B008  (frozen)
+    learning: LearningSettings = ALWAYS,
+    nominal: StepMap = NOMINAL,
+    seed: int = 3,
+    observer: Observer = Observer(),  # noqa: B008  (frozen)
+    replays: bool = True,
+    known: StepLog | None = None,
+) -> list[Deployment]:
+    folder.mkdir(exist_ok=True)
+    return run(nominal, make_plant, REFERENCE, learning, folder, seed, observer, replays=replays, known=known)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("unbroken")
+    run_in(folder)
+    return folder
+
+
+@pytest.fixture
+def copy(unbroken: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(unbroken, tmp_path / "copy"))
+
+
+def in_space(steps: list[LoggedStep]) -> StepLog:
+    return StepLog(NOMINAL.space, steps)
+
+
+def logged(number: int, target: tuple[float, float], next_state: tuple[float, float] | None) -> LoggedStep:
+    reason = Reason.OK if next_state else Reason.FELL
+    after = np.array(next_state or (math.nan, math.nan))
+    record = StepRecord(START, np.zeros(2), np.zeros(2), after, reason)
+    return LoggedStep(0, number, np.array(target), np.array(target), np.zeros(2), record)
+
+
+# What is measured
+
+
+def test_the_errors_of_a_deployment_by_hand() -> None:
+    reference = Reference(("speed", "height"), np.array([[0.0, 0.5]] * 2 + [[0.2, 0.6]] * 6))
+    errors = [(9.0, 9.0), (-0.1, 0.02), (0.3, 0.0), (0.1, 0.04), (0.0, 0.0), (0.0, 0.0), (0.02, -0.03), None]
+    steps = [
+        logged(number, target, error and (target[0] + error[0], target[1] + error[1]))
+        for number, (target, error) in enumerate(zip(map(tuple, reference.targets.tolist()), errors, strict=True), 1)
+    ]
+    found = summarise(in_space(steps), reference, "none")
+    assert (found.iteration, found.residual, found.steps, found.falls) == (0, "none", 8, 1)
+    squares = (81 + 0.01 + 0.09 + 0.01 + 0.0004, 81 + 0.0004 + 0.0016 + 0.0009)
+    assert found.rmse == pytest.approx([math.sqrt(square / 7) for square in squares])
+    assert found.mae == pytest.approx([(9 + 0.1 + 0.3 + 0.1 + 0.02) / 7, (9 + 0.02 + 0.04 + 0.03) / 7])
+    assert found.bias == pytest.approx([(9 - 0.1 + 0.3 + 0.1 + 0.02) / 7, (9 + 0.02 + 0.04 - 0.03) / 7])
+    # The target changes with step 3: transient are 3 to 6, steady 7 and the fallen 8, neither 1 and 2.
+    assert found.transient_rmse == pytest.approx([math.sqrt((0.09 + 0.01) / 4), math.sqrt(0.0016 / 4)])
+    assert found.steady_rmse == pytest.approx([0.02, 0.03])
+
+
+def test_nothing_completed_has_no_error() -> None:
+    found = summarise(in_space([logged(1, (0.1, 0.55), None)]), REFERENCE, "none")
+    assert (found.steps, found.falls) == (1, 1)
+    for measure in (found.rmse, found.mae, found.bias, found.steady_rmse, found.transient_rmse):
+        assert np.isnan(measure).all()
+        assert measure.shape == (2,)
+
+
+def test_repeatability_is_the_noise_of_the_plant() -> None:
+    reference = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (2, (0.2, 0.58))], steps=2000)
+    plant = plant_of(REALITY)(np.random.default_rng(1))
+    steps = list(deploy(Learner(NOMINAL, in_space([]), ALWAYS, 0), plant, reference, 0))
+    assert repeatability(in_space(steps), reference) == pytest.approx(NOISE, rel=0.05)
+    assert np.isnan(repeatability(in_space(steps[:9]), reference)).all(), "4 steady steps cannot tell 5 coefficients"
+    assert np.isnan(repeatability(in_space([]), reference)).all()
+
+
+# What is learnt
+
+
+def test_every_model_is_learnt_on_the_nominal_map_from_all_steps(unbroken: Path) -> None:
+    log = read_step_log(unbroken / "steps.csv", NOMINAL.space)
+    for iteration in (1, 2):
+        before = StepLog(log.space, [logged for logged in log if logged.iteration < iteration])
+        residual = residual_from_dict(json.loads((unbroken / "models" / f"iteration_{iteration}.json").read_text()))
+        for column, regression in enumerate(residual.regressions):
+            assert isinstance(regression, GaussianProcessRegression)
+            process = regression.process
+            np.testing.assert_array_equal(process.points, np.hstack([before.state, before.applied]))
+            nominal = NOMINAL.evaluate(before.state, before.applied).next_state
+            np.testing.assert_array_equal(process.values, (before.next_state - nominal)[:, column])
+
+
+def test_learning_closes_the_gap(tmp_path: Path) -> None:
+    first, *_, last = run_in(tmp_path, plant_of(REALITY, np.zeros(2)))
+    assert (last.rmse < 0.3 * first.rmse).all()
+
+
+def test_nothing_learnt_leaves_the_nominal_map() -> None:
+    assert Learner(NOMINAL, in_space([]), ALWAYS, 1).residual.kind == "none"
+    failing = in_space([logged(1, (0.1, 0.5), (0.1, 0.5))])
+    assert Learner(NeverWorks(), failing, ALWAYS, 1).residual.kind == "none"
+
+
+def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
+    learning = LearningSettings("auto", iterations=2, least_gain=0.0, features="previous_error")
+    done = run_in(tmp_path, learning=learning)
+    log = list(read_step_log(tmp_path / "steps.csv", NOMINAL.space))
+    for deployment in done[1:]:
+        saved = json.loads((tmp_path / "models" / f"iteration_{deployment.iteration}.json").read_text())
+        residual = residual_from_dict(saved)
+        assert deployment.residual == f"{saved['kind']} with previous error"
+        for row, logged in enumerate(log):
+            if logged.iteration == deployment.iteration:
+                context = next_context(in_space(log[:row]), NOMINAL, logged.iteration)
+                expected = CorrectedMap(NOMINAL, residual.given(context))
+                predicted = expected(logged.record.state, logged.record.command)
+                np.testing.assert_allclose(logged.predicted, predicted, rtol=1e-9, atol=1e-9)
+
+
+# When redeploying ends
+
+
+def deployment(speed: float, height: float = 0.0, falls: int = 0) -> Deployment:
+    errors = np.array([speed, height])
+    return Deployment(0, "gp", 10, falls, errors, errors, errors, errors, errors)
+
+
+@pytest.mark.parametrize(
+    ("errors", "goes_on"),
+    [
+        ([0.1], True),
+        ([0.1, 0.2], True),  # the first redeployment may be worse
+        ([0.1, 0.2, 0.0989], True),
+        ([0.1, 0.2, 0.0991], False),
+        ([0.1, 0.05, 0.07], False),
+        ([0.1, math.inf, 0.05], True),
+        ([0.1, 0.05, math.inf], True),  # a fall says nothing of how well it could track
+        ([math.inf, math.inf, math.inf], True),
+    ],
+)
+def test_when_redeploying_is_worth_it(errors: list[float], goes_on: bool) -> None:
+    done = [deployment(0.0 if math.isinf(error) else error, falls=int(math.isinf(error))) for error in errors]
+    assert loop._worth_going_on(done, np.array([1.0, 1.0]), least_gain=0.01) is goes_on
+
+
+def test_it_stops_when_nothing_is_gained(tmp_path: Path) -> None:
+    done = run_in(tmp_path, learning=LearningSettings(iterations=9, least_gain=0.9))
+    assert [deployment.iteration for deployment in done] == [0, 1, 2]
+    assert len(list((tmp_path / "models").iterdir())) == 2
+    before = contents(tmp_path)
+    run_in(tmp_path, learning=LearningSettings(iterations=9, least_gain=0.9))
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"residual": "cubic"},
+        {"iterations": -1},
+        {"iterations": 1001},
+        {"least_gain": 1.0},
+        {"least_gain": math.nan},
+        {"features": "next_error"},
+        {"memory": 0.0},
+        {"memory": math.nan},
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong: dict) -> None:
+    (name,) = wrong
+    with pytest.raises(ValueError, match=f"^{name} = .*but it must"):
+        LearningSettings(**wrong)
+
+
+# What is recorded
+
+
+def test_the_folder_is_the_contract(unbroken: Path) -> None:
+    assert sorted(contents(unbroken)) == [
+        "models/iteration_1.json", "models/iteration_2.json", "steps.csv", "summary.json"
+    ]  # fmt: skip
+    summary = json.loads((unbroken / "summary.json").read_text())
+    assert {"schema", "seed", "iterations", "repeatability"} <= set(summary)
+    assert (summary["schema"], summary["seed"]) == (1, 3)
+    for number, entry in enumerate(summary["iterations"]):
+        measures = {"rmse", "mae", "bias", "steady_rmse", "transient_rmse"}
+        assert set(entry) == {"iteration", "residual", "steps", "falls", *measures}
+        residual = "gp_on_linear" if number else "none"
+        assert [entry[key] for key in ("iteration", "residual", "steps", "falls")] == [number, residual, 16, 0]
+        assert all(set(entry[measure]) == {"speed", "height"} for measure in measures)
+    assert set(summary["repeatability"]) == {"speed", "height"}
+    assert summary["repeatability_measured"] is False
+
+
+def test_the_summary_holds_what_the_steps_say(unbroken: Path) -> None:
+    log = read_step_log(unbroken / "steps.csv", NOMINAL.space)
+    summary = json.loads((unbroken / "summary.json").read_text())
+    for entry in summary["iterations"]:
+        found = summarise(log.of_iteration(entry["iteration"]), REFERENCE, entry["residual"])
+        assert list(entry["rmse"].values()) == found.rmse.tolist()
+        assert list(entry["steady_rmse"].values()) == found.steady_rmse.tolist()
+
+
+def test_same_seed_same_bytes_other_seed_others(unbroken: Path, tmp_path: Path) -> None:
+    run_in(tmp_path / "same")
+    run_in(tmp_path / "other", seed=4)
+    assert contents(tmp_path / "same") == contents(unbroken)
+    assert contents(tmp_path / "other")["steps.csv"] != contents(unbroken)["steps.csv"]
+
+
+def test_a_measured_repeatability_is_recorded_and_measured_once(tmp_path: Path) -> None:
+    told: list[tuple[StepMap, float]] = []
+
+    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
+        told.append((step_map, rng.random()))
+        return np.array([0.003, np.nan])
+
+    for _ in range(2):
+        run(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, tmp_path, 3, measure_spread=measure)
+        summary = json.loads((tmp_path / "summary.json").read_text())
+        assert summary["repeatability"] == {"speed": 0.003, "height": None}
+        assert summary["repeatability_measured"] is True
+    ((step_map, drawn),) = told
+    assert isinstance(step_map, CorrectedMap)
+    assert drawn == random_stream(3, 2, 1).random()
+    learned = json.loads((tmp_path / "models" / "iteration_2.json").read_text())
+    assert step_map.residual.to_dict() == learned
+
+
+def test_every_step_is_on_disk_before_anyone_hears_of_it(tmp_path: Path) -> None:
+    told = []
+
+    def on_step(logged: LoggedStep) -> None:
+        told.append(logged)
+        assert len(read_step_log(tmp_path / "steps.csv", NOMINAL.space)) == len(told)
+
+    run_in(tmp_path, observer=Observer(on_step=on_step))
+    assert len(told) == 48
+
+
+def test_a_file_is_written_whole(tmp_path: Path) -> None:
+    (tmp_path / "a.json.partial").write_text("left over, and longer than what comes")
+    write_whole(tmp_path / "a.json", "new")
+    assert contents(tmp_path) == {"a.json": b"new"}
+
+
+# Steps known before
+
+
+def test_what_is_known_before_is_used_from_the_first_deployment_on(unbroken: Path, tmp_path: Path) -> None:
+    known = read_step_log(unbroken / "steps.csv", NOMINAL.space)
+    cold = json.loads((unbroken / "summary.json").read_text())["iterations"]
+    done = run_in(tmp_path / "warm", known=known, seed=7)
+    assert [entry["residual"] for entry in cold] == ["none", "gp_on_linear", "gp_on_linear"]
+    assert [deployment.residual for deployment in done] == ["gp_on_linear"] * 3
+    assert (done[0].rmse < 0.4 * np.array(list(cold[0]["rmse"].values()))).all(), "the noise is left"
+    log = read_step_log(tmp_path / "warm" / "steps.csv", NOMINAL.space)
+    assert log.iterations == [0, 1, 2], "what was known is not this run's"
+    summary = json.loads((tmp_path / "warm" / "summary.json").read_text())
+    assert summary["warm_start"]["steps"] == 48
+
+
+def test_what_is_known_is_held_against_this_nominal_map(unbroken: Path, tmp_path: Path) -> None:
+    known, other = read_step_log(unbroken / "steps.csv", NOMINAL.space), LossyHopper(loss=0.3, drift=-0.05)
+    done = run_in(tmp_path / "warm", known=known, nominal=other)
+    cold = run_in(tmp_path / "cold", nominal=other)
+    assert (done[0].rmse < 0.25 * cold[0].rmse).all()
+    model = residual_from_dict(json.loads((tmp_path / "warm" / "models" / "iteration_0.json").read_text()))
+    point = np.array([0.15, 0.57, 1.0, 2.0])
+    truth = REALITY.evaluate(point[:2], point[2:]).next_state - other.evaluate(point[:2], point[2:]).next_state
+    assert model.mean(point) == pytest.approx(truth, abs=0.01)
+
+
+def test_with_what_was_known_it_is_resumed(unbroken: Path, tmp_path: Path) -> None:
+    known = read_step_log(unbroken / "steps.csv", NOMINAL.space)
+    run_in(tmp_path / "warm", known=known, seed=7)
+    whole = contents(tmp_path / "warm")
+    for rows in (5, 20):
+        rows_kept(tmp_path / "warm", rows)
+        run_in(tmp_path / "warm", known=known, seed=7)
+        assert contents(tmp_path / "warm") == whole
+    for other in (None, known.of_iteration(0)):
+        with pytest.raises(RecordError, match="settings"):
+            run_in(tmp_path / "warm", known=other, seed=7)
+
+
+# Falls
+
+
+def test_a_fall_ends_the_deployment_and_the_next_one_starts(tmp_path: Path) -> None:
+    falls_often = StumblingHopper(fall_line=-0.1, least_force=-19.0)
+    done = run_in(tmp_path, plant_of(falls_often))
+    log = read_step_log(tmp_path / "steps.csv", NOMINAL.space)
+    assert [deployment.iteration for deployment in done] == [0, 1, 2]
+    for deployment in done:
+        steps = log.of_iteration(deployment.iteration)
+        assert deployment.falls == 1
+        assert deployment.steps == len(steps) > 1
+        error = steps.completed().next_state - steps.completed().target
+        assert deployment.rmse == pytest.approx(np.sqrt(np.mean(error**2, axis=0)))
+    before = contents(tmp_path)
+    run_in(tmp_path, plant_of(falls_often))
+    assert contents(tmp_path) == before
+
+
+def test_a_plant_that_falls_at_every_first_step(tmp_path: Path) -> None:
+    done = run_in(tmp_path, plant_of(NeverWorks()))
+    assert [(d.iteration, d.steps, d.falls, d.residual) for d in done] == [(k, 1, 1, "none") for k in range(3)]
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["iterations"][2]["rmse"] == {"speed": None, "height": None}
+    assert summary["repeatability"] == {"speed": None, "height": None}
+    before = contents(tmp_path)
+    run_in(tmp_path, plant_of(NeverWorks()))
+    assert contents(tmp_path) == before
+
+
+@dataclass(frozen=True)
+class FallsAfter(LossyHopper):
+    """Falls as soon as it is fast, so that a deployment has few steps."""
+
+    fastest: float = 0.15
+
+    def reason(self, state: Array, command: Array) -> Codes:
+        shape = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
+        return np.broadcast_to(np.where(state[..., 0] > self.fastest, Reason.FELL, Reason.OK), shape)
+
+
+@pytest.mark.parametrize("fastest", [0.11, 0.15, 0.19])
+def test_few_steps_are_enough_to_learn_something(tmp_path: Path, fastest: float) -> None:
+    done = run_in(tmp_path, plant_of(FallsAfter(fastest=fastest)))
+    assert [d.residual for d in done] == ["none", "gp_on_linear", "gp_on_linear"]
+    assert all(d.falls == 1 and d.steps > 1 for d in done)
+
+
+def test_a_nominal_map_that_knows_no_step_still_commands(tmp_path: Path) -> None:
+    done = run_in(tmp_path, nominal=NeverWorks())
+    log = read_step_log(tmp_path / "steps.csv", NOMINAL.space)
+    assert all(d.steps == 16 for d in done)
+    assert np.isnan(log.predicted).all()
+    assert all((logged.record.command == 0).all() for logged in log)
+
+
+def test_a_nominal_map_with_failing_regions(tmp_path: Path) -> None:
+    done = run_in(tmp_path, plant_of(StumblingHopper()), nominal=StumblingHopper(drift=0.03, loss=0.42))
+    assert (done[-1].rmse < done[0].rmse).all()
+
+
+# Broken off and resumed
+
+
+class Killed(BaseException):
+    """Stands for a process that ends at once."""
+
+
+def test_killed_after_any_step_it_ends_as_if_it_had_not_been(unbroken: Path, tmp_path: Path) -> None:
+    for last in (1, 15, 16, 17, 32, 47, 48):
+        folder, count = tmp_path / str(last), iter(range(1, 100))
+
+        def on_step(logged: LoggedStep, last: int = last, count: Iterator[int] = count) -> None:
+            if next(count) == last:
+                raise Killed
+
+        with pytest.raises(Killed):
+            run_in(folder, observer=Observer(on_step=on_step))
+        assert len(read_step_log(folder / "steps.csv", NOMINAL.space)) == last
+        run_in(folder)
+        assert contents(folder) == contents(unbroken)
+
+
+def test_what_hardware_did_before_it_was_broken_off_is_kept_and_the_next_deployment_starts(tmp_path: Path) -> None:
+    luck = np.random.default_rng(8)  # hardware does not repeat itself
+
+    def make_plant(rng: np.random.Generator) -> Plant:
+        return ModelPlant(REALITY, START, NOISE, luck)
+
+    count = iter(range(1, 100))
+
+    def on_step(logged: LoggedStep) -> None:
+        if next(count) == 21:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run_in(tmp_path, make_plant, observer=Observer(on_step=on_step), replays=False)
+    before = (tmp_path / "steps.csv").read_text()
+    rows_kept(tmp_path, 21, "1,6,0.")  # the process died while it wrote
+    deployments = run_in(tmp_path, make_plant, replays=False)
+    assert (tmp_path / "steps.csv").read_text().startswith(before)
+    assert [(deployment.iteration, deployment.steps) for deployment in deployments] == [(0, 16), (1, 5), (2, 16)]
+    again = run_in(tmp_path, lambda rng: pytest.fail("all is done"), replays=False)
+    assert [deployment.steps for deployment in again] == [16, 5, 16]
+
+
+def test_what_the_plant_says_of_a_deployments_end_is_told(tmp_path: Path) -> None:
+    class Tired(ModelPlant):
+        @property
+        def fault(self) -> str:
+            return "the battery is empty"
+
+    told: list[str] = []
+    run_in(tmp_path, lambda rng: Tired(REALITY, START, NOISE, rng), observer=Observer(on_fault=told.append))
+    assert told == ["the battery is empty"] * 3
+
+
+def rows_kept(folder: Path, count: int, rest: str = "") -> None:
+    lines = (folder / "steps.csv").read_text().splitlines(keepends=True)
+    (folder / "steps.csv").write_text("".join(lines[: count + 1]) + rest)
+
+
+BREAKS: dict[str, Callable[[Path], object]] = {
+    "after the header": lambda folder: rows_kept(folder, 0),
+    "in the middle of the header": lambda folder: (folder / "steps.csv").write_text("iteration,st"),
+    "in the middle of the first row": lambda folder: rows_kept(folder, 0, "0,1,0.1,0.5"),
+    "in the middle of a row": lambda folder: rows_kept(folder, 20, "1,5,0."),
+    "in the middle of a number that could be whole": lambda folder: rows_kept(folder, 5, "0"),
+    "after a step": lambda folder: rows_kept(folder, 5),
+    "at the end of a deployment": lambda folder: rows_kept(folder, 16),
+    "at the first step of a deployment": lambda folder: rows_kept(folder, 17),
+    "between steps and summary": lambda folder: (folder / "summary.json").unlink(),
+    "models are missing": lambda folder: shutil.rmtree(folder / "models"),
+    "a model is missing": lambda folder: (folder / "models" / "iteration_1.json").unlink(),
+    "a summary was being written": lambda folder: (folder / "summary.json.partial").write_text('{"sch'),
+    "a summary was cut off": lambda folder: (folder / "summary.json").write_text('{"schema": 1, "seed"'),
+    "a summary of something else": lambda folder: (folder / "summary.json").write_text('["iterations"]'),
+    "no byte": lambda folder: (folder / "steps.csv").write_bytes(b""),
+    "no steps at all": lambda folder: (folder / "steps.csv").unlink(),
+    "nothing at all": lambda folder: (shutil.rmtree(folder), folder.mkdir()),
+}
+
+
+@pytest.mark.parametrize("place", BREAKS)
+@pytest.mark.parametrize("with_summary", [True, False])
+def test_broken_off_anywhere_it_ends_the_same(copy: Path, unbroken: Path, place: str, with_summary: bool) -> None:
+    BREAKS[place](copy)
+    if not with_summary:
+        (copy / "summary.json").unlink(missing_ok=True)
+    run_in(copy)
+    assert contents(copy) == contents(unbroken)
+
+
+def counting(make_plant: MakePlant, made: list[int]) -> MakePlant:
+    def make(rng: np.random.Generator) -> Plant:
+        made.append(1)
+        return make_plant(rng)
+
+    return make
+
+
+def test_finished_deployments_are_not_run_again(unbroken: Path, tmp_path: Path) -> None:
+    made: list[int] = []
+    for iterations in (1, 1, 2):
+        learning = replace(ALWAYS, iterations=iterations)
+        run_in(tmp_path / "run", counting(plant_of(REALITY), made), learning=learning)
+    assert len(made) == 3, "two deployments, none again, and one more"
+    assert contents(tmp_path / "run")["steps.csv"] == contents(unbroken)["steps.csv"]
+
+
+def change_number(line: int, column: int) -> Callable[[Path], None]:
+    """Changes one number in its last bit."""
+
+    def change(lines: list[str]) -> list[str]:
+        cells = lines[line].split(",")
+        cells[column] = repr(float(np.nextafter(float(cells[column]), np.inf)))
+        return [*lines[:line], ",".join(cells), *lines[line + 1 :]]
+
+    return change_lines(change)
+
+
+def change_lines(change: Callable[[list[str]], list[str]]) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        path = folder / "steps.csv"
+        path.write_text("".join(change(path.read_text().splitlines(keepends=True))))
+
+    return spoil
+
+
+TAMPERED: dict[str, Callable[[Path], None]] = {
+    **{
+        f"number changed in line {line + 1}, column {column + 1}": change_number(line, column)
+        for line, column in [(1, 2), (3, 4), (5, 6), (9, 8), (16, 10), (16, 11), (20, 12), (40, 14), (48, 9)]
+    },
+    "gap": change_lines(lambda lines: lines[:7] + lines[8:]),
+    "row twice": change_lines(lambda lines: [*lines[:7], lines[6], *lines[7:]]),
+    "rows exchanged": change_lines(lambda lines: [*lines[:7], lines[8], lines[7], *lines[9:]]),
+    "an earlier deployment is missing": change_lines(lambda lines: [*lines[:17], *lines[33:]]),
+    "only a later deployment": change_lines(lambda lines: [lines[0], *lines[17:]]),
+    "an earlier deployment is cut short": change_lines(lambda lines: [*lines[:12], *lines[17:]]),
+    "one deployment too many": change_lines(
+        lambda lines: [*lines, *(line.replace("2,", "3,", 1) for line in lines[33:])]
+    ),
+    "a deployment too long": change_lines(lambda lines: [*lines, lines[-1].replace("2,16,", "2,17,", 1)]),
+    "other columns": change_lines(lambda lines: [lines[0].replace("speed", "pace"), *lines[1:]]),
+}
+
+
+@pytest.mark.parametrize("spoil", TAMPERED.values(), ids=TAMPERED)
+@pytest.mark.parametrize("with_summary", [True, False])
+def test_a_record_that_was_tampered_with_is_refused(copy: Path, spoil: Callable, with_summary: bool) -> None:
+    spoil(copy)
+    if not with_summary:
+        (copy / "summary.json").unlink()
+    before = contents(copy)
+    with pytest.raises(RecordError, match=r"steps\.csv"):
+        run_in(copy)
+    assert contents(copy) == before
+
+
+def test_other_settings_are_refused(copy: Path) -> None:
+    before = contents(copy)
+    for resumed in (
+        lambda: run_in(copy, seed=4),
+        lambda: run_in(copy, learning=replace(ALWAYS, iterations=1)),
+    ):
+        with pytest.raises(RecordError, match="settings"):
+            resumed()
+        assert contents(copy) == before
+
+
+def test_one_process_at_a_time(copy: Path) -> None:
+    with StepWriter(copy / "steps.csv", NOMINAL.space), pytest.raises(RecordError, match="another process"):
+        run_in(copy)
+
+
+class FailingPlant(ModelPlant):
+    """Refuses to start, or breaks at a step; knows whether it was stopped."""
+
+    def __init__(self, fails_at: int, stopped: list[bool]):
+        super().__init__(REALITY, START, NOISE, random_stream(3, 0))
+        self._left, self._stopped = fails_at, stopped
+
+    def start(self) -> Array:
+        if self._left == 0:
+            raise RigFault("no drive answers")
+        return super().start()
+
+    def take_step(self, command: Array) -> StepRecord:
+        self._left -= 1
+        if self._left == 0:
+            raise RigFault("a drive tripped")
+        return super().take_step(command)
+
+    def stop(self) -> None:
+        self._stopped.append(True)
+
+
+@pytest.mark.parametrize("fails_at", [0, 1, 5])
+def test_a_rig_that_fails_leaves_a_run_that_goes_on(tmp_path: Path, unbroken: Path, fails_at: int) -> None:
+    stopped: list[bool] = []
+    with pytest.raises(RigFault):
+        run_in(tmp_path, lambda rng: FailingPlant(fails_at, stopped))
+    assert stopped
+    assert len(read_step_log(tmp_path / "steps.csv", NOMINAL.space)) == max(0, fails_at - 1)
+    run_in(tmp_path)
+    assert contents(tmp_path) == contents(unbroken)
+
+
+def test_an_error_anywhere_stops_the_plant_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped: list[bool] = []
+
+    def disk_full(*_: object) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(StepWriter, "append", disk_full)
+    try:
+        run_in(tmp_path, lambda rng: FailingPlant(99, stopped))
+    except OSError:
+        assert stopped, "before anyone looks at the error"
+    else:
+        pytest.fail("the error was lost")
+
+
+def test_a_reference_for_another_map_is_refused(tmp_path: Path) -> None:
+    reference = Reference(("pace", "height"), REFERENCE.targets)
+    with pytest.raises(ValueError, match="the reference is for pace,height"):
+        run(NOMINAL, plant_of(REALITY), reference, ALWAYS, tmp_path, 0)
+    assert not contents(tmp_path)

@@ -1,0 +1,49 @@
+"""The spread of repeated steps, against steps repeated by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepgap.control.reference import Reference
+from stepgap.experiment.noise_floor import measure_repeatability
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.step import Array
+from tests.control.maps import NeverWorks
+
+ROBOT, NOMINAL = RobotParameters(), ApexMap()
+REFERENCE = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (5, (0.2, 0.58))], steps=9)
+SILENT = replace(RealityGap(), torque_noise=0.0, ground_roughness=0.0, ground_slope=0.0, boom_tilt=0.0)
+
+
+def measured(gap: RealityGap, seed: int = 1) -> Array:
+    twin = Twin(ROBOT, gap, np.random.default_rng(0))
+    plant = RigPlant(twin, ROBOT, Gains(), CommandBounds())
+    return measure_repeatability(plant, twin, NOMINAL, REFERENCE, np.random.default_rng(seed))
+
+
+def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
+    np.testing.assert_allclose(measured(SILENT), 0, atol=1e-15)
+
+
+def test_noise_and_place_each_spread_the_steps_the_same_at_the_same_seed() -> None:
+    noisy, tilted = replace(SILENT, torque_noise=0.02), replace(SILENT, boom_tilt=0.01)
+    assert measured(noisy)[0] > 1e-3
+    assert measured(tilted)[0] > 1e-3
+    assert measured(noisy).tolist() == measured(noisy).tolist()
+    assert measured(noisy).tolist() != measured(noisy, seed=2).tolist()
+
+
+def test_more_noise_spreads_in_proportion() -> None:
+    spreads = [measured(replace(SILENT, torque_noise=noise)) for noise in (0.004, 0.012)]
+    assert spreads[1][0] / spreads[0][0] == pytest.approx(3, rel=0.2)
+
+
+def test_a_robot_that_cannot_hop_on_has_none() -> None:
+    twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
+    plant = RigPlant(twin, ROBOT, Gains(), CommandBounds(fy_lower=-200, fy_upper=-190))
+    assert np.isnan(measure_repeatability(plant, twin, NeverWorks(), REFERENCE, np.random.default_rng(0))).all()

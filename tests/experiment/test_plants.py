@@ -1,0 +1,143 @@
+"""What `stepgap run --plant` hops, from the command line to the summary."""
+
+import csv
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.cli.app import main
+from stepgap.control.reference import Reference
+from stepgap.experiment import plants as run_plants
+from stepgap.experiment.settings import Experiment, InputError, read_experiment, write_experiment
+from stepgap.plants.commissioning.check import Check, Timing, fingerprint, write_check
+from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
+from stepgap.rigs.rig import RigFault
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "rig.toml"
+REFERENCE = Reference(("speed", "height"), np.array([[0.1, 0.56]]))
+TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
+
+
+@pytest.fixture
+def raw_ethernet() -> None:
+    """Skips where a ring cannot be had."""
+    pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+    try:
+        with wire(f"sgp{os.getpid() % 10**6}"):
+            pass
+    except NoNetwork as reason:
+        pytest.skip(str(reason))
+
+
+def run(folder: Path, *arguments: str) -> dict:
+    (folder / "targets.csv").write_text(TARGETS)
+    out = folder / "_".join(("run", *arguments))
+    main(
+        [
+            "run",
+            "--reference",
+            str(folder / "targets.csv"),
+            "--out",
+            str(out),
+            "--iterations",
+            "0",
+            "--quiet",
+            *arguments,
+        ]
+    )
+    return json.loads((out / "summary.json").read_text())
+
+
+def test_through_the_ring_a_run_has_the_figures_of_the_twin(tmp_path: Path, raw_ethernet: None) -> None:
+    direct, ring = run(tmp_path), run(tmp_path, "--plant", "emulated-ring")
+    for summary in (direct, ring):
+        assert summary["iterations"][0]["falls"] == 0
+        assert summary["repeatability_measured"] is True
+    for name, tolerance in (("speed", 0.02), ("height", 0.004)):
+        biases = [summary["iterations"][0]["bias"][name] for summary in (direct, ring)]
+        assert biases[0] == pytest.approx(biases[1], abs=tolerance), "counts make a difference, a small one"
+
+
+def test_a_run_through_the_ring_is_resumed_to_the_same_bytes(tmp_path: Path, raw_ethernet: None) -> None:
+    run(tmp_path, "--plant", "emulated-ring")
+    folder = tmp_path / "run_--plant_emulated-ring"
+    whole = (folder / "steps.csv").read_bytes()
+    (folder / "steps.csv").write_bytes(whole[: whole.rindex(b"0,3,")])
+    (folder / "summary.json").unlink()
+    main(["run", "--resume", "--out", str(folder), "--quiet"])
+    assert (folder / "steps.csv").read_bytes() == whole
+
+
+def test_a_rig_has_torque_only_when_it_is_armed() -> None:
+    settings = Experiment(plant="ethercat", rig=str(EXAMPLE))
+    with pytest.raises(InputError, match="only with --arm"):
+        run_plants.choose_plants(settings, REFERENCE, False, Path())
+
+
+def test_the_plant_and_its_rig_are_settings_of_a_run(tmp_path: Path) -> None:
+    write_experiment(tmp_path, Experiment(plant="ethercat", rig=str(EXAMPLE)), REFERENCE)
+    again = read_experiment(tmp_path / "experiment.toml")
+    assert (again.plant, Path(again.rig)) == ("ethercat", EXAMPLE.resolve())
+    (tmp_path / "mine.toml").write_text('plant = "ethercat"\nrig = "my_rig.toml"\n')
+    assert read_experiment(tmp_path / "mine.toml").rig == str(tmp_path / "my_rig.toml")
+
+
+def test_nobody_at_the_keyboard_means_no_torque(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    with Path(os.devnull).open() as nobody:
+        monkeypatch.setattr(sys, "stdin", nobody)
+        with pytest.raises(RigFault, match="nobody pressed Enter"):
+            run_plants.ask_to_hold()
+    assert "Hold the robot up" in capsys.readouterr().err
+
+
+def test_what_was_typed_before_somebody_was_asked_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = os.openpty()
+
+    class Screen(StringIO):
+        def write(self, text: str) -> int:
+            if "Hold the robot up" in text:
+                os.write(ours, b"\n")
+            return len(text)
+
+    os.write(ours, b"\n")
+    with os.fdopen(theirs) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        monkeypatch.setattr(sys, "stderr", Screen())
+        run_plants.ask_to_hold()
+        assert select.select([theirs], [], [], 0)[0] == [], "the first one was not taken, the second one was"
+    os.close(ours)
+
+
+def test_settings_that_change_during_a_run_give_no_torque(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_bytes(EXAMPLE.read_bytes())
+    timing = Timing(6000, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0)
+    write_check(rig, fingerprint(rig), Check(1e-3, 2, timing, 0, "", ""))
+    plants = run_plants.choose_plants(Experiment(plant="ethercat", rig=str(rig)), REFERENCE, True, tmp_path)
+    plants.make(np.random.default_rng(0))
+    rig.write_text(rig.read_text("utf-8").replace("torque = 38.0", "torque = 39.0"), "utf-8")
+    with pytest.raises(InputError, match="the settings have changed since"):
+        plants.make(np.random.default_rng(0))
+
+
+def test_sigterm_ends_a_run_as_ctrl_c_does(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from stepgap.cli.app import main; main()", "run", "--out", "run"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    steps = tmp_path / "run" / "steps.csv"
+    while process.poll() is None and not (steps.exists() and steps.read_bytes().count(b"\n") > 3):
+        os.sched_yield()
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate()
+    assert process.returncode == 130
+    assert "go on with: stepgap run --out run --resume" in said
+    with steps.open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert {len(row) for row in rows} == {len(rows[0])}, "no row is cut off"

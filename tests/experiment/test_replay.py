@@ -1,0 +1,230 @@
+"""A deployment made again: the same ticks as when it was recorded, what was true beside them, and what is refused."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.cli.app import main
+from stepgap.cli.run_report import Report
+from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
+from stepgap.experiment.settings import InputError, read_experiment
+from stepgap.learning.step_log import LoggedStep, RecordError, StepWriter, read_step_log
+from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.plants.realtime.states import RigState
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.tick import TICK_UNITS
+from stepgap.plants.ticks.tick_log import TickLog
+from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper.dynamics import masses_of
+from stepgap.robots.hopper.leg import foot, four_bar
+from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
+from stepgap.step import Reason
+
+TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
+
+
+def run_of(folder: Path, *arguments: str) -> Path:
+    (folder / "targets.csv").write_text(TARGETS)
+    paths = ["--reference", str(folder / "targets.csv"), "--out", str(folder / "run")]
+    main(["run", *paths, "--seed", "5", "--quiet", *(arguments or ["--iterations", "1"])])
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[float, ...]]]:
+    """A run folder, and the ticks of its last deployment as they happened."""
+    ticks: list[tuple[float, ...]] = []
+    start, on_tick = RigPlant.start, lambda tick: ticks.append(tick.row())
+
+    def watched_start(plant: RigPlant) -> np.ndarray:
+        ticks.clear()
+        plant._on_tick = on_tick
+        return start(plant)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RigPlant, "start", watched_start)
+        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        patch.setattr(
+            "stepgap.cli.run_report.report_run", lambda folder, *_: Report(folder, ())
+        )  # its figures take time
+        return run_of(tmp_path_factory.mktemp("watched")), ticks
+
+
+@pytest.fixture(scope="module")
+def run_folder(watched: tuple[Path, list]) -> Path:
+    return watched[0]
+
+
+@pytest.fixture(scope="module")
+def replayed(run_folder: Path) -> TickTable:
+    return replay(run_folder, 1)
+
+
+@pytest.fixture
+def copy(run_folder: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(run_folder, tmp_path / "copy"))
+
+
+def test_every_tick_is_the_one_that_was(replayed: TickTable, watched: tuple[Path, list]) -> None:
+    np.testing.assert_array_equal(replayed.rows[:, : len(TICK_UNITS)], watched[1])
+    assert list(replayed.units) == list(REPLAY_UNITS)
+
+
+def test_thinned_and_hop_by_hop_it_is_the_same(run_folder: Path, replayed: TickTable) -> None:
+    told: list[tuple[int, int]] = []
+    np.testing.assert_array_equal(replay(run_folder, 1, 7, lambda *of: told.append(of)).rows, replayed.rows[::7])
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    hops = list(replayed_hops(run_folder, 1))
+    assert [set(hop["step"]) for hop in hops] == [{0}, {1}, {2}, {3}]
+    np.testing.assert_array_equal(np.concatenate([hop.rows for hop in hops]), replayed.rows)
+
+
+def test_the_truth_is_that_of_the_instant_of_the_sensors(replayed: TickTable) -> None:
+    units = 2 * np.pi / 16384
+    front, rear = (replayed["true_alpha_1"] + sign * replayed["true_alpha_2"] for sign in (1, -1))
+    for motor, angle in (("motor_1", front), ("motor_2", rear)):
+        offset = replayed[motor] * units - angle
+        assert np.ptp(offset) < 1.001 * units, "a constant zero error, and rounding"
+    assert np.abs(units * replayed["boom_vertical"] - replayed["boom_pitch"]).max() < 0.501 * units
+    arc = RobotParameters().boom_length * replayed["boom_yaw"]
+    assert np.abs(arc - replayed["hip_x"]).max() < 0.02, "but for the boom's deflection"
+
+
+def test_hip_leg_and_foot_make_one_robot(replayed: TickTable) -> None:
+    robot = RobotParameters()
+    leg = masses_of(robot).leg
+    for row in range(0, len(replayed), 97):
+        alpha_1, alpha_2, height = (replayed[name][row] for name in ("true_alpha_1", "true_alpha_2", "hip_height"))
+        below = height - replayed["foot_z"][row]
+        toe = foot(leg, four_bar(leg, alpha_2), alpha_1)
+        assert below == pytest.approx(-toe.y, abs=2e-3), "but for the boom's lean"
+        assert robot.foot_length < below < 0.5
+    standing = replayed["contact_force"] > 20
+    sunk = (replayed["ground_height"] - replayed["foot_z"])[standing]
+    assert -1e-4 < sunk.min() < sunk.max() < 0.02, "the ground gives way a little"
+
+
+def test_apexes_lie_where_the_steps_say(run_folder: Path, replayed: TickTable) -> None:
+    log = read_step_log(run_folder / "steps.csv", CommandBounds().space())
+    for logged in log.of_iteration(1):
+        heights = replayed["hip_height"][replayed["step"] == logged.step]
+        assert heights.max() == pytest.approx(max(logged.record.state[1], logged.record.next_state[1]), abs=0.03)
+
+
+def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
+    (tmp_path / "experiment.toml").write_text("seed = 4\n[gap]\nground_friction = 0.05\n")  # ice
+    settings, none = read_experiment(tmp_path / "experiment.toml"), np.zeros(2)
+    rig, _ = remade_rig(settings, 0)
+    with StepWriter(tmp_path / "steps.csv", settings.command.space()) as writer, plant_on(settings, rig) as plant:
+        plant.start()
+        reason, step = Reason.OK, 0
+        while reason == Reason.OK and step < 20:
+            record, step = plant.take_step(np.array([30.0, -20.0])), step + 1
+            writer.append(LoggedStep(0, step, none, none, none, record))
+            reason = record.reason
+    assert reason != Reason.OK
+    assert np.isfinite(replay(tmp_path, 0, every=10).rows).all()
+
+
+def test_a_run_on_the_ring_is_made_again_without_the_ring(tmp_path: Path) -> None:
+    pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+    try:
+        run = run_of(tmp_path, "--plant", "emulated-ring", "--iterations", "0", "--debug")
+    except RigFault as fault:
+        pytest.skip(str(fault))
+    assert set(replay(run, 0, every=100)["step"]) == {0, 1, 2, 3}
+
+
+def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
+    """The log of a rig that hops as the twin did: limp, held up, hopping, landing."""
+    ticks = replayed.rows[:, : len(TICK_UNITS)]
+    unread = np.array([ticks[-1, 0], *[np.nan] * (len(TICK_UNITS) - 1)])
+    parts = [(ticks[:30], RigState.READY), (ticks[:20], RigState.STAND), (ticks, RigState.HOP)]
+    parts += [(ticks[-700:], RigState.STOP), (unread[None], RigState.FAULT)]
+    rows = [np.column_stack([part, np.full(len(part), state), np.zeros(len(part))]) for part, state in parts]
+    path = run / "ticks" / f"ticks-{iteration}.mcap"
+    path.unlink(missing_ok=True)
+    with TickLog(path, LOOP_UNITS) as log:
+        log.append(np.concatenate(rows))
+
+
+def steps_of(run: Path, iteration: int) -> list[LoggedStep]:
+    return list(read_step_log(run / "steps.csv", CommandBounds().space()).of_iteration(iteration))
+
+
+def test_ticks_of_a_rigs_log_are_parted_at_apexes(copy: Path, replayed: TickTable) -> None:
+    write_log(copy, replayed, 1)
+    ticks = logged_ticks(copy, steps_of(copy, 1))
+    assert list(ticks.units) == [*LOOP_UNITS, "step"]
+    held = ticks["state"] == RigState.STAND
+    assert np.count_nonzero(held) == 20
+    assert not ticks["step"][held].any()
+    np.testing.assert_array_equal(ticks["step"][~held], replayed["step"])
+
+
+def test_a_rig_that_fell_is_shown_until_it_rests(copy: Path, replayed: TickTable) -> None:
+    fallen = TickTable(replayed.units, replayed.rows[replayed["step"] <= 2][:-100])
+    write_log(copy, fallen, 1)
+    steps = steps_of(copy, 1)[:2]
+    ticks = logged_ticks(copy, [steps[0], replace(steps[1], record=replace(steps[1].record, reason=Reason.FELL))])
+    assert ticks["step"][-1] == 2
+    assert np.count_nonzero(ticks["state"] == RigState.STOP) == 700
+
+
+@pytest.mark.parametrize("spoil", [lambda log: log.unlink(), lambda log: log.write_bytes(log.read_bytes()[:-9])])
+def test_a_log_that_is_not_there_or_not_whole_is_refused(
+    copy: Path, replayed: TickTable, spoil: Callable[[Path], object]
+) -> None:
+    write_log(copy, replayed, 1)
+    spoil(copy / "ticks" / "ticks-1.mcap")
+    with pytest.raises(InputError, match=r"ticks-1\.mcap"):
+        logged_ticks(copy, steps_of(copy, 1))
+
+
+def test_a_log_with_too_few_hops_is_refused(copy: Path, replayed: TickTable) -> None:
+    write_log(copy, TickTable(replayed.units, replayed.rows[replayed["step"] < 2]), 1)
+    with pytest.raises(InputError, match=r"ticks-1\.mcap: has fewer hops than deployment 1"):
+        logged_ticks(copy, steps_of(copy, 1))
+
+
+# Refused
+
+
+def change_a_number(run: Path) -> None:
+    lines = (run / "steps.csv").read_text().splitlines(keepends=True)
+    cells = lines[4].split(",")
+    cells[10] = repr(float(np.nextafter(float(cells[10]), 1)))
+    (run / "steps.csv").write_text("".join([*lines[:4], ",".join(cells), *lines[5:]]))
+
+
+def change_number_and_version(run: Path) -> None:
+    change_a_number(run)
+    text = (run / "summary.json").read_text()
+    (run / "summary.json").write_text(text.replace('"mujoco": "', '"mujoco": "0.'))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "iteration", "words"),
+    [
+        (lambda run: None, 2, "no step of deployment 2; the deployments there are: 0, 1"),
+        (lambda run: (run / "experiment.toml").unlink(), 0, "experiment.toml: No such file"),
+        (lambda run: (run / "steps.csv").unlink(), 0, "steps.csv: No such file"),
+        (change_a_number, 1, "step 1 of deployment 1 could not be made again to the last bit; the record was changed"),
+        (change_number_and_version, 1, "to the last bit; it was run with mujoco 0"),
+        (
+            lambda run: (run / "experiment.toml").write_text('plant = "ethercat"\n[learning]\niterations = 1\n'),
+            1,
+            "plant 'ethercat': what a rig did cannot be made again",
+        ),
+    ],
+)
+def test_what_cannot_be_made_again_is_refused(copy: Path, spoil: Callable[[Path], object], iteration: int, words: str):
+    spoil(copy)
+    with pytest.raises((InputError, RecordError), match=words):
+        replay(copy, iteration)

@@ -1,0 +1,261 @@
+"""Settings: read strictly, refused with what would be right, written so that they are read back as they were."""
+
+import math
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stepgap.control.reference import paper_reference
+from stepgap.experiment.settings import Experiment, InputError, load_reference, read_experiment, write_experiment
+from stepgap.learning.settings import LearningSettings
+from stepgap.robots.hopper.parameters import CommandBounds, Gains
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+
+SPACE = CommandBounds().space()
+
+
+def test_without_a_file_it_is_the_papers_experiment() -> None:
+    assert read_experiment(None) == Experiment()
+    assert (load_reference(Experiment(), SPACE).targets == paper_reference().targets).all()
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        Experiment(),
+        Experiment(seed=2**63 - 1, gains=Gains(stiffness=2400.1 / 3), gap=RealityGap.none()),
+        Experiment(command=CommandBounds(-1, 1, -2, 2), learning=LearningSettings("none", 0, 0.5)),
+    ],
+)
+def test_what_is_written_is_read_back(tmp_path: Path, experiment: Experiment) -> None:
+    write_experiment(tmp_path, experiment, paper_reference())
+    path = tmp_path / "experiment.toml"
+    assert read_experiment(path) == experiment
+    text = path.read_bytes()
+    write_experiment(tmp_path, read_experiment(path), paper_reference())
+    assert path.read_bytes() == text
+
+
+def test_every_setting_is_written(tmp_path: Path) -> None:
+    write_experiment(tmp_path, Experiment(), paper_reference())
+    text = (tmp_path / "experiment.toml").read_text()
+
+    def names(settings: Any) -> list[str]:
+        values = [(field.name, getattr(settings, field.name)) for field in fields(settings)]
+        return [name for key, value in values for name in (names(value) if is_dataclass(value) else [key])]
+
+    for name in names(Experiment()):
+        assert f"\n{name} = " in f"\n{text}"
+
+
+def test_a_reference_goes_with_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "hops.csv").write_text("height,speed\n0.55,0.1\n0.58,0.30000000000000004\n")
+    (tmp_path / "mine" / "e.toml").write_text('reference = "hops.csv"\n')
+    experiment = read_experiment(tmp_path / "mine" / "e.toml")
+    reference = load_reference(experiment, SPACE)
+    (tmp_path / "run").mkdir()
+    write_experiment(tmp_path / "run", experiment, reference)
+    again = load_reference(read_experiment(tmp_path / "run" / "experiment.toml"), SPACE)
+    assert again.targets.tobytes() == reference.targets.tobytes()
+    (tmp_path / "run").rename(tmp_path / "moved")
+    assert len(load_reference(read_experiment(tmp_path / "moved" / "experiment.toml"), SPACE)) == 2
+
+
+def test_options_override_the_file(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text("seed = 1\n[gains]\nstiffness = 2000\nspeed_gain = 0.3\n")
+    overrides = [("gains.stiffness", "2400"), ("gap.boom-arc", "false"), ("learning.residual", "none"), ("seed", "7")]
+    experiment = read_experiment(tmp_path / "e.toml", overrides)
+    assert experiment.gains == Gains(stiffness=2400.0, speed_gain=0.3)
+    assert (experiment.gap.boom_arc, experiment.learning.residual, experiment.seed) == (False, "none", 7)
+    assert type(experiment.gains.stiffness) is float
+
+
+def test_a_preset_of_the_gap_comes_before_single_keys(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text("[gap]\ndelay = 0.002\npreset = 'none'\n")
+    experiment = read_experiment(tmp_path / "e.toml", [("gap.torque_scale", "0.9")])
+    assert experiment.gap == replace(RealityGap.none(), delay=0.002, torque_scale=0.9)
+    assert read_experiment(tmp_path / "e.toml", [("gap.preset", "paper")]).gap == RealityGap()
+    write_experiment(tmp_path, experiment, paper_reference())
+    assert "preset" not in (tmp_path / "experiment.toml").read_text()
+    assert read_experiment(tmp_path / "experiment.toml").gap == experiment.gap
+
+
+def test_options_that_are_right_together_may_come_in_any_order() -> None:
+    both = [("command.fx_lower", "40"), ("command.fx_upper", "50")]
+    for overrides in (both, both[::-1]):
+        assert read_experiment(None, overrides).command == CommandBounds(fx_lower=40, fx_upper=50)
+    longer = [("gains.rest_length", "0.5"), ("robot.bottom_length", "0.45"), ("gains.landing_length", "0.4")]
+    assert read_experiment(None, longer).gains.rest_length == 0.5
+
+
+WRONG = {
+    "sed = 3": "sed: unknown key; did you mean seed?",
+    "body_mass = 3": "body_mass: unknown key; did you mean [robot] body_mass?",
+    "body_mas = 3": "body_mas: unknown key; did you mean [robot] body_mass?",
+    "[gain]\nstiffness = 3": "gain: unknown key; did you mean gains?",
+    "[gains]\nstifness = 3": "[gains] stifness: unknown key; did you mean stiffness?",
+    "[gains]\nx = 3": "[gains] x: unknown key; the keys here are stiffness, rest_length",
+    "[gains]\nstiffness = '3'": "[gains] stiffness = '3', but it must be a number",
+    "[gains]\nstiffness = true": "[gains] stiffness = true, but it must be a number",
+    "[gains]\nstiffness = [1]": "[gains] stiffness = [1], but it must be a number",
+    "[gains.stiffness]\nx = 1": "[gains] stiffness = {'x': 1}, but it must be a number",
+    "[gains]\nstiffness = 1979-05-27": "but it must be a number",
+    "gains = 3": "gains = 3, but it must be a table",
+    "seed = 1.0": "seed = 1.0, but it must be a whole number",
+    "seed = '1'": "seed = '1', but it must be a whole number",
+    "seed = false": "seed = false, but it must be a whole number",
+    "seed = -1": "seed = -1, but it must lie between 0 and 2⁶³",
+    f"seed = 0x{'f' * 9000}": "seed = a very large whole number, but it must lie between",
+    f"seed = {'9' * 9000}": "not TOML",
+    f"[gains]\nstiffness = 1{'0' * 400}": "[gains] stiffness = a very large whole number, but it must be a number",
+    "[learning]\niterations = -1": "[learning] iterations = -1, but it must lie between 0 and 1000",
+    "[learning]\niterations = 2.5": "[learning] iterations = 2.5, but it must be a whole number",
+    "[learning]\nresidual = 'cubic'": "[learning] residual = 'cubic', but it must be one of none, ",
+    "[learning]\nresidual = 3": "[learning] residual = 3, but it must be a text in quotes",
+    "[learning]\nleast_gain = nan": "[learning] least_gain = nan, but it must be",
+    "[gap]\nboom_arc = 1": "[gap] boom_arc = 1, but it must be true or false",
+    "[gap]\npreset = 'papre'": "[gap] preset = 'papre', but it must be 'paper' or 'none'; did you mean 'paper'?",
+    "[gap]\npreset = [1]": "[gap] preset = [1], but it must be 'paper' or 'none'",
+    "[gap]\npreste = 'none'": "[gap] preste: unknown key; did you mean preset?",
+    "[gap]\nground_friction = -1": "[gap] ground_friction = -1.0, but it must be positive",
+    "[robot]\nbody_mass = -1": "[robot] body_mass = -1.0, but it must be positive",
+    "[robot]\nbottom_length = 0.1": "[robot] bottom_length = 0.1, but it must exceed top_length = 0.11",
+    "[gains]\nlanding_length = 0.5": "[gains] landing_length = 0.5, but it must lie between 0.09 (leg folded)",
+    "[gains]\nrest_length = 0.05": "[gains] rest_length = 0.05, but it must lie between",
+    "[command]\nfx_lower = 40": "[command] fx_lower = 40.0, but it must lie below fx_upper = 30.0",
+    "reference = 5": "reference = 5, but it must be a text in quotes",
+    "seed = ": "not TOML",
+    "seed = 1\nseed = 2": "not TOML",
+    f"seed = {'[' * 5000}": "not TOML",
+    "\x00": "not TOML",
+}
+
+
+@pytest.mark.parametrize("text", WRONG, ids=lambda text: text[:40])
+def test_a_wrong_file_is_refused_with_what_would_be_right(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "e.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_experiment(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert WRONG[text] in message
+    assert len(message) < 1500
+
+
+def all_numbers() -> list[str]:
+    tables = [field.name for field in fields(Experiment) if is_dataclass(getattr(Experiment(), field.name))]
+    found = [
+        f"{table}.{field.name}"
+        for table in tables
+        for field in fields(getattr(Experiment(), table))
+        if field.type is float or field.type == "float"
+    ]
+    assert len(found) > 50
+    return found
+
+
+@pytest.mark.parametrize("name", all_numbers())
+def test_no_number_may_be_nan_and_hardly_one_infinite(name: str) -> None:
+    for value in ("nan", "-inf"):
+        with pytest.raises(InputError, match=f"^--{name} = {value}, but it must"):
+            read_experiment(None, [(name, value)])
+    table, key = name.split(".")
+    may_be_infinite = name == "learning.memory" or (table == "gap" and math.isinf(getattr(RealityGap.none(), key)))
+    if not may_be_infinite:
+        with pytest.raises(InputError, match=f"^--{name} = inf, but it must"):
+            read_experiment(None, [(name, "inf")])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("gains.stifness", "3", "--gains.stifness: unknown key; did you mean stiffness?"),
+        ("gains.stiffness", "many", "--gains.stiffness = 'many', but it must be a number"),
+        ("gains.stiffness", "3\nseed = 4", "--gains.stiffness = '3\\nseed = 4', but it must be a number"),
+        ("gains.stiffness.x", "3", "--gains.stiffness = {'x': 3}, but it must be a number"),
+        ("gains.", "3", "--gains.: unknown key"),
+        (
+            "gains.rest_length",
+            "0.5",
+            "--gains.rest_length = 0.5, but it must lie between 0.09 (leg folded)",
+        ),
+        ("learning.iterations", "-1", "--iterations = -1, but it must lie between 0 and 1000"),
+        ("seed", "1.5", "--seed = 1.5, but it must be a whole number"),
+        ("command.fy_upper", "-30", "--command.fy_lower = -20.0, but it must lie below fy_upper = -30.0"),
+    ],
+)
+def test_a_wrong_option_is_named(tmp_path: Path, name: str, value: str, says: str) -> None:
+    (tmp_path / "e.toml").write_text("seed = 1\n")
+    for path in (None, tmp_path / "e.toml"):
+        with pytest.raises(InputError) as caught:
+            read_experiment(path, [(name, value)])
+        assert str(caught.value).startswith(says)
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text("seed = 3\n", encoding="utf-8-sig")
+    assert read_experiment(tmp_path / "e.toml").seed == 3
+
+
+def test_what_is_no_settings_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "binary.toml").write_bytes(bytes(range(256)))
+    (tmp_path / "huge.toml").write_text("#" * 2**20 + "\n")
+    for name, says in [
+        ("binary.toml", "this is not text"),
+        ("huge.toml", "larger than 1048576 bytes"),
+        ("none.toml", "No such file or directory; give an existing TOML file"),
+        ("", "Is a directory"),
+    ]:
+        with pytest.raises(InputError, match=f"{name}: {says}"):
+            read_experiment(tmp_path / name)
+    with pytest.raises(InputError, match="/dev/zero: larger than"):
+        read_experiment(Path("/dev/zero"))
+
+
+@given(text=st.text(max_size=30))
+def test_any_text_is_settings_or_refused(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    path = tmp_path_factory.mktemp("any") / "e.toml"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    try:
+        read_experiment(path)
+        read_experiment(None, [("gains.stiffness", text)])
+    except InputError:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "line 1: the header is ''"),
+        (b"speed,height\n", "line 2: there is no step"),
+        (b"speed\n0.1\n", "line 1: the header is 'speed'"),
+        (b"speed,height\n0.1,nan\n", "line 2, column 'height': 'nan'"),
+        (b"speed,height\n0.1\n", "line 2: 1 values"),
+        (b"\xff\xfe\x01\n", "not text"),
+        (b"speed,height\n" + b"1" * 200_000 + b",1\n", "reference must be 'paper' or a CSV file"),
+        (b"speed,height\n" + b"0.1,0.5\n" * 200_000, "larger than 1048576 bytes"),
+    ],
+)
+def test_a_wrong_reference_is_refused_by_line(tmp_path: Path, content: bytes, says: str) -> None:
+    path = tmp_path / "ref.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"ref\.csv") as caught:
+        load_reference(Experiment(reference=str(path)), SPACE)
+    assert says in str(caught.value)
+
+
+def test_a_reference_that_is_missing_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text('reference = "none.csv"\n')
+    with pytest.raises(InputError, match=r"none\.csv: No such file .*reference must be 'paper' or a CSV file"):
+        load_reference(read_experiment(tmp_path / "e.toml"), SPACE)
+
+
+def test_the_papers_reference_is_not_copied(tmp_path: Path) -> None:
+    write_experiment(tmp_path, Experiment(), paper_reference())
+    assert [path.name for path in tmp_path.iterdir()] == ["experiment.toml"]

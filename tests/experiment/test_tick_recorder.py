@@ -1,0 +1,102 @@
+"""Ticks of a run that goes on: each counts as of the hop that it happened in, and the right deployments are kept."""
+
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.experiment.loop import Deployment, Observer
+from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.settings import read_experiment
+from stepgap.experiment.tick_recorder import HopCount, TickRecorder
+from stepgap.learning.step_log import LoggedStep
+from stepgap.plants.phases import Phase
+from stepgap.plants.safety import Limited
+from stepgap.plants.tick import TICK_UNITS, Tick
+from stepgap.rigs.rig import Reading
+from stepgap.step import Reason, StepRecord
+
+NONE = np.zeros(2)
+
+
+def step(iteration: int, number: int) -> LoggedStep:
+    return LoggedStep(iteration, number, NONE, NONE, NONE, StepRecord(NONE, NONE, NONE, NONE, Reason.OK))
+
+
+def deployment(iteration: int) -> Deployment:
+    return Deployment(iteration, "none", 2, 0, NONE, NONE, NONE, NONE, NONE)
+
+
+def tick(time: float, phase: Phase) -> Tick:
+    return Tick(time, Reading(1, 2, 3, 4, 5.0), phase, 0.1, 0.2, (0.0, 0.0), (0.0, 0.0), Limited(0))
+
+
+def hop(recorder: TickRecorder, ticks: int = 10) -> None:
+    """Falls, pushes, rises, and falls in the last tick."""
+    for row in range(ticks - 1):
+        recorder.on_tick(tick(0.001 * row, Phase(1 + row) if row < 3 else Phase.RISING))
+    recorder.on_tick(tick(1.0, Phase.FALLING))
+
+
+def test_a_tick_counts_for_the_hop_it_happens_in(tmp_path: Path) -> None:
+    (tmp_path / "experiment.toml").write_text("seed = 3\n")
+    settings, count = read_experiment(tmp_path / "experiment.toml"), HopCount()
+    observer, seen = count.observing(Observer()), set()
+
+    def on_tick(tick: Tick) -> None:
+        seen.add((count.iteration, count.hop))
+        count.on_tick(tick)
+
+    for iteration in range(2):
+        with plant_on(settings, remade_rig(settings, iteration)[0], on_tick) as plant:
+            plant.start()
+            assert seen == {(iteration, 0)}
+            for number in (1, 2, 3):
+                seen.clear()
+                plant.take_step(NONE)
+                assert seen == {(iteration, number)}
+                observer.on_step(step(iteration, number))
+        seen.clear()
+        observer.on_deployment(deployment(iteration))
+
+
+def test_the_first_and_the_latest_deployment_are_kept() -> None:
+    told: list[object] = []
+    recorder = TickRecorder(every=5)
+    observer = recorder.observing(Observer(told.append, told.append))
+    for iteration in range(3):
+        for number in (0, 1, 2):
+            hop(recorder, 10 + iteration)
+            if number:
+                observer.on_step(step(iteration, number))
+        observer.on_deployment(deployment(iteration))
+    assert len(told) == 3 * (2 + 1)
+    assert set(recorder.kept) == {0, 2}
+    first = recorder.kept[0]
+    assert list(first.units) == [*TICK_UNITS, "step"]
+    assert first["step"].tolist() == [0, 0, 1, 1, 2, 2]
+    assert recorder.kept[2]["step"].tolist() == [0, 0, 0, 1, 1, 2, 2, 2]
+
+
+def test_calibrating_steps_have_numbers_up_to_zero() -> None:
+    recorder = TickRecorder(every=5)
+    observer = recorder.observing(Observer())
+    hop(recorder)
+    for number in (-1, 0, 1):
+        hop(recorder)
+        observer.on_step(step(0, number))
+    observer.on_deployment(deployment(0))
+    assert recorder.kept[0]["step"].tolist() == [-2, -2, -1, -1, 0, 0, 1, 1]
+
+
+def test_deployments_that_were_recorded_earlier_have_no_ticks() -> None:
+    recorder = TickRecorder(every=5)
+    observer = recorder.observing(Observer())
+    for number in (1, 2):
+        observer.on_step(step(0, number))
+    observer.on_deployment(deployment(0))
+    hop(recorder)
+    hop(recorder)
+    observer.on_step(step(1, 1))
+    observer.on_deployment(deployment(1))
+    assert set(recorder.kept) == {1}
+    assert recorder.kept[1]["step"].tolist() == [0, 0, 1, 1]

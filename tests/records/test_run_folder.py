@@ -1,0 +1,248 @@
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stepgap.learning.step_log import StepWriter, column_names, digest
+from stepgap.records import run_folder
+from stepgap.records.run_folder import read_run_folder, space_of_header
+from stepgap.records.summary import parse_summary
+from stepgap.step import Quantity, Reason, StepSpace
+from tests.report.runs import logged, write_run, write_summary
+
+NAMES = ("speed", "tilt")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_run(tmp_path / "run", NAMES, steps=5)
+
+
+def complaint(folder: Path) -> str:
+    """What is said of a bad run folder: one line, with no path but those of the folder."""
+    with pytest.raises((ValueError, OSError)) as caught:
+        read_run_folder(folder)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(str(folder))
+    return text.replace(str(folder), "RUN")
+
+
+def edit_summary(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    content = json.loads((folder / "summary.json").read_text())
+    change(content)
+    (folder / "summary.json").write_text(json.dumps(content))
+
+
+def test_record_is_what_was_written(folder: Path) -> None:
+    edit_summary(folder, lambda content: content["iterations"][1]["rmse"].update(tilt=0.25))
+    edit_summary(folder, lambda content: content.update(versions={"mujoco": "3.17", "cores": 2}))
+    (folder / "experiment.toml").write_text("seed = 0\n")
+    record = read_run_folder(folder)
+    assert record.space.state_names == NAMES
+    assert [quantity.unit for quantity in record.space.state] == ["m/s", ""]
+    assert [len(record.steps.of_iteration(number)) for number in record.shown] == [5, 5]
+    np.testing.assert_array_equal(record.deployments[1].errors["rmse"], [np.nan, 0.25])
+    np.testing.assert_array_equal(record.repeatability, [np.nan, np.nan])
+    assert record.summary.versions == (("mujoco", "3.17"), ("cores", "2"))
+    assert record.settings == "seed = 0\n"
+    assert record.unfinished == {}
+
+
+def test_deployment_under_way_is_no_error(folder: Path) -> None:
+    edit_summary(folder, lambda content: content["iterations"].pop())
+    record = read_run_folder(folder)
+    assert (record.shown, record.unfinished) == ([0], {1: 5})
+    (folder / "summary.json").unlink()
+    record = read_run_folder(folder)
+    assert (record.shown, record.unfinished, record.summary.seed) == ([0, 1], {0: 5, 1: 5}, None)
+
+
+def test_row_being_written_is_left_out(folder: Path) -> None:
+    with (folder / "steps.csv").open("a") as file:
+        file.write("2,1,0.1")
+    assert len(read_run_folder(folder).steps) == 10
+
+
+@pytest.mark.parametrize("state", [("x",), ("a", "b"), ("x", "target_x"), ("next_y", "y", "ÿ'\"z")])
+@pytest.mark.parametrize("command", [("f",), ("f", "g"), ("f", "g", "h", "i", "j", "k", "applied_f")])
+def test_header_gives_the_names_back(tmp_path: Path, state: tuple[str, ...], command: tuple[str, ...]) -> None:
+    states, commands = (tuple(Quantity(name, "", -1, 1) for name in names) for names in (state, command))
+    names = column_names(StepSpace(states, commands))
+    path = tmp_path / "steps.csv"
+    path.write_text(",".join(names) + "\n", encoding="utf-8")
+    if len(set(names)) < len(names):
+        with pytest.raises(ValueError, match="not the header of a step log"):
+            space_of_header(path)
+    else:
+        found = space_of_header(path)
+        assert (found.state_names, found.command_names) == (state, command)
+
+
+def test_space_may_be_given(folder: Path) -> None:
+    space = StepSpace(tuple(Quantity(name, "rad", -1, 1) for name in NAMES), (Quantity("push", "N", -1, 1),))
+    assert read_run_folder(folder, space).space is space
+    other = StepSpace(space.state, (Quantity("pull", "N", -1, 1),))
+    with pytest.raises(ValueError, match=r"steps\.csv, line 1: the columns must be"):
+        read_run_folder(folder, other)
+
+
+def test_folder_that_is_none(tmp_path: Path) -> None:
+    for wrong in (tmp_path, tmp_path / "missing", tmp_path / "file"):
+        (tmp_path / "file").touch()
+        assert "no such file; " in complaint(wrong)
+
+
+NO_STEP_LOGS = {
+    "binary": b"\x00\xff\x89PNG",
+    "foreign": b"a,b,c\n1,2,3\n",
+    "no names": b"iteration,step,status\n",
+    "cut": b"iteration,step",
+    "endless": b"x," * 10**6,
+}
+
+
+@pytest.mark.parametrize("content", NO_STEP_LOGS.values(), ids=NO_STEP_LOGS.keys())
+def test_steps_that_are_no_step_log(folder: Path, content: bytes) -> None:
+    (folder / "steps.csv").write_bytes(content)
+    assert complaint(folder).startswith(
+        "RUN/steps.csv, line 1: not the header of a step log; it must be iteration, step"
+    )
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("", "RUN/steps.csv: no step yet; it must have a header and at least one row"),
+        ("0,1,2\n", "RUN/steps.csv, line 2: not the next step (3 columns instead of 16)"),
+        ("0,1,nan,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,0,0,0,0,0,0,0,0,0,0,1,1,flew\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,2,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("-1,1,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,0,0,0,0,0,0,0,0,0,0,1,1,inf,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,0,0,0,0,0,0,0,0,0,0,1,-1,0,ok\n", "std_… negative"),
+        ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,0,ok\n", "a state is beyond ±1e+09"),
+    ],
+)
+def test_steps_that_are_wrong(folder: Path, row: str, message: str) -> None:
+    (folder / "summary.json").unlink()
+    header = (folder / "steps.csv").read_text().splitlines(keepends=True)[0]
+    (folder / "steps.csv").write_text(header + row)
+    assert message in complaint(folder)
+
+
+def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
+    rows = "0,1,0,0,0,0,0,0,0,0,nan,inf,1,1,0.5,ok\n0,2,0,0,0,0,0,0,nan,nan,0,0,1,1,nan,fell\n"
+    (folder / "summary.json").unlink()
+    header = (folder / "steps.csv").read_text().splitlines(keepends=True)[0]
+    (folder / "steps.csv").write_text(header + rows)
+    assert read_run_folder(folder).steps.falls == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "not JSON"),
+        (b'{"schema": 1, "seed": 0, "iterat', "not JSON"),
+        (b"[" * 10**6, "not JSON"),
+        (b'{"schema": NaN}', "not JSON (NaN is no JSON number)"),
+        (b"\xff\xfe\x00", "not a text file"),
+        (b"[1]", "but it must be an object"),
+        (b"{}", "schema is missing, but it must be 1"),
+        (b'{"schema": 2}', "schema is 2, but it must be 1"),
+        (b'{"schema": true}', "schema is True, but it must be 1"),
+        (b'{"schema": 1, "iterations": []}', "iterations is [], but it must be a list of deployments"),
+        (b'{"schema": 1, "iterations": ["x"]}', "iterations[0] is 'x', but it must be an object"),
+    ],
+)
+def test_summary_that_is_none(folder: Path, content: bytes, message: str) -> None:
+    (folder / "summary.json").write_bytes(content)
+    text = complaint(folder)
+    assert text.startswith("RUN/summary.json: ")
+    assert message in text
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda content: content.pop("seed"), "seed is missing, but it must be a whole number from 0"),
+        (lambda content: content.update(seed=10**400), "seed is 1000"),
+        (lambda content: content.pop("repeatability"), "repeatability is missing"),
+        (lambda content: content.update(versions=[1]), "versions is [1], but it must be an object"),
+        (lambda content: content["iterations"][0].update(residual=3), "iterations[0]: residual is 3"),
+        (lambda content: content["iterations"][0].update(residual="x" * 101), "but it must be a short text"),
+        (lambda content: content["iterations"][0].update(steps=True), "steps is True, but it must be a whole"),
+        (lambda content: content["iterations"][0].pop("mae"), "iterations[0]: mae is missing"),
+        (lambda content: content["iterations"][1].update(mae={"speed": 1}), "but it must be of speed, tilt"),
+        (
+            lambda content: content["iterations"][1]["mae"].update(tilt="0.1"),
+            "mae of tilt is '0.1', but it must be a number",
+        ),
+        (lambda content: content["iterations"][1]["mae"].update(tilt=10**400), "but it must be a number or null"),
+        (lambda content: content["iterations"].reverse(), "numbered [1, 0], but their numbers must rise"),
+        (lambda content: content["iterations"][1].update(steps=6), "has 6 steps and 0 falls, in steps.csv 5 and 0"),
+        (lambda content: content["iterations"][1].update(falls=1), "has 5 steps and 1 falls, in steps.csv 5 and 0"),
+    ],
+)
+def test_summary_that_is_wrong(folder: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
+    edit_summary(folder, change)
+    text = complaint(folder)
+    assert text.startswith("RUN/summary.json: ")
+    assert message in text
+    assert len(text) < 200
+
+
+@pytest.mark.parametrize(
+    ("content", "message"), [(b"seed 3", "not TOML"), (b"\xff", "not a text file"), (b"#" * 2**19, "larger than")]
+)
+def test_settings_that_are_none(folder: Path, content: bytes, message: str) -> None:
+    (folder / "experiment.toml").write_bytes(content)
+    text = complaint(folder)
+    assert text.startswith("RUN/experiment.toml: ")
+    assert message in text
+
+
+def test_directories_in_place_of_files(folder: Path) -> None:
+    (folder / "experiment.toml").mkdir()
+    assert "RUN/experiment.toml: not a file" in complaint(folder)
+
+
+@pytest.mark.parametrize("content", ["", "\n", "\r\n\r\n"])
+def test_steps_that_are_none_yet(folder: Path, content: str) -> None:
+    (folder / "steps.csv").write_text(content)
+    assert complaint(folder).startswith("RUN/steps.csv: no step yet; it must have a header and at least one row")
+
+
+def test_steps_changed_after_the_summary(folder: Path) -> None:
+    record = read_run_folder(folder)
+    edit_summary(folder, lambda content: content.update(steps_sha256=digest(record.steps)))
+    assert read_run_folder(folder).shown == record.shown
+    path = folder / "steps.csv"
+    path.write_text(path.read_text().replace(",0.0,0.0,nan,ok", ",0.0,0.5,nan,ok", 1))
+    assert "RUN/summary.json: steps.csv was changed after it was written" in complaint(folder)
+
+
+def test_too_many_coordinates(tmp_path: Path) -> None:
+    names = tuple(f"x{number}" for number in range(run_folder.MOST_COORDINATES + 1))
+    assert "at most 12" in complaint(write_run(tmp_path / "run", names, steps=1))
+
+
+def test_summary_of_another_robot(folder: Path) -> None:
+    write_summary(folder, ("speed", "height"), 5, 2)
+    assert "but it must be of speed, tilt, as in steps.csv" in complaint(folder)
+
+
+def test_every_fall_counts(tmp_path: Path) -> None:
+    space = StepSpace((Quantity("x", "m", 0, 1),), (Quantity("push", "N", -1, 1),))
+    with StepWriter(tmp_path / "steps.csv", space) as writer:
+        writer.append(logged(0, 1, np.zeros(1), np.ones(1)))
+        writer.append(logged(0, 2, np.zeros(1), np.ones(1), Reason.FELL))
+    assert read_run_folder(tmp_path).steps.falls == 1
+
+
+def test_source_of_a_text_is_named() -> None:
+    with pytest.raises(ValueError, match=r"^upload: not JSON"):
+        parse_summary("", ("x",), "upload")

@@ -1,0 +1,232 @@
+"""The apex map against an independent hop, and what it promises of failures, batches and threads.
+
+`python -m benchmarks.map_accuracy` makes the same comparison on a thousand points and more.
+"""
+
+import os
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stepgap.hybrid.integrator import Tolerance
+from stepgap.robots.hopper import Gains, RobotParameters
+from stepgap.robots.hopper.apex_map import SMALLEST_SHARE, ApexMap
+from stepgap.robots.hopper.hop import Tolerances
+from stepgap.step import Reason, StepFailed, difference_jacobian
+from tests.robots.hopper.reference_hop import Hopper, reference_hop
+
+MAP = ApexMap()
+TIGHT = Tolerances(flight=Tolerance(1e-11, 1e-12), stance=Tolerance(1e-11, 1e-12))
+WIDE = np.array([[-3.0, 0.1, -300.0, -300.0], [3.0, 1.5, 300.0, 300.0]])
+
+
+def points_of_use(seed: int, count: int):
+    """Random (speed, height, fx, fy) in the range of use."""
+    quantities = (*MAP.space.state, *MAP.space.command)
+    lower, upper = [quantity.lower for quantity in quantities], [quantity.upper for quantity in quantities]
+    return np.random.default_rng(seed).uniform(lower, upper, (count, 4))
+
+
+def wide_points(seed: int, count: int):
+    """Random points far beyond the range of use, where most hops fail."""
+    return np.random.default_rng(seed).uniform(WIDE[0], WIDE[1], (count, 4))
+
+
+def evaluate(apex_map: ApexMap, points):
+    """Outcome at points (speed, height, fx, fy); shape (…, 4)."""
+    return apex_map.evaluate(points[..., :2], points[..., 2:])
+
+
+@cache
+def hopper(robot: RobotParameters, gains: Gains) -> Hopper:
+    """The independent hopper."""
+    return Hopper(robot, gains)
+
+
+def assert_reference_agrees(apex_map: ApexMap, points, relative: float) -> None:
+    """Same reason, and next states equal relative to the larger of value and half the range of use."""
+    outcome = evaluate(apex_map, points)
+    for point, next_state, reason in zip(points, outcome.next_state, outcome.reason, strict=True):
+        expected_reason, expected = reference_hop(hopper(apex_map.robot, apex_map.gains), point[:2], point[2:])
+        assert (Reason(int(reason)), point.tolist()) == (expected_reason, point.tolist())
+        scale = np.maximum(np.abs(expected), apex_map.space.state_scale)
+        if reason == Reason.OK:
+            assert np.abs((next_state - expected) / scale).max() < relative
+
+
+def test_next_apex_is_the_reference_s_to_a_millionth() -> None:
+    assert_reference_agrees(MAP, points_of_use(11, 12), 1e-6)
+
+
+def test_so_it_is_with_motors_that_saturate_in_every_hop() -> None:
+    weak = ApexMap(RobotParameters(torque_limit=10.0))
+    points = points_of_use(12, 6)
+    assert (np.abs(evaluate(weak, points).next_state - evaluate(MAP, points).next_state).max(axis=1) > 1e-4).all()
+    assert_reference_agrees(weak, points, 1e-6)
+
+
+@pytest.mark.parametrize("stiffness", [1800.0, 3500.0])
+def test_so_it_is_with_another_leg_spring(stiffness) -> None:
+    assert_reference_agrees(ApexMap(gains=Gains(stiffness=stiffness)), points_of_use(13, 3), 1e-6)
+
+
+def test_far_outside_the_range_of_use_reasons_are_the_reference_s() -> None:
+    points = wide_points(14, 15)
+    assert len(np.unique(evaluate(MAP, points).reason)) >= 3
+    assert_reference_agrees(MAP, points, 3e-6)
+
+
+def test_tight_tolerances_leave_errors_far_below_those_of_the_default() -> None:
+    assert_reference_agrees(ApexMap(tolerances=TIGHT), points_of_use(15, 4), 2e-10)
+
+
+def test_reasons_do_not_depend_on_the_tolerance() -> None:
+    points = wide_points(16, 400)
+    outcome, fine = evaluate(MAP, points), evaluate(ApexMap(tolerances=TIGHT), points)
+    assert (outcome.reason == fine.reason).all()
+    assert np.nanmax(np.abs(outcome.next_state - fine.next_state)) < 1e-5
+
+
+def test_next_state_is_nan_exactly_where_the_step_fails() -> None:
+    outcome = evaluate(MAP, wide_points(17, 2000))
+    assert (np.isnan(outcome.next_state).all(axis=-1) == (outcome.reason != Reason.OK)).all()
+    assert (np.isfinite(outcome.next_state).all(axis=-1) == (outcome.reason == Reason.OK)).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", range(4))
+def test_numbers_that_are_not_finite_are_invalid(place, value) -> None:
+    point = np.array([0.2, 0.58, 0.0, 0.0])
+    point[place] = value
+    next_state, reason = evaluate(MAP, point)
+    assert reason == Reason.INVALID
+    assert np.isnan(next_state).all()
+    with pytest.raises(StepFailed, match="invalid"):
+        MAP(point[:2], point[2:])
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 4))
+def test_any_finite_numbers_end_with_a_reason(point) -> None:
+    next_state, reason = evaluate(MAP, np.array(point))
+    assert int(reason) in set(Reason)
+    assert np.isfinite(next_state).all() == (reason == Reason.OK)
+
+
+@pytest.mark.parametrize(
+    ("point", "reason"),
+    [
+        ([0.0, 0.25, 0, 0], Reason.FOOT_SCUFFED),  # the apex itself is in the ground
+        ([8.0, 0.6, 0, 0], Reason.FELL),  # lands with the leg too far over
+        ([0.2, 0.58, 0, -300], Reason.NO_TAKE_OFF),  # pulled down
+        ([0.0, 1e4, 0, 0], Reason.NO_APEX),  # falls for longer than the limit
+    ],
+)
+def test_a_failure_has_the_reason_that_one_would_give_it(point, reason) -> None:
+    assert evaluate(MAP, np.array(point, float)).reason == reason
+
+
+def test_a_leg_that_lands_longer_than_its_spring_is_pulled_off_the_ground() -> None:
+    """The spring pulls at touchdown: a ground that never pulls lets go at once."""
+    pulling = ApexMap(gains=Gains(rest_length=0.2, landing_length=0.3))
+    points = points_of_use(18, 6)
+    assert set(evaluate(pulling, points).reason) == {Reason.NO_TAKE_OFF}
+    assert_reference_agrees(pulling, points[:2], 1e-6)
+
+
+def test_a_foot_that_the_impact_throws_off_the_ground_is_not_held_by_it() -> None:
+    """Heavy legs without a body: a stance that begins without load is over, or the ground would pull."""
+    robot = RobotParameters(bottom_mass=2.0, body_mass=0.05, boom_inertia_vertical=0.0, torque_limit=8.0)
+    gains = Gains(2539.0, 0.2718, 0.2716, speed_gain=0.173, position_gain=61.6, damping_gain=2.414)
+    heavy, points = ApexMap(robot, gains), np.array([[1.567, 0.2998, -74.8, 10.1], [-2.17, 0.302, -118.0, -161.0]])
+    assert evaluate(heavy, points[0]).reason == Reason.OK
+    assert_reference_agrees(heavy, points, 1e-5)
+
+
+def test_batch_is_its_single_steps_for_any_leading_shape() -> None:
+    points = wide_points(19, 120)
+    flat = evaluate(MAP, points)
+    for shape in [(120,), (2, 60), (3, 1, 40), (0,), (4, 0)]:
+        size = int(np.prod(shape))
+        outcome = evaluate(MAP, points[:size].reshape(*shape, 4))
+        assert outcome.next_state.shape == (*shape, 2)
+        assert outcome.reason.shape == shape
+        assert np.array_equal(outcome.next_state.reshape(-1, 2), flat.next_state[:size], equal_nan=True)
+    for point, next_state, reason in zip(points[:20], *(part[:20] for part in flat), strict=True):
+        single = evaluate(MAP, point)
+        assert single.reason.shape == ()
+        assert single.reason == reason
+        assert np.array_equal(single.next_state, next_state, equal_nan=True)
+
+
+def test_state_and_command_broadcast() -> None:
+    points = points_of_use(20, 5)
+    grid = MAP.evaluate(points[:, None, :2], points[None, :, 2:])
+    assert grid.reason.shape == (5, 5)
+    for i in range(5):
+        assert np.array_equal(grid.next_state[i], MAP.evaluate(points[i, :2], points[:, 2:]).next_state)
+    assert np.array_equal(grid.next_state[[0, 1, 2, 3, 4], [0, 1, 2, 3, 4]], evaluate(MAP, points).next_state)
+
+
+def test_threads_change_no_bit(monkeypatch) -> None:
+    points = wide_points(21, SMALLEST_SHARE * 8 + 3)
+    outcomes = []
+    for cores in (1, 2, 3, 8):
+        monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
+        outcomes.append(evaluate(MAP, points))
+    for outcome in outcomes[1:]:
+        assert outcome.next_state.tobytes() == outcomes[0].next_state.tobytes()
+        assert outcome.reason.tobytes() == outcomes[0].reason.tobytes()
+
+
+def test_an_error_in_a_thread_is_raised(monkeypatch) -> None:
+    def broken(*_):
+        raise MemoryError
+
+    monkeypatch.setattr("stepgap.robots.hopper.apex_map._hop_all", broken)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    with pytest.raises(MemoryError):
+        evaluate(MAP, points_of_use(22, 4 * SMALLEST_SHARE))
+
+
+def richardson(apex_map: ApexMap, points):
+    """Jacobian of the map at tight tolerance by central differences, extrapolated to a step of zero."""
+    fine = ApexMap(apex_map.robot, apex_map.gains, tolerances=TIGHT)
+    wide, narrow = (difference_jacobian(fine, points[:, :2], points[:, 2:], step) for step in (2e-4, 1e-4))
+    return (4 * narrow - wide) / 3
+
+
+@pytest.mark.parametrize("torque_limit", [40.0, 10.0])
+def test_jacobian_is_that_of_the_exact_map(torque_limit) -> None:
+    apex_map, points = ApexMap(RobotParameters(torque_limit=torque_limit)), points_of_use(23, 50)
+    jacobian, exact = apex_map.jacobian(points[:, :2], points[:, 2:]), richardson(apex_map, points)
+    error = np.abs(jacobian - exact).max(axis=(1, 2)) / np.abs(exact).max(axis=(1, 2))
+    assert error.max() < 1e-5
+
+
+def test_jacobian_is_nan_exactly_where_the_step_fails() -> None:
+    points = wide_points(24, 200)
+    points[::2] = points_of_use(24, 100)
+    jacobian = MAP.jacobian(points[:, :2], points[:, 2:])
+    assert (np.isnan(jacobian).all(axis=(1, 2)) == (evaluate(MAP, points).reason != Reason.OK)).all()
+    assert (np.isnan(jacobian).any(axis=(1, 2)) == np.isnan(jacobian).all(axis=(1, 2))).all()
+
+
+def test_points_that_share_their_state_give_what_each_gives_alone() -> None:
+    points = points_of_use(25, 12)
+    points[:, :2] = points[[0, 0, 0, 1, 2, 2, 2, 2, 0, 0, 3, 3], :2]
+    points[5, 3], points[9, :2] = np.nan, np.nan
+    outcome, jacobian = evaluate(MAP, points), MAP.jacobian(points[:, :2], points[:, 2:])
+    for i, point in enumerate(points):
+        alone = evaluate(MAP, point)
+        assert outcome.reason[i] == alone.reason
+        assert np.array_equal(outcome.next_state[i], alone.next_state, equal_nan=True)
+        assert np.array_equal(jacobian[i], MAP.jacobian(point[:2], point[2:]), equal_nan=True)
+
+
+def test_lengths_out_of_reach_are_refused() -> None:
+    with pytest.raises(ValueError, match="landing_length"):
+        ApexMap(gains=Gains(landing_length=0.32))

@@ -1,0 +1,57 @@
+"""`RealityGap`: which differences it takes."""
+
+from dataclasses import FrozenInstanceError, fields, replace
+from math import inf, nan
+
+import pytest
+
+from stepgap.robots.hopper.twin.reality_gap import MAY_BE_INFINITE, SIGNED, RealityGap
+
+NUMBERS = [field.name for field in fields(RealityGap) if field.name != "boom_arc"]
+
+
+def test_no_gap_differs_from_a_real_machine_in_every_field_that_matters():
+    none, real = RealityGap.none(), RealityGap()
+    same = {field.name for field in fields(none) if getattr(none, field.name) == getattr(real, field.name)}
+    kept = {"boom_pivot_height", "boom_damping_ratio", "ground_damping_ratio"}
+    assert same == kept | {"boom_drag", "ground_slope", "torque_imbalance"}, "the last are for twins of one's own"
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", [nan, -inf])
+def test_refuses_what_is_no_number_and_names_it(name: str, value: float):
+    with pytest.raises(ValueError, match=rf"{name} = -?(nan|inf), but it must"):
+        replace(RealityGap(), **{name: value})
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_takes_infinity_only_where_it_means_rigid_exact_or_unlimited(name: str):
+    if name in MAY_BE_INFINITE:
+        replace(RealityGap(), **{name: inf})
+    else:
+        with pytest.raises(ValueError, match=name):
+            replace(RealityGap(), **{name: inf})
+
+
+@pytest.mark.parametrize("name", sorted(set(NUMBERS) - SIGNED))
+def test_refuses_negative_values(name: str):
+    with pytest.raises(ValueError, match=rf"{name} = -1.0, but it must"):
+        replace(RealityGap(), **{name: -1.0})
+
+
+@pytest.mark.parametrize("name", ["body_mass_scale", "motor_counts", "ground_stiffness", "torque_limit"])
+def test_refuses_zero_where_it_has_no_meaning(name: str):
+    with pytest.raises(ValueError, match=f"{name} = 0, but it must be positive"):
+        replace(RealityGap(), **{name: 0})
+
+
+@pytest.mark.parametrize("name", ["ground_slope", "boom_tilt", "torque_imbalance"])
+def test_refuses_a_wall_for_a_floor_and_a_motor_that_pulls_back(name: str):
+    for value in (1.0, -1.0):
+        with pytest.raises(ValueError, match=rf"{name} = {value}, but it must lie within ±"):
+            replace(RealityGap(), **{name: value})
+
+
+def test_is_frozen():
+    with pytest.raises(FrozenInstanceError):
+        RealityGap().delay = 1.0  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,0 +1,73 @@
+"""The whole path through the ring, tick by tick beside direct calls of the twin."""
+
+import numpy as np
+import pytest
+
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.rigs.ethercat.emulator.machine import TwinMachine
+from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.rig import Rig, RigFault
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.direct_ring import DirectRing
+from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.step import Reason
+from tests.rigs.ethercat.ring_process import INTERFACE
+
+pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+
+ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
+RING = RingSettings(inputs_after_tick=True)
+HOPS = 4
+
+
+def twin() -> Twin:
+    return Twin(ROBOT, RealityGap(), np.random.default_rng(3))
+
+
+def machine() -> TwinMachine:
+    return TwinMachine(twin())
+
+
+SETTINGS = emulated_settings(twin().layout, ROBOT, RING, INTERFACE)
+
+
+def hop(rig: Rig):
+    ticks, states = [], []
+    with RigPlant(rig, ROBOT, GAINS, BOUNDS, on_tick=lambda tick: ticks.append(tick.row())) as plant:
+        try:
+            states.append(plant.start())
+        except RigFault as fault:
+            if "raw Ethernet needs" in str(fault):
+                pytest.skip(str(fault))
+            raise
+        for _ in range(HOPS):
+            record = plant.take_step(np.array([-4.0, -6.0]))
+            assert record.reason == Reason.OK
+            states.append(record.next_state)
+    return np.array(ticks), np.array(states)
+
+
+def test_through_the_ring_every_tick_is_that_of_direct_calls_but_for_quantisation():
+    ticks, states = hop(RingRig(machine, RING, SETTINGS, ROBOT))
+    wanted_ticks, wanted_states = hop(DirectRing(twin(), RING, SETTINGS))
+    np.testing.assert_array_equal(ticks, wanted_ticks)
+    np.testing.assert_array_equal(states, wanted_states)
+    _, exact = hop(twin())
+    assert np.abs(states - exact).max(axis=0) == pytest.approx([0, 0], abs=0.03), "counts change little"
+
+
+def test_a_ring_rig_can_be_had_again():
+    rig = RingRig(machine, RING, SETTINGS, ROBOT)
+    for _ in range(2):
+        try:
+            rig.connect()
+        except RigFault as fault:
+            pytest.skip(str(fault))
+        assert rig.read().boom_horizontal == 0
+        rig.write(1.0, 1.0)
+        rig.close()
+        rig.close()
+        with pytest.raises(RigFault, match="not connected"):
+            rig.read()
