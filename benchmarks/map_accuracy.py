@@ -17,7 +17,7 @@ import numpy as np
 
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 from tests.robots.hopper.reference_hop import Hopper, reference_hop
 
 WIDE = np.array([[-3.0, 0.1, -300.0, -300.0], [3.0, 1.5, 300.0, 300.0]])
@@ -29,8 +29,8 @@ def hopper(robot: RobotParameters, gains: Gains) -> Hopper:
     return Hopper(robot, gains)
 
 
-def reference(robot: RobotParameters, gains: Gains, point: np.ndarray) -> tuple[Reason, np.ndarray]:
-    """Reason and next state of one point (speed, height, fx, fy)."""
+def reference(robot: RobotParameters, gains: Gains, point: np.ndarray) -> tuple[StepStatus, np.ndarray]:
+    """Status and next state of one point (speed, height, fx, fy)."""
     return reference_hop(hopper(robot, gains), point[:2], point[2:])
 
 
@@ -69,18 +69,18 @@ def main() -> None:
         references = list(pool.map(reference, *same, points, chunksize=5))
 
     expected = np.array([next_state for _, next_state in references])
-    reasons = np.array([reason for reason, _ in references])
+    statuses = np.array([status for status, _ in references])
     scale = np.maximum(np.abs(expected), apex_map.space.state_scale)
     error = np.abs(outcome.next_state - expected) / scale
-    both = (reasons == Reason.OK) & (outcome.reason == Reason.OK)
-    print(f"reasons of {len(points)} points:", {Reason(k).status: n for k, n in Counter(reasons.tolist()).items()})
+    both = (statuses == StepStatus.OK) & (outcome.status == StepStatus.OK)
+    print(f"reasons of {len(points)} points:", {StepStatus(k).label: n for k, n in Counter(statuses.tolist()).items()})
     if both.any():
         for name, column in zip(apex_map.space.state_names, error[both].T, strict=True):
             print(f"{name}: largest relative error {column.max():.2g}, median {np.median(column):.2g}")
-    different = np.flatnonzero(reasons != outcome.reason)
+    different = np.flatnonzero(statuses != outcome.status)
     print(f"reasons that differ: {len(different)}")
     for i in different[:40]:
-        found, wanted = Reason(int(outcome.reason[i])).status, Reason(int(reasons[i])).status
+        found, wanted = StepStatus(int(outcome.status[i])).label, StepStatus(int(statuses[i])).label
         print(f"  {points[i].tolist()}: map {found} {outcome.next_state[i]}, reference {wanted} {expected[i]}")
     print(f"median time of one evaluation: {1e6 * median_time(apex_map, points[:500]):.0f} µs")
 

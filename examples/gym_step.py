@@ -9,7 +9,7 @@ from stepgap.control.careful_controller import CarefulController
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 
 stairs = [(1, (0.1, 0.56)), (10, (0.2, 0.58)), (19, (0.3, 0.6)), (28, (0.2, 0.58))]
 reference = Reference.from_segments(("speed", "height"), stairs, 36)
@@ -25,9 +25,9 @@ def episode(plan, seed, log, iteration):
         state, target = np.split(seen, 2)
         planned = plan(state, target)
         seen, _, fell, at_end, info = env.step(space.point_of(planned.command))
-        over, reason = fell or at_end, Reason[info["reason"].upper()]
+        over, status = fell or at_end, StepStatus[info["status"].upper()]
         errors.append(seen[:2] - target)
-        record = StepRecord(state, info["command"], info["applied"], seen[:2], reason, info.get("place", np.nan))
+        record = StepRecord(state, info["command"], info["applied"], seen[:2], status, info.get("place", np.nan))
         log.append(LoggedStep(iteration, len(errors), target, planned.predicted, np.zeros(2), record))
     return np.sqrt(np.mean(np.square(errors), axis=0))
 

@@ -16,7 +16,7 @@ from stepgap.control.reference import Reference
 from stepgap.experiment.loop import run
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.step import Outcome, Quantity, Reason, StepMap, StepSpace, difference_jacobian
+from stepgap.step import Outcome, Quantity, StepMap, StepSpace, StepStatus, difference_jacobian
 
 GRAVITY = 9.81
 
@@ -50,18 +50,18 @@ def follow(z, robot, push, phase):
 
 
 @guvectorize(["f8[:], f8[:], f8[:], f8[:], i8[:]"], "(n),(m),(p)->(n),()")
-def hop(state, command, robot, next_state, reason):
+def hop(state, command, robot, next_state, status):
     """From apex to apex; NumPy broadcasts it over leading axes."""
     x, y = -robot[2] * np.sin(command[0]), robot[2] * np.cos(command[0])
-    next_state[:], reason[0] = np.nan, Reason.FELL
+    next_state[:], status[0] = np.nan, StepStatus.FELL
     if not np.isfinite(state.sum() + command.sum()):
-        reason[0] = Reason.INVALID
+        status[0] = StepStatus.INVALID
     elif state[1] > y:
         z = np.array([x, y, state[0], -np.sqrt(2 * GRAVITY * (state[1] - y))])
         z = follow(follow(z, robot, 0.0, -1.0), robot, command[1], 1.0)
         if z[1] > 0:
-            reason[0] = Reason.OK if z[3] > 0 else Reason.NO_TAKE_OFF
-        if reason[0] == Reason.OK:
+            status[0] = StepStatus.OK if z[3] > 0 else StepStatus.NO_TAKE_OFF
+        if status[0] == StepStatus.OK:
             next_state[0], next_state[1] = z[2], z[1] + z[3] ** 2 / (2 * GRAVITY)
 
 

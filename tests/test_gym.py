@@ -90,7 +90,7 @@ def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
     np.testing.assert_allclose(info["predicted"], expected, atol=1e-12)
     assert "place" not in info  # a map has none
     assert reward == pytest.approx(-(((expected[0] - 0.2) / 0.2) ** 2) - ((expected[1] - 0.58) / 0.06) ** 2)
-    assert (fell, at_end, info["reason"]) == (False, False, "ok")
+    assert (fell, at_end, info["status"]) == (False, False, "ok")
 
 
 def test_our_controller_tracks_through_it() -> None:
@@ -123,7 +123,7 @@ def test_an_action_that_is_no_number_is_a_fall(options: dict[str, Any]) -> None:
     seen, reward, fell, at_end, info = env.step(np.array([np.nan, 0.0]))
     assert fell
     assert not at_end
-    assert info["reason"] != "ok"
+    assert info["status"] != "ok"
     assert "predicted" not in info
     np.testing.assert_array_equal(seen, before)
     assert reward == -MISSED * len(REFERENCE)

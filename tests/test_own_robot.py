@@ -20,7 +20,7 @@ from stepgap.control.step_controller import StepController
 from stepgap.experiment.loop import run
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.step import Array, Outcome, Quantity, Reason, StepMap, StepSpace, difference_jacobian
+from stepgap.step import Array, Outcome, Quantity, StepMap, StepSpace, StepStatus, difference_jacobian
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "own_robot.py"
 HOPPER = (
@@ -80,8 +80,8 @@ def integrated(robot: Any, state: Array, command: Array) -> Array:
 
 def test_the_model_conserves_energy(runner: StepMap, points: tuple[Array, Array]) -> None:
     state, command = points
-    next_state, reason = runner.evaluate(state, command * [1, 0])
-    hops = reason == Reason.OK
+    next_state, status = runner.evaluate(state, command * [1, 0])
+    hops = status == StepStatus.OK
     assert hops.mean() > 0.9
 
     def energy(state: Array) -> Array:
@@ -96,8 +96,8 @@ def test_it_is_what_scipy_integrates(
 ) -> None:
     robot, compared = names["SpringRunner"](**real), 0
     for state, command in zip(*points, strict=True):
-        next_state, reason = robot.evaluate(state, command)
-        if reason == Reason.OK and compared < 20:
+        next_state, status = robot.evaluate(state, command)
+        if status == StepStatus.OK and compared < 20:
             np.testing.assert_allclose(next_state, integrated(robot, state, command), rtol=0, atol=2e-7)
             compared += 1
     assert compared == 20
@@ -111,13 +111,13 @@ def test_losses_lose_energy(names: dict[str, Any], runner: StepMap) -> None:
 
 
 def test_what_is_no_step_has_a_reason(runner: StepMap) -> None:
-    for state, command, reason in (
-        ([1.0, 0.4], [0.2, 0.0], Reason.FELL),  # it would start in the ground
-        ([np.nan, 0.6], [0.2, 0.0], Reason.INVALID),
-        ([1.0, 0.6], [np.nan, 0.0], Reason.INVALID),
+    for state, command, status in (
+        ([1.0, 0.4], [0.2, 0.0], StepStatus.FELL),  # it would start in the ground
+        ([np.nan, 0.6], [0.2, 0.0], StepStatus.INVALID),
+        ([1.0, 0.6], [np.nan, 0.0], StepStatus.INVALID),
     ):
         outcome = runner.evaluate(state, command)
-        assert outcome.reason == reason
+        assert outcome.status == status
         assert np.isnan(outcome.next_state).all()
 
 
@@ -162,7 +162,7 @@ class Pulled(StepMap):
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         pull = np.tanh(np.asarray(command, float) @ (np.eye(self.m, self.n) + 0.1))
         next_state = np.asarray(state, float) / 2 + self.gain * pull
-        return Outcome(next_state, np.where(np.isfinite(next_state).all(axis=-1), Reason.OK, Reason.INVALID))
+        return Outcome(next_state, np.where(np.isfinite(next_state).all(axis=-1), StepStatus.OK, StepStatus.INVALID))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         return difference_jacobian(self, state, command)

@@ -28,7 +28,7 @@ from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Array, Reason, StepMap
+from stepgap.step import Array, StepMap, StepStatus
 
 STEP_ID = "stepgap/Step-v0"
 """What `gymnasium.make` knows the hopper by."""
@@ -49,7 +49,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
     - Reward: minus the squared distance from the target, in half ranges of the state, at most `MISSED`; a fall costs
       `MISSED` for every step that it takes away.
     - Terminated by a fall, truncated at the reference's end.
-    - Info of a step: `command` and `applied` [command units]; `reason`, `ok` or why there was no apex; `predicted`, the
+    - Info of a step: `command` and `applied` [command units]; `status`, `ok` or why there was no apex; `predicted`, the
       nominal map's next state for what was applied, if it has one; `place`, where on its round the robot is [rad], if
       the plant measures it; `fault`, what the plant says of its end, if it does.
 
@@ -102,12 +102,12 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
             raise ValueError(f"the action has shape {point.shape}; it must be {self.action_space.shape}")
         record = self._plant.take_step(self.space.command_at(point))
         target, left = self._tracked.targets[self._done], len(self._tracked) - self._done
-        predicted, reason = self.nominal.evaluate(record.state, record.applied)
-        info = {"command": record.command, "applied": record.applied, "reason": record.reason.status}
-        info |= {"predicted": predicted} if reason == Reason.OK else {}
+        predicted, status = self.nominal.evaluate(record.state, record.applied)
+        info = {"command": record.command, "applied": record.applied, "status": record.status.label}
+        info |= {"predicted": predicted} if status == StepStatus.OK else {}
         info |= {"place": record.place_after} if isfinite(record.place_after) else {}
         info |= {"fault": self._plant.fault} if self._plant.fault else {}
-        fell = record.reason != Reason.OK
+        fell = record.status != StepStatus.OK
         if fell:
             reward = -MISSED * left
         else:

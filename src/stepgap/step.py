@@ -18,10 +18,10 @@ Array = NDArray[np.float64]
 """Floating-point array, SI units."""
 
 Codes = NDArray[np.int64]
-"""Array of `Reason` values."""
+"""Array of `StepStatus` values."""
 
 
-class Reason(IntEnum):
+class StepStatus(IntEnum):
     """How a step ended; the name in lower case is the `status` of a recorded step."""
 
     OK = 0
@@ -34,37 +34,39 @@ class Reason(IntEnum):
     STOPPED = 7
 
     @property
-    def status(self) -> str:
+    def label(self) -> str:
         """Lower-case word used in files and messages."""
         return self.name.lower()
 
 
 ADVICE = {
-    Reason.FELL: "the body came too low or the leg too far over; "
+    StepStatus.FELL: "the body came too low or the leg too far over; "
     "ask for a slower or higher apex, or a smaller horizontal force",
-    Reason.NO_TAKE_OFF: "the leg did not push the body off the ground; raise the vertical force or the leg stiffness",
-    Reason.FULL_STRETCH: "the leg reached full stretch, where the foot force is undefined; "
+    StepStatus.NO_TAKE_OFF: "the leg did not push the body off the ground; "
+    "raise the vertical force or the leg stiffness",
+    StepStatus.FULL_STRETCH: "the leg reached full stretch, where the foot force is undefined; "
     "lower the vertical force or shorten the spring's rest length",
-    Reason.FOOT_SCUFFED: "the foot touched the ground outside stance; ask for a higher apex or land with a shorter leg",
-    Reason.NO_APEX: "no next apex within the time limit; check gains and forces",
-    Reason.INVALID: "state and command must be finite numbers",
-    Reason.STOPPED: "a safety limit of the joints was met; check gains, forces and the limits themselves",
+    StepStatus.FOOT_SCUFFED: "the foot touched the ground outside stance; "
+    "ask for a higher apex or land with a shorter leg",
+    StepStatus.NO_APEX: "no next apex within the time limit; check gains and forces",
+    StepStatus.INVALID: "state and command must be finite numbers",
+    StepStatus.STOPPED: "a safety limit of the joints was met; check gains, forces and the limits themselves",
 }
-"""What to try when a step ends with a `Reason` other than OK."""
+"""What to try when a step ends with a `StepStatus` other than OK."""
 
 
 class StepFailed(Exception):
     """A single step has no next apex.
 
     Attributes:
-        reason: Why.
+        status: How the step ended.
         advice: What to try.
     """
 
-    def __init__(self, reason: Reason):
-        self.reason = reason
-        self.advice = ADVICE[reason]
-        super().__init__(f"{reason.status}: {self.advice}")
+    def __init__(self, status: StepStatus):
+        self.status = status
+        self.advice = ADVICE[status]
+        super().__init__(f"{status.label}: {self.advice}")
 
 
 @dataclass(frozen=True)
@@ -173,11 +175,11 @@ class Outcome(NamedTuple):
 
     Attributes:
         next_state: State at the next apex, NaN where the step fails; shape (…, n).
-        reason: `Reason` value of each step; shape (…).
+        status: `StepStatus` value of each step; shape (…).
     """
 
     next_state: Array
-    reason: Codes
+    status: Codes
 
 
 class StepMap(ABC):
@@ -194,7 +196,7 @@ class StepMap(ABC):
 
     @abstractmethod
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        """Next states and reason codes; never raises for a step that fails."""
+        """Next states and status codes; never raises for a step that fails."""
 
     @abstractmethod
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
@@ -224,9 +226,9 @@ class StepMap(ABC):
         Raises:
             StepFailed: The arguments are one step and it fails. In a batch such a step gives NaN.
         """
-        next_state, reason = self.evaluate(state, command)
-        if next_state.ndim == 1 and int(reason) != Reason.OK:
-            raise StepFailed(Reason(int(reason)))
+        next_state, status = self.evaluate(state, command)
+        if next_state.ndim == 1 and int(status) != StepStatus.OK:
+            raise StepFailed(StepStatus(int(status)))
         return next_state
 
 
@@ -259,7 +261,7 @@ class StepRecord:
         command: Command asked for; shape (m,).
         applied: Command the joints received after every limit; shape (m,). Learning uses this one.
         next_state: State at the next apex, as measured; NaN if there was none; shape (n,).
-        reason: How it ended.
+        status: How it ended.
         place_after: Where on its round the robot is at the next apex [rad], such as the yaw of its boom; NaN of a plant
             that does not measure it, and where there was no apex. No part of the state, and its zero is arbitrary.
 
@@ -271,7 +273,7 @@ class StepRecord:
     command: Array
     applied: Array
     next_state: Array
-    reason: Reason
+    status: StepStatus
     place_after: float = np.nan
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ import pytest
 from stepgap.bench.baselines import INTEGRAL_GAIN, AdjustedMap, IntegralCorrection, PhysicalError, identify, with_error
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.step import Reason, StepMap, StepRecord, difference_jacobian
+from stepgap.step import StepMap, StepRecord, StepStatus, difference_jacobian
 
 NOMINAL = ApexMap()
 
@@ -19,7 +19,7 @@ def steps_of(truth: StepMap, count: int, noise: float = 0.0) -> StepLog:
         state = rng.uniform([0.05, 0.56], [0.35, 0.62])
         command = rng.uniform([-8, -12], [4, 4])
         next_state = truth(state, command) + noise * rng.standard_normal(2) * [0.01, 0.002]
-        record = StepRecord(state, command, command, next_state, Reason.OK)
+        record = StepRecord(state, command, command, next_state, StepStatus.OK)
         log.append(LoggedStep(0, number, state, state, np.zeros(2), record))
     return log
 

@@ -16,7 +16,7 @@ from stepgap.plants.rig_plant import Tick
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.twin.family import DRAWN, random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.step import Reason, StepRecord
+from stepgap.step import StepRecord, StepStatus
 from tests.cli.command_line import Command, refused
 
 SHORT = Reference.from_segments(("speed", "height"), [(1, (0.0, 0.55)), (5, (0.17, 0.58))], steps=10)
@@ -74,7 +74,7 @@ def test_draws_that_fall_at_once_are_drawn_again(monkeypatch: pytest.MonkeyPatch
 def test_coverage_counts_steps_within_the_interval() -> None:
     def logged(error: float, std: float) -> LoggedStep:
         predicted = np.array([0.2, 0.58])
-        record = StepRecord(predicted, np.zeros(2), np.zeros(2), predicted + np.array([error, 0.0]), Reason.OK)
+        record = StepRecord(predicted, np.zeros(2), np.zeros(2), predicted + np.array([error, 0.0]), StepStatus.OK)
         return LoggedStep(1, 1, predicted, predicted, np.full(2, std), record)
 
     steps = [logged(0.0195, 0.01), logged(-0.0197, 0.01), logged(0.0, 0.01), logged(0.0, 0.0)]

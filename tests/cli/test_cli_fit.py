@@ -10,7 +10,7 @@ from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep, StepWriter
 from stepgap.robots.hopper import CommandBounds
 from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.step import Reason, StepRecord
+from stepgap.step import StepRecord, StepStatus
 from tests.cli.command_line import Command, refused
 
 FOREIGN = ("--state", "v,y", "--next", "v2,y2", "--command", "fx,fy", "--nominal", "state")
@@ -38,9 +38,9 @@ def write_run(folder: Path, offset: float) -> None:
     after = ApexMap()(states, commands) + [0, offset] + rng.normal(size=(31, 2)) * [4e-3, 1e-3]
     with StepWriter(folder / "steps.csv", bounds) as writer:
         for i in range(31):
-            reason = Reason.OK if i < 30 else Reason.FELL
+            status = StepStatus.OK if i < 30 else StepStatus.FELL
             end = after[i] if i < 30 else np.full(2, np.nan)
-            record = StepRecord(states[i], 3 * commands[i], commands[i], end, reason)
+            record = StepRecord(states[i], 3 * commands[i], commands[i], end, status)
             writer.append(LoggedStep(i // 15, i % 15 + 1, states[i], states[i], np.zeros(2), record))
 
 

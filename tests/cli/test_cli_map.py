@@ -10,7 +10,7 @@ from stepgap.control.command_table_file import read_table
 from stepgap.robots.hopper import Gains
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.sampled_map import SampledApexMap
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 from tests.cli.command_line import Command, refused
 
 HEADER = "speed,height,fx,fy\n"
@@ -87,7 +87,7 @@ def test_a_table(stepgap: Command) -> None:
     assert table.points == 5
     assert table.space.command_upper.tolist() == [30, 18]
     apex_map = ApexMap(gains=Gains(stiffness=2400))
-    works = table.reasons == Reason.OK
+    works = table.statuses == StepStatus.OK
     speed, height = np.linspace(0, 0.4, 5), np.linspace(0.52, 0.64, 5)
     states = np.stack(np.meshgrid(speed, height, speed, height, indexing="ij"), axis=-1)[..., :2]
     predicted = apex_map.evaluate(states[works], table.commands[works]).next_state

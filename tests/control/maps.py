@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.step import Array, Codes, Outcome, Quantity, Reason, StepMap, StepSpace, difference_jacobian
+from stepgap.step import Array, Codes, Outcome, Quantity, StepMap, StepSpace, StepStatus, difference_jacobian
 
 SPEED, HEIGHT = Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.52, 0.64)
 FX, FY = Quantity("fx", "N", -15.0, 15.0), Quantity("fy", "N", -20.0, 20.0)
@@ -18,14 +18,14 @@ class ClosedFormMap(StepMap):
         """The formula."""
         raise NotImplementedError
 
-    def reason(self, state: Array, command: Array) -> Codes:
+    def status(self, state: Array, command: Array) -> Codes:
         """Where it fails; nowhere unless a subclass says so."""
-        return np.full(np.broadcast_shapes(state.shape[:-1], command.shape[:-1]), Reason.OK)
+        return np.full(np.broadcast_shapes(state.shape[:-1], command.shape[:-1]), StepStatus.OK)
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         state, command = np.asarray(state, float), np.asarray(command, float)
-        reason = np.asarray(self.reason(state, command), np.int64)
-        return Outcome(np.where((reason == Reason.OK)[..., None], self.next_state(state, command), np.nan), reason)
+        status = np.asarray(self.status(state, command), np.int64)
+        return Outcome(np.where((status == StepStatus.OK)[..., None], self.next_state(state, command), np.nan), status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         return difference_jacobian(self, state, command)
@@ -89,11 +89,11 @@ class StumblingHopper(LossyHopper):
         fx, fy = command[..., 0] / 15, command[..., 1] / 20
         return plain + np.stack([0.03 * np.sin(2 * fy) + 0.02 * fx * fy, -0.006 * fx**2 + 0.004 * fx], axis=-1)
 
-    def reason(self, state: Array, command: Array) -> Codes:
+    def status(self, state: Array, command: Array) -> Codes:
         falls = command[..., 0] / 15 + command[..., 1] / 20 > self.fall_line
         low = command[..., 1] < self.least_force
-        reason = np.where(falls, Reason.FELL, np.where(low, Reason.NO_TAKE_OFF, Reason.OK))
-        return np.broadcast_to(reason, np.broadcast_shapes(state.shape[:-1], command.shape[:-1]))
+        status = np.where(falls, StepStatus.FELL, np.where(low, StepStatus.NO_TAKE_OFF, StepStatus.OK))
+        return np.broadcast_to(status, np.broadcast_shapes(state.shape[:-1], command.shape[:-1]))
 
 
 class RedundantMap(ClosedFormMap):
@@ -137,8 +137,8 @@ class FoldedMap(ClosedFormMap):
 class NeverWorks(LossyHopper):
     """Falls whatever the command."""
 
-    def reason(self, state: Array, command: Array) -> Codes:
-        return np.full(np.broadcast_shapes(state.shape[:-1], command.shape[:-1]), Reason.FELL)
+    def status(self, state: Array, command: Array) -> Codes:
+        return np.full(np.broadcast_shapes(state.shape[:-1], command.shape[:-1]), StepStatus.FELL)
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class CountingMap(StepMap):
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         outcome = self.inner.evaluate(state, command)
-        self.evaluations += outcome.reason.size
+        self.evaluations += outcome.status.size
         return outcome
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.control.careful_controller import APART, RISK, CarefulController
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, Codes, Reason, StepMap, difference_jacobian
+from stepgap.step import Array, Codes, StepMap, StepStatus, difference_jacobian
 from tests.control.maps import ClosedFormMap, LossyHopper
 
 NONE = np.empty((0, 4))
@@ -112,9 +112,9 @@ class Cliff(LossyHopper):
 
     edge: float = 0.62
 
-    def reason(self, state: Array, command: Array) -> Codes:
+    def status(self, state: Array, command: Array) -> Codes:
         high = np.broadcast_to(state[..., 1] > self.edge, np.broadcast_shapes(state.shape, command.shape)[:-1])
-        return np.where(high, Reason.FELL, Reason.OK)
+        return np.where(high, StepStatus.FELL, StepStatus.OK)
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,8 @@ class GuessedCliff(Guessed):
 
     truth: LossyHopper = Cliff()
 
-    def reason(self, state: Array, command: Array) -> Codes:
-        return self.truth.reason(state, command)
+    def status(self, state: Array, command: Array) -> Codes:
+        return self.truth.status(state, command)
 
 
 def test_it_keeps_clear_of_states_from_which_nothing_leads_on() -> None:

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from stepgap.control.command_table import CommandTable, build_table, measure_table
 from stepgap.control.command_table_file import KINDS, read_table, write_table
 from stepgap.control.step_controller import StepController
-from stepgap.step import Array, Reason, StepFailed, box_grid
+from stepgap.step import Array, StepFailed, StepStatus, box_grid
 from tests.control.maps import FoldedMap, LossyHopper, NeverWorks, RedundantMap, StumblingHopper
 
 POINTS = 7
@@ -98,8 +98,8 @@ def test_where_the_map_fails_the_table_says_so():
     table = build_table(NeverWorks(), 2)
     with pytest.raises(StepFailed) as failure:
         table([0.2, 0.58], [0.2, 0.58])
-    assert failure.value.reason == Reason.FELL
-    assert (table.reasons == Reason.FELL).all()
+    assert failure.value.status == StepStatus.FELL
+    assert (table.statuses == StepStatus.FELL).all()
     with pytest.raises(ValueError, match="none of 100 random"):
         measure_table(table, NeverWorks(), np.random.default_rng(0), 100)
 
@@ -107,7 +107,7 @@ def test_where_the_map_fails_the_table_says_so():
 def test_nodes_out_of_reach_are_marked():
     table = build_table(StumblingHopper(), 3)
     assert 0 < table.reached.mean() < 1
-    assert (table.reasons == Reason.OK).all()
+    assert (table.statuses == StepStatus.OK).all()
     distance = np.linalg.norm(table.predicted[0, 0] - place((box_grid(3, 2) + 1) / 2), axis=-1)
     np.testing.assert_array_equal(table.reached[0, 0], distance < 1e-6)
 
@@ -149,7 +149,7 @@ def file(table: CommandTable, tmp_path: Path) -> Path:
 def test_a_file_holds_all_of_a_table(table, file):
     again = read_table(file)
     assert again.space == table.space
-    for name in ("commands", "predicted", "reached", "reasons"):
+    for name in ("commands", "predicted", "reached", "statuses"):
         np.testing.assert_array_equal(getattr(again, name), getattr(table, name))
     assert again([0.2, 0.58], [0.25, 0.6]).command.tolist() == table([0.2, 0.58], [0.25, 0.6]).command.tolist()
 
@@ -169,7 +169,7 @@ def contents(file: Path) -> dict[str, np.ndarray]:
         ({"ranges": np.full((4, 2), np.nan)}, "bounds of speed must be finite"),
         ({"ranges": np.zeros((3, 2))}, "units and ranges"),
         ({"reached": np.zeros((3, 3), bool)}, "the grid has shape"),
-        ({"reasons": np.full((POINTS,) * 4, 99)}, "reasons must be values of Reason"),
+        ({"statuses": np.full((POINTS,) * 4, 99)}, "statuses must be values of StepStatus"),
         ({"more": np.zeros(1)}, "more"),
     ],
 )

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from stepgap.control.limit_cycle import fixed_point, free_fixed_point, multipliers, reachable_set
-from stepgap.step import Array, Codes, Quantity, Reason, StepFailed, StepSpace
+from stepgap.step import Array, Codes, Quantity, StepFailed, StepSpace, StepStatus
 from tests.control.maps import FX, ClosedFormMap, LossyHopper, NeverWorks, RedundantMap, ScalarMap, StumblingHopper
 
 
@@ -99,8 +99,8 @@ def test_nothing_works_is_a_failed_step():
 
 def test_multipliers_beside_failing_steps_are_nan():
     class OnEdge(LossyHopper):
-        def reason(self, state: Array, command: Array) -> Codes:
-            return np.where(state[..., 0] > 0.2, Reason.FELL, super().reason(state, command))
+        def status(self, state: Array, command: Array) -> Codes:
+            return np.where(state[..., 0] > 0.2, StepStatus.FELL, super().status(state, command))
 
     assert np.isnan(multipliers(OnEdge(), [0.2, 0.58], [0, 0])).all()
 
@@ -111,12 +111,12 @@ def test_reachable_set_holds_the_grid_and_marks_failures():
     assert reachable.commands.shape == reachable.next_states.shape == (9, 9, 2)
     assert (reachable.commands >= step_map.space.command_lower).all()
     assert (reachable.commands <= step_map.space.command_upper).all()
-    failed = reachable.reasons != Reason.OK
+    failed = reachable.statuses != StepStatus.OK
     assert failed.any()
     assert not failed.all()
     assert np.array_equal(np.isnan(reachable.next_states).all(axis=-1), failed)
-    assert reachable.reasons[-1, -1] == Reason.FELL
-    assert reachable.reasons[0, 0] == Reason.NO_TAKE_OFF
+    assert reachable.statuses[-1, -1] == StepStatus.FELL
+    assert reachable.statuses[0, 0] == StepStatus.NO_TAKE_OFF
 
 
 def test_boundary_walks_around_the_command_bounds_once():

@@ -6,7 +6,7 @@ from hypothesis.extra.numpy import arrays
 
 from stepgap.control.solve_many import box_steps, solve_many
 from stepgap.control.step_controller import StepController, box_step
-from stepgap.step import Array, Reason, StepMap, box_grid
+from stepgap.step import Array, StepMap, StepStatus, box_grid
 from tests.control.maps import (
     CountingMap,
     FoldedMap,
@@ -49,7 +49,7 @@ def test_predictions_are_the_maps_and_commands_within_bounds(step_map):
     np.testing.assert_allclose(step_map(states[:, None], answers.command), answers.predicted, rtol=0, atol=1e-12)
     assert (answers.command >= step_map.space.command_lower).all()
     assert (answers.command <= step_map.space.command_upper).all()
-    assert (answers.reason == Reason.OK).all()
+    assert (answers.status == StepStatus.OK).all()
 
 
 def test_it_finds_the_inverse_in_closed_form():
@@ -83,7 +83,7 @@ def test_one_command_for_two_coordinates():
 
 def test_a_state_without_any_step_says_why():
     answers = solve_many(NeverWorks(), grid(NeverWorks(), 2), grid(NeverWorks(), 3))
-    assert (answers.reason == Reason.FELL).all()
+    assert (answers.status == StepStatus.FELL).all()
     assert np.isnan(answers.command).all()
     assert np.isnan(answers.predicted).all()
     assert not answers.reached.any()

@@ -6,7 +6,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import lsq_linear
 
 from stepgap.control.step_controller import REACHED, StepController, box_step
-from stepgap.step import Array, Reason, StepFailed, StepMap
+from stepgap.step import Array, StepFailed, StepMap, StepStatus
 from tests.control.maps import (
     CountingMap,
     FoldedMap,
@@ -52,8 +52,8 @@ fractions = arrays(float, 3, elements=fraction)
 @given(begin=fractions, chosen=fractions, guessed=fractions)
 def test_reaches_every_target_made_by_a_command_within_bounds(step_map, begin, chosen, guessed):
     state, command = states(step_map, begin), commands(step_map, chosen)
-    target, reason = step_map.evaluate(state, command)
-    if reason != Reason.OK:
+    target, status = step_map.evaluate(state, command)
+    if status != StepStatus.OK:
         return
     plan = StepController(step_map)(state, target, commands(step_map, guessed))
     assert plan.reached
@@ -155,13 +155,13 @@ def test_finds_the_few_commands_that_work():
 def test_no_working_command_is_a_failed_step():
     with pytest.raises(StepFailed) as failure:
         StepController(NeverWorks())([0.2, 0.58], [0.2, 0.58])
-    assert failure.value.reason is Reason.FELL
+    assert failure.value.status is StepStatus.FELL
 
 
 def test_state_that_is_not_finite_is_a_failed_step():
     with pytest.raises(StepFailed) as failure:
         StepController(LossyHopper())([np.nan, 0.58], [0.2, 0.58])
-    assert failure.value.reason is Reason.INVALID
+    assert failure.value.status is StepStatus.INVALID
 
 
 @pytest.mark.parametrize(
@@ -202,8 +202,8 @@ def test_an_ordinary_solve_costs_few_evaluations(inner):
     generator, costs = np.random.default_rng(1), []
     while len(costs) < 100:
         state = states(inner, generator.uniform(size=2))
-        target, reason = inner.evaluate(state, commands(inner, generator.uniform(0.1, 0.9, size=2)))
-        if reason == Reason.OK:
+        target, status = inner.evaluate(state, commands(inner, generator.uniform(0.1, 0.9, size=2)))
+        if status == StepStatus.OK:
             counted = CountingMap(inner)
             StepController(counted)(state, target)
             costs.append(counted.cost)

@@ -30,7 +30,7 @@ from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWrit
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.rigs.rig import RigFault
-from stepgap.step import Array, Codes, Reason, StepMap, StepRecord
+from stepgap.step import Array, Codes, StepMap, StepRecord, StepStatus
 from tests.control.maps import LossyHopper, NeverWorks, StumblingHopper
 
 NOMINAL = LossyHopper()
@@ -84,9 +84,9 @@ def in_space(steps: list[LoggedStep]) -> StepLog:
 
 
 def logged(number: int, target: tuple[float, float], next_state: tuple[float, float] | None) -> LoggedStep:
-    reason = Reason.OK if next_state else Reason.FELL
+    status = StepStatus.OK if next_state else StepStatus.FELL
     after = np.array(next_state or (math.nan, math.nan))
-    record = StepRecord(START, np.zeros(2), np.zeros(2), after, reason)
+    record = StepRecord(START, np.zeros(2), np.zeros(2), after, status)
     return LoggedStep(0, number, np.array(target), np.array(target), np.zeros(2), record)
 
 
@@ -373,9 +373,9 @@ class FallsAfter(LossyHopper):
 
     fastest: float = 0.15
 
-    def reason(self, state: Array, command: Array) -> Codes:
+    def status(self, state: Array, command: Array) -> Codes:
         shape = np.broadcast_shapes(state.shape[:-1], command.shape[:-1])
-        return np.broadcast_to(np.where(state[..., 0] > self.fastest, Reason.FELL, Reason.OK), shape)
+        return np.broadcast_to(np.where(state[..., 0] > self.fastest, StepStatus.FELL, StepStatus.OK), shape)
 
 
 @pytest.mark.parametrize("fastest", [0.11, 0.15, 0.19])

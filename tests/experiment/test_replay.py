@@ -24,7 +24,7 @@ from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
@@ -123,12 +123,12 @@ def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
     rig, _ = remade_rig(settings, 0)
     with StepWriter(tmp_path / "steps.csv", settings.command.space()) as writer, plant_on(settings, rig) as plant:
         plant.start()
-        reason, step = Reason.OK, 0
-        while reason == Reason.OK and step < 20:
+        status, step = StepStatus.OK, 0
+        while status == StepStatus.OK and step < 20:
             record, step = plant.take_step(np.array([30.0, -20.0])), step + 1
             writer.append(LoggedStep(0, step, none, none, none, record))
-            reason = record.reason
-    assert reason != Reason.OK
+            status = record.status
+    assert status != StepStatus.OK
     assert np.isfinite(replay(tmp_path, 0, every=10).rows).all()
 
 
@@ -172,7 +172,7 @@ def test_a_rig_that_fell_is_shown_until_it_rests(copy: Path, replayed: TickTable
     fallen = TickTable(replayed.units, replayed.rows[replayed["step"] <= 2][:-100])
     write_log(copy, fallen, 1)
     steps = steps_of(copy, 1)[:2]
-    ticks = logged_ticks(copy, [steps[0], replace(steps[1], record=replace(steps[1].record, reason=Reason.FELL))])
+    ticks = logged_ticks(copy, [steps[0], replace(steps[1], record=replace(steps[1].record, status=StepStatus.FELL))])
     assert ticks["step"][-1] == 2
     assert np.count_nonzero(ticks["state"] == RigState.STOP) == 700
 

@@ -13,13 +13,13 @@ from stepgap.plants.phases import Phase
 from stepgap.plants.safety import Limited
 from stepgap.plants.tick import TICK_UNITS, Tick
 from stepgap.rigs.rig import Reading
-from stepgap.step import Reason, StepRecord
+from stepgap.step import StepRecord, StepStatus
 
 NONE = np.zeros(2)
 
 
 def step(iteration: int, number: int) -> LoggedStep:
-    return LoggedStep(iteration, number, NONE, NONE, NONE, StepRecord(NONE, NONE, NONE, NONE, Reason.OK))
+    return LoggedStep(iteration, number, NONE, NONE, NONE, StepRecord(NONE, NONE, NONE, NONE, StepStatus.OK))
 
 
 def deployment(iteration: int) -> Deployment:

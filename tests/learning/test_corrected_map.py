@@ -10,10 +10,10 @@ from stepgap.step import (
     Array,
     Outcome,
     Quantity,
-    Reason,
     StepFailed,
     StepMap,
     StepSpace,
+    StepStatus,
     difference_jacobian,
 )
 
@@ -35,9 +35,9 @@ class SimpleMap(StepMap):
         speed, height, force = np.moveaxis(point, -1, 0)
         next_state = np.stack([0.8 * speed + 0.01 * force, 0.58 + 0.5 * (height - 0.58) + 0.1 * speed**2], axis=-1)
         finite = np.isfinite(point).all(axis=-1)
-        reason = np.where(finite, np.where(speed > 0.3, Reason.FELL, Reason.OK), Reason.INVALID)
-        next_state = np.where((reason == Reason.OK)[..., None], next_state, np.nan)
-        return Outcome(next_state, reason.astype(np.int64))
+        status = np.where(finite, np.where(speed > 0.3, StepStatus.FELL, StepStatus.OK), StepStatus.INVALID)
+        next_state = np.where((status == StepStatus.OK)[..., None], next_state, np.nan)
+        return Outcome(next_state, status.astype(np.int64))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         return difference_jacobian(self, state, command)
@@ -90,7 +90,7 @@ def test_arguments_broadcast(corrected: CorrectedMap) -> None:
     state, command = apexes(6, seed=3)
     outcome = corrected.evaluate(state[:, None], command[None, :4])
     assert outcome.next_state.shape == (6, 4, 2)
-    assert outcome.reason.shape == (6, 4)
+    assert outcome.status.shape == (6, 4)
     np.testing.assert_allclose(outcome.next_state[5, 1], corrected(state[5], command[1]), rtol=1e-12)
     assert corrected.std(state[:, None], command[None, :4]).shape == (6, 4, 2)
     assert corrected.jacobian(state[:, None], command[None, :4]).shape == (6, 4, 2, 3)
@@ -98,14 +98,14 @@ def test_arguments_broadcast(corrected: CorrectedMap) -> None:
 
 def test_failures_stay_failures(corrected: CorrectedMap) -> None:
     state = np.array([[0.1, 0.58], [0.35, 0.58], [np.inf, 0.58], [np.nan, 0.58]])
-    next_state, reason = corrected.evaluate(state, [0.0])
-    np.testing.assert_array_equal(reason, [Reason.OK, Reason.FELL, Reason.INVALID, Reason.INVALID])
+    next_state, status = corrected.evaluate(state, [0.0])
+    np.testing.assert_array_equal(status, [StepStatus.OK, StepStatus.FELL, StepStatus.INVALID, StepStatus.INVALID])
     np.testing.assert_array_equal(np.isnan(next_state).all(axis=-1), [False, True, True, True])
     np.testing.assert_array_equal(np.isnan(next_state).any(axis=-1), [False, True, True, True])
     assert np.isnan(corrected.jacobian(state[1], [0.0])).all()
     with pytest.raises(StepFailed) as failure:
         corrected(state[1], [0.0])
-    assert failure.value.reason is Reason.FELL
+    assert failure.value.status is StepStatus.FELL
 
 
 def test_jacobian_is_the_derivative(corrected: CorrectedMap) -> None:

@@ -11,7 +11,7 @@ from stepgap.learning.observations import observe
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings, ResidualKind
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.step import Array, Reason, StepMap, StepRecord
+from stepgap.step import Array, StepMap, StepRecord, StepStatus
 from tests.control.maps import LossyHopper
 
 NOMINAL, REALITY = LossyHopper(), LossyHopper(loss=0.45, keep=0.6, drift=0.09)
@@ -25,7 +25,7 @@ def hops(reality: StepMap, count: int, seed: int, iteration: int = 0, first: int
     for number in range(first, first + count):
         command = rng.uniform(0.5 * space.command_lower, 0.5 * space.command_upper)
         after = reality(state, command) + rng.normal(0, NOISE)
-        record = StepRecord(state, command, command, after, Reason.OK)
+        record = StepRecord(state, command, command, after, StepStatus.OK)
         steps.append(LoggedStep(iteration, number, after, after, np.zeros(2), record))
         state = after
     return steps
@@ -158,7 +158,7 @@ def test_a_correction_is_judged_with_the_shift_that_it_is_deployed_with() -> Non
 
 def test_steps_that_failed_are_remembered() -> None:
     (logged,) = hops(REALITY, 1, seed=0)
-    failed = replace(logged, record=replace(logged.record, next_state=np.full(2, np.nan), reason=Reason.FELL))
+    failed = replace(logged, record=replace(logged.record, next_state=np.full(2, np.nan), status=StepStatus.FELL))
     learner = Learner(NOMINAL, log_of([failed]), LearningSettings(), iteration=1)
     np.testing.assert_array_equal(learner.failures, [[*failed.record.state, *failed.record.applied]])
     assert Learner(NOMINAL, log_of([]), LearningSettings(), iteration=1).failures.shape == (0, 4)

@@ -5,7 +5,7 @@ import pytest
 
 from stepgap.learning.observations import Observations, next_context, observe
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.step import Array, Reason, StepRecord
+from stepgap.step import Array, StepRecord, StepStatus
 from tests.learning.test_corrected_map import NOMINAL, SPACE, actual, apexes
 
 
@@ -16,9 +16,9 @@ def log_of(*deployments: int, fallen: bool = False) -> StepLog:
         for number in range(1, size + 1):
             row = len(log)
             fell = fallen and row == len(state) - 1
-            after, reason = actual(state[row], command[row]), Reason.OK
-            after, reason = (np.full(2, np.nan), Reason.FELL) if fell else (after, reason)
-            record = StepRecord(state[row], 2 * command[row], command[row], after, reason)
+            after, status = actual(state[row], command[row]), StepStatus.OK
+            after, status = (np.full(2, np.nan), StepStatus.FELL) if fell else (after, status)
+            record = StepRecord(state[row], 2 * command[row], command[row], after, status)
             log.append(LoggedStep(iteration, number, state[row], state[row], np.zeros(2), record))
     return log
 
@@ -77,7 +77,7 @@ def test_a_step_that_the_nominal_map_cannot_make_has_no_error() -> None:
     """It is left out; the step after it is told of no error."""
     log = log_of(3)
     steps = list(log)
-    fast = StepRecord(np.array([0.35, 0.58]), np.zeros(1), np.zeros(1), np.array([0.2, 0.58]), Reason.OK)
+    fast = StepRecord(np.array([0.35, 0.58]), np.zeros(1), np.zeros(1), np.array([0.2, 0.58]), StepStatus.OK)
     steps[1] = LoggedStep(0, 2, steps[1].target, steps[1].predicted, np.zeros(2), fast)
     observations = observe(StepLog(SPACE, steps), NOMINAL)
     np.testing.assert_array_equal(observations.state, [steps[0].record.state, steps[2].record.state])

@@ -22,7 +22,7 @@ from stepgap.learning.step_log import (
     read_step_log,
     row_of,
 )
-from stepgap.step import Quantity, Reason, StepRecord, StepSpace
+from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.5, 0.6)),
@@ -33,9 +33,9 @@ PAIR = st.tuples(FINITE, FINITE).map(np.array)
 NO_STATE = np.full(2, np.nan)
 
 
-def step(iteration: int = 0, number: int = 1, reason: Reason = Reason.OK, offset: float = 0.0) -> LoggedStep:
-    next_state = np.array([0.1 + 0.01 * number + offset, 0.55]) if reason == Reason.OK else NO_STATE
-    record = StepRecord(np.array([0.1, 0.55]), np.array([1.0, -2.0]), np.array([0.5, -2.0]), next_state, reason)
+def step(iteration: int = 0, number: int = 1, status: StepStatus = StepStatus.OK, offset: float = 0.0) -> LoggedStep:
+    next_state = np.array([0.1 + 0.01 * number + offset, 0.55]) if status == StepStatus.OK else NO_STATE
+    record = StepRecord(np.array([0.1, 0.55]), np.array([1.0, -2.0]), np.array([0.5, -2.0]), next_state, status)
     return LoggedStep(iteration, number, np.array([0.2, 0.58]), np.array([0.2, 0.58]), np.zeros(2), record)
 
 
@@ -47,11 +47,11 @@ def write(path: Path, *steps: LoggedStep) -> None:
 
 @st.composite
 def any_step(draw: st.DrawFn) -> LoggedStep:
-    reason = draw(st.sampled_from(list(Reason)))
-    next_state = draw(PAIR) if reason == Reason.OK else NO_STATE
+    status = draw(st.sampled_from(list(StepStatus)))
+    next_state = draw(PAIR) if status == StepStatus.OK else NO_STATE
     predicted = draw(st.one_of(PAIR, st.just(NO_STATE)))
     place = draw(st.one_of(FINITE, st.just(math.nan)))
-    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, reason, place)
+    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, place)
     return LoggedStep(0, 1, draw(PAIR), predicted, draw(PAIR), record)
 
 
@@ -66,13 +66,13 @@ def test_a_step_is_read_back_to_the_last_bit(tmp_path_factory: pytest.TempPathFa
     path = tmp_path_factory.mktemp("log") / "steps.csv"
     write(path, logged)
     (read,) = read_step_log(path, SPACE)
-    assert (read.iteration, read.step, read.record.reason) == (0, 1, logged.record.reason)
+    assert (read.iteration, read.step, read.record.status) == (0, 1, logged.record.status)
     assert numbers_of(read) == numbers_of(logged)
     assert row_of(read) == row_of(logged)
 
 
 def test_the_columns_are_the_contract(tmp_path: Path) -> None:
-    write(tmp_path / "steps.csv", step(), step(number=2, reason=Reason.FELL))
+    write(tmp_path / "steps.csv", step(), step(number=2, status=StepStatus.FELL))
     header, *rows = (tmp_path / "steps.csv").read_text().splitlines()
     assert header == (
         "iteration,step,speed,height,target_speed,target_height,fx,fy,applied_fx,applied_fy,"
@@ -100,7 +100,7 @@ def test_an_infinite_place_is_refused() -> None:
 
 
 def test_the_log_by_columns() -> None:
-    log = StepLog(SPACE, [step(), step(number=2, reason=Reason.FELL), step(1, 1)])
+    log = StepLog(SPACE, [step(), step(number=2, status=StepStatus.FELL), step(1, 1)])
     assert (len(log), log.falls, log.iterations) == (3, 1, [0, 1])
     assert len(log.completed()) == 2
     assert len(log.of_iteration(1)) == 1
@@ -144,7 +144,7 @@ def test_wherever_a_file_is_cut_off_it_goes_on_from_the_last_whole_row(tmp_path:
 
 def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "steps.csv"
-    write(path, step(), step(number=2, reason=Reason.NO_APEX))
+    write(path, step(), step(number=2, status=StepStatus.NO_APEX))
     assert digest(read_step_log(path, SPACE)) == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -201,7 +201,7 @@ def test_what_is_no_text_or_too_large_is_refused(tmp_path: Path, monkeypatch: py
 
 def test_a_fall_with_numbers_is_read_as_well(tmp_path: Path) -> None:
     """A safety stop in the very tick of the apex has a next state and no success."""
-    record = StepRecord(np.zeros(2), np.zeros(2), np.zeros(2), np.array([0.1, math.nan]), Reason.STOPPED)
+    record = StepRecord(np.zeros(2), np.zeros(2), np.zeros(2), np.array([0.1, math.nan]), StepStatus.STOPPED)
     write(tmp_path / "steps.csv", LoggedStep(0, 1, np.zeros(2), np.zeros(2), np.zeros(2), record))
     assert read_step_log(tmp_path / "steps.csv", SPACE).falls == 1
 

@@ -10,7 +10,7 @@ from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Reason, StepFailed
+from stepgap.step import StepFailed, StepStatus
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 COMMAND = np.array([-4.0, -3.0])
@@ -35,7 +35,7 @@ def test_steps_are_chained_and_record_what_was_asked_and_applied(make_plant):
         assert state.shape == (2,)
         for _ in range(3):
             record = plant.take_step(COMMAND)
-            assert record.reason == Reason.OK
+            assert record.status == StepStatus.OK
             np.testing.assert_array_equal(record.state, state)
             np.testing.assert_array_equal(record.command, COMMAND)
             np.testing.assert_array_equal(record.applied, COMMAND)
@@ -83,7 +83,7 @@ def test_a_command_that_is_no_number_ends_the_deployment(make_plant):
     with make_plant(0) as plant:
         plant.start()
         record = plant.take_step(np.array([np.nan, 0.0]))
-        assert record.reason != Reason.OK
+        assert record.status != StepStatus.OK
         assert np.isnan(record.next_state).all()
 
 
@@ -93,7 +93,7 @@ def test_starting_again_is_a_new_deployment(make_plant):
         plant.take_step(COMMAND)
         plant.stop()
         plant.start()
-        assert plant.take_step(COMMAND).reason == Reason.OK
+        assert plant.take_step(COMMAND).status == StepStatus.OK
         plant.stop()
         plant.stop()
 
@@ -129,14 +129,14 @@ def test_a_fall_is_a_record_with_its_reason_and_the_next_deployment_works():
     with RigPlant(rig, ROBOT, GAINS, bounds, on_tick=ticks.append) as plant:
         plant.start()
         records = [plant.take_step(np.array([70.0, -60.0]))]
-        while records[-1].reason == Reason.OK and len(records) < 10:
+        while records[-1].status == StepStatus.OK and len(records) < 10:
             records.append(plant.take_step(np.array([70.0, -60.0])))
         record = records[-1]
-        assert record.reason in (Reason.FELL, Reason.NO_TAKE_OFF, Reason.NO_APEX)
+        assert record.status in (StepStatus.FELL, StepStatus.NO_TAKE_OFF, StepStatus.NO_APEX)
         assert np.isnan(record.next_state).all()
         ticks.clear()
         plant.start()
-        assert plant.take_step(COMMAND).reason == Reason.OK
+        assert plant.take_step(COMMAND).status == StepStatus.OK
 
 
 def test_torque_that_the_drives_refuse_is_taken_off_the_applied_command():
@@ -159,7 +159,7 @@ def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
         plant.start()
         broken = True
         record = plant.take_step(COMMAND)
-        assert (record.reason, plant.fault[:36]) == (Reason.STOPPED, "the sensors tell what is no number: ")
+        assert (record.status, plant.fault[:36]) == (StepStatus.STOPPED, "the sensors tell what is no number: ")
         with pytest.raises(RigFault):
             twin.write(0.0, 0.0)
 

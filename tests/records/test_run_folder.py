@@ -10,7 +10,7 @@ from stepgap.learning.step_log import StepWriter, column_names, digest
 from stepgap.records import run_folder
 from stepgap.records.run_folder import read_run_folder, space_of_header
 from stepgap.records.summary import parse_summary
-from stepgap.step import Quantity, Reason, StepSpace
+from stepgap.step import Quantity, StepSpace, StepStatus
 from tests.report.runs import logged, write_run, write_summary
 
 NAMES = ("speed", "tilt")
@@ -239,7 +239,7 @@ def test_every_fall_counts(tmp_path: Path) -> None:
     space = StepSpace((Quantity("x", "m", 0, 1),), (Quantity("push", "N", -1, 1),))
     with StepWriter(tmp_path / "steps.csv", space) as writer:
         writer.append(logged(0, 1, np.zeros(1), np.ones(1)))
-        writer.append(logged(0, 2, np.zeros(1), np.ones(1), Reason.FELL))
+        writer.append(logged(0, 2, np.zeros(1), np.ones(1), StepStatus.FELL))
     assert read_run_folder(tmp_path).steps.falls == 1
 
 

@@ -12,7 +12,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, column_names, row_of
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.report.motion import RATE, Motion
-from stepgap.step import Array, Quantity, Reason, StepMap, StepRecord, StepSpace
+from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper
 
 TARGETS = Reference.from_segments(
@@ -35,7 +35,7 @@ class Tiring(ModelPlant):
         self.made += 1
         if self.made <= self.lasts:
             return record
-        return replace(record, next_state=np.full_like(record.state, np.nan), reason=Reason.FELL)
+        return replace(record, next_state=np.full_like(record.state, np.nan), status=StepStatus.FELL)
 
 
 def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), real: StepMap = REAL) -> Path:
@@ -82,10 +82,10 @@ def write_run(
     return folder
 
 
-def logged(iteration: int, step: int, state: Array, target: Array, reason: Reason = Reason.OK) -> LoggedStep:
+def logged(iteration: int, step: int, state: Array, target: Array, status: StepStatus = StepStatus.OK) -> LoggedStep:
     """A step that ends a tenth beyond its target."""
-    next_state = 1.1 * target if reason == Reason.OK else np.full_like(target, np.nan)
-    record = StepRecord(state, np.zeros(1), np.zeros(1), next_state, reason)
+    next_state = 1.1 * target if status == StepStatus.OK else np.full_like(target, np.nan)
+    record = StepRecord(state, np.zeros(1), np.zeros(1), next_state, status)
     return LoggedStep(iteration, step, target, target, np.full_like(target, 0.1 * (iteration > 0)), record)
 
 

@@ -16,7 +16,7 @@ from stepgap.bench.timing import machine, peers, timed
 from stepgap.control.command_table import build_table, measure_table
 from stepgap.control.step_controller import StepController
 from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.step import Array, Reason
+from stepgap.step import Array, StepStatus
 
 PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")
 """Whose versions the result names."""
@@ -127,7 +127,7 @@ def draw(nominal: ApexMap, rng: np.random.Generator, count: int) -> tuple[Array,
     lower, upper = ([getattr(quantity, end) for quantity in space.state] for end in ("lower", "upper"))
     states = rng.uniform(lower, upper, (most, len(lower)))
     commands = rng.uniform(space.command_lower, space.command_upper, (most, len(space.command)))
-    works = np.flatnonzero(nominal.evaluate(states, commands).reason == Reason.OK)[:count]
+    works = np.flatnonzero(nominal.evaluate(states, commands).status == StepStatus.OK)[:count]
     if len(works) < count:
         raise TooFewSteps(
             f"only {len(works)} of {most} random steps succeed; choose settings with which the robot hops"

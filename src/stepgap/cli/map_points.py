@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepgap.control.reference import numbers_in_row
-from stepgap.step import Array, Outcome, Quantity, Reason, StepSpace
+from stepgap.step import Array, Outcome, Quantity, StepSpace, StepStatus
 
 if TYPE_CHECKING:  # imports SciPy, for which one point need not wait
     from stepgap.control.command_table import CommandTable, TableError
@@ -55,7 +55,7 @@ def outcome_rows(space: StepSpace, points: Array, outcome: Outcome) -> str:
     """CSV of points, their next states, NaN where there is none, and their status; every number to its last bit."""
     names = [*space.state_names, *space.command_names, *(f"next_{name}" for name in space.state_names), "status"]
     numbers = np.hstack([points, outcome.next_state]).tolist()
-    statuses = [Reason(code).status for code in outcome.reason.tolist()]
+    statuses = [StepStatus(code).label for code in outcome.status.tolist()]
     rows = [",".join([*map(repr, row), status]) for row, status in zip(numbers, statuses, strict=True)]
     return "\n".join([",".join(names), *rows]) + "\n"
 

@@ -13,7 +13,7 @@ from rich.progress import Progress as Bars
 
 from stepgap.experiment.loop import Deployment, Observer, summary_entry
 from stepgap.learning.step_log import LoggedStep, values_of
-from stepgap.step import Reason, StepSpace
+from stepgap.step import StepSpace, StepStatus
 
 
 @contextmanager
@@ -72,7 +72,7 @@ class Progress:
             description = f"deployment {logged.iteration} of {self._iterations}"
             self._task = self._bars.add_task(description, total=self._steps, error="")
             self._errors = []
-        if logged.record.reason == Reason.OK:
+        if logged.record.status == StepStatus.OK:
             self._errors.append(logged.record.next_state - logged.target)
         error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
         self._bars.update(self._task, advance=1, error=error)

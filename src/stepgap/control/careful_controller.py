@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.control.step_controller import StepController, as_vector, descend
-from stepgap.step import Array, Reason, StepFailed, StepMap
+from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 RISK = 2.0
 """Standard deviations by which the next state may be off while the robot must still be able to hop on."""
@@ -119,8 +119,8 @@ class CarefulController:
 
     def is_safe(self, state: ArrayLike, command: Array) -> bool:
         """Whether the step makes an apex from which the robot can hop on, also if it errs, and resembles no failure."""
-        mean, reason = self.step_map.evaluate(state, command)
-        return bool(reason == Reason.OK) and self._leads_on(state, command, mean, self.step_std(state, command))
+        mean, status = self.step_map.evaluate(state, command)
+        return bool(status == StepStatus.OK) and self._leads_on(state, command, mean, self.step_std(state, command))
 
     def _leads_on(self, state: ArrayLike, command: Array, mean: Array, std: Array) -> bool:
         """The same of a step that is predicted to make an apex, with a standard deviation (n,)."""
@@ -131,8 +131,8 @@ class CarefulController:
             return False
         error = np.diag(RISK * std)
         places = np.concatenate([mean[None], mean + error, mean - error])
-        stuck = places[self.nominal.evaluate(places, space.command_centre).reason != Reason.OK]
+        stuck = places[self.nominal.evaluate(places, space.command_centre).status != StepStatus.OK]
         if not len(stuck):
             return True
-        onward = self.nominal.evaluate(stuck[:, None], space.command_grid(ONWARD).reshape(-1, len(command))).reason
-        return bool((onward == Reason.OK).any(axis=1).all())
+        onward = self.nominal.evaluate(stuck[:, None], space.command_grid(ONWARD).reshape(-1, len(command))).status
+        return bool((onward == StepStatus.OK).any(axis=1).all())

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepgap.control.solve_many import Answers, solve_many
 from stepgap.control.step_controller import StepPlan, as_vector
-from stepgap.step import Array, Codes, Reason, StepFailed, StepMap, StepSpace, box_grid
+from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
 
 BATCH = 4096
 """About how many nodes are solved together, at least one state's."""
@@ -32,27 +32,27 @@ class CommandTable:
             then of the target, each of `points` points. Shape (points, …, points, m).
         predicted: Next state of these commands; shape (points, …, points, n).
         reached: Whether that is the target; shape (points, …, points).
-        reasons: Why no command makes a step, else OK; shape (points, …, points).
+        statuses: Why no command makes a step, else OK; shape (points, …, points).
     """
 
     space: StepSpace
     commands: Array
     predicted: Array
     reached: NDArray[np.bool_]
-    reasons: Codes
+    statuses: Codes
 
     def __post_init__(self) -> None:
         n, m = len(self.space.state), len(self.space.command)
         grid = self.reached.shape
         if len(grid) != 2 * n or len(set(grid)) != 1 or grid[0] < 2:
             raise ValueError(f"the grid has shape {grid}; it must be {2 * n} axes of equally many points, at least 2")
-        wanted = {"commands": (*grid, m), "predicted": (*grid, n), "reasons": grid}
+        wanted = {"commands": (*grid, m), "predicted": (*grid, n), "statuses": grid}
         for name, shape in wanted.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}; it must be {shape}")
-        if not np.isin(self.reasons, list(Reason)).all():
-            raise ValueError("reasons must be values of Reason")
-        works = self.reasons == Reason.OK
+        if not np.isin(self.statuses, list(StepStatus)).all():
+            raise ValueError("statuses must be values of StepStatus")
+        works = self.statuses == StepStatus.OK
         if not (np.isfinite(self.commands[works]).all() and np.isfinite(self.predicted[works]).all()):
             raise ValueError("commands and predicted must be finite numbers where a step is made")
         if not _within(self.commands[works], self.space) or (self.reached & ~works).any():
@@ -81,12 +81,12 @@ class CommandTable:
         n = len(self.space.state)
         state, target = as_vector("state", state, n), as_vector("target", target, n)
         if not np.isfinite(state).all():
-            raise StepFailed(Reason.INVALID)
+            raise StepFailed(StepStatus.INVALID)
         if not np.isfinite(target).all():
             raise ValueError(f"target {target} must be finite numbers")
         found = self.interpolate(state, target)
-        if found.reason != Reason.OK:
-            raise StepFailed(Reason(int(found.reason)))
+        if found.status != StepStatus.OK:
+            raise StepFailed(StepStatus(int(found.status)))
         distance = float(np.linalg.norm((found.predicted - target) / self.space.state_scale))
         return StepPlan(found.command, found.predicted, bool(found.reached), distance)
 
@@ -107,10 +107,10 @@ class CommandTable:
             return np.where(used[..., None], terms, 0.0).sum(axis=-2)
 
         command = np.clip(mean(self.commands), self.space.command_lower, self.space.command_upper)
-        reason = np.where(used, self.reasons.reshape(-1)[node], 0).max(axis=-1)
-        command = np.where((reason == Reason.OK)[..., None], command, np.nan)
+        status = np.where(used, self.statuses.reshape(-1)[node], 0).max(axis=-1)
+        command = np.where((status == StepStatus.OK)[..., None], command, np.nan)
         reached = inside & np.all(self.reached.reshape(-1)[node] | ~used, axis=-1)
-        return Answers(command, mean(self.predicted), reached, reason)
+        return Answers(command, mean(self.predicted), reached, status)
 
 
 def _corners(place: Array, corner: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64], Array]:
@@ -152,7 +152,7 @@ def build_table(step_map: StepMap, points: int = 15, tell: Told = lambda done, t
         np.concatenate([answer.command for answer in answers]).reshape(*grid, m),
         np.concatenate([answer.predicted for answer in answers]).reshape(*grid, n),
         np.concatenate([answer.reached for answer in answers]).reshape(grid),
-        np.concatenate([answer.reason for answer in answers]).reshape(grid),
+        np.concatenate([answer.status for answer in answers]).reshape(grid),
     )
 
 
@@ -193,7 +193,7 @@ def measure_table(table: CommandTable, step_map: StepMap, rng: np.random.Generat
     states, targets = rng.uniform(lower, lower + 2 * table.space.state_scale, (2, samples, len(lower)))
     found, solved = table.interpolate(states, targets), solve_many(step_map, states, targets[:, None])
     inside = found.reached & solved.reached[:, 0]
-    border = ~found.reached & solved.reached[:, 0] & (found.reason == Reason.OK)
+    border = ~found.reached & solved.reached[:, 0] & (found.status == StepStatus.OK)
     if not inside.any():
         raise ValueError(f"none of {samples} random states and targets is within the table's reach; take more points")
     off = np.abs(step_map.evaluate(states, found.command).next_state - targets)

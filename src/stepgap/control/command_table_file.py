@@ -17,7 +17,7 @@ LARGEST_FILE = 2**30
 SCHEMA = 1
 KINDS = {
     "schema": "i", "state": "U", "command": "U", "units": "U", "ranges": "f",
-    "commands": "f", "predicted": "f", "reached": "b", "reasons": "i",
+    "commands": "f", "predicted": "f", "reached": "b", "statuses": "i",
 }  # fmt: skip
 """Arrays of a file and the kind of their entries, in NumPy's letters."""
 
@@ -36,7 +36,7 @@ def write_table(path: str | Path, table: CommandTable) -> None:
         commands=table.commands,
         predicted=table.predicted,
         reached=table.reached,
-        reasons=table.reasons,
+        statuses=table.statuses,
     )
     write_whole(Path(path), content.getvalue())
 
@@ -83,5 +83,5 @@ def _table_of(arrays: Mapping[str, NDArray[np.generic]]) -> CommandTable:
         arrays["commands"].astype(float),
         arrays["predicted"].astype(float),
         arrays["reached"].astype(bool),
-        arrays["reasons"].astype(np.int64),
+        arrays["statuses"].astype(np.int64),
     )

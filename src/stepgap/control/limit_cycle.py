@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.control.step_controller import REACHED, StepController, as_vector, solve
-from stepgap.step import Array, Codes, Reason, StepMap
+from stepgap.step import Array, Codes, StepMap, StepStatus
 
 STATE_BOUND = 10.0
 """How far from the middle of the range of use a free fixed point is sought, in half ranges."""
@@ -46,12 +46,12 @@ class ReachableSet:
     Attributes:
         commands: Shape (s, …, s, m), one axis for each command.
         next_states: NaN where the step fails; shape (s, …, s, n).
-        reasons: `Reason` values; shape (s, …, s).
+        statuses: `StepStatus` values; shape (s, …, s).
     """
 
     commands: Array
     next_states: Array
-    reasons: Codes
+    statuses: Codes
 
     @property
     def boundary(self) -> Array:
@@ -63,12 +63,12 @@ class ReachableSet:
         Raises:
             ValueError: There are not two commands, so the border is no polygon.
         """
-        return _border(self.next_states, self.reasons.ndim)
+        return _border(self.next_states, self.statuses.ndim)
 
     @property
     def boundary_commands(self) -> Array:
         """Commands of `boundary`; shape (4 (s - 1), 2)."""
-        return _border(self.commands, self.reasons.ndim)
+        return _border(self.commands, self.statuses.ndim)
 
 
 def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = None) -> FixedPoint:
@@ -145,8 +145,8 @@ def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> Rea
     space = step_map.space
     state = as_vector("state", state, len(space.state))
     commands = space.command_grid(samples)
-    next_states, reasons = step_map.evaluate(state, commands)
-    return ReachableSet(commands, np.where((reasons == Reason.OK)[..., None], next_states, np.nan), reasons)
+    next_states, statuses = step_map.evaluate(state, commands)
+    return ReachableSet(commands, np.where((statuses == StepStatus.OK)[..., None], next_states, np.nan), statuses)
 
 
 def _border(grid: Array, dimension: int) -> Array:

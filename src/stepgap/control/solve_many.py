@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import minimum_filter
 
 from stepgap.control.step_controller import BASINS, FLAT, MOST_DAMPING, REACHED, StepController
-from stepgap.step import Array, Codes, Reason, StepFailed, StepMap, StepSpace, box_grid
+from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
 
 CLOSE_ENOUGH = REACHED / 10
 """Distance [half ranges] at which a node is not improved further."""
@@ -33,13 +33,13 @@ class Answers:
         command: Within the bounds; NaN where no command makes a step. Shape (S, T, m).
         predicted: Next state of that command; shape (S, T, n).
         reached: Whether `predicted` is the target; shape (S, T).
-        reason: Why no command makes a step, else OK; shape (S, T).
+        status: Why no command makes a step, else OK; shape (S, T).
     """
 
     command: Array
     predicted: Array
     reached: NDArray[np.bool_]
-    reason: Codes
+    status: Codes
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,9 @@ class _Problem:
 
     def residuals(self, nodes: Nodes, points: Array) -> Array:
         """Scaled residuals (k, n) of nodes (k,) at scaled points (k, m), NaN where the step fails."""
-        next_state, reason = self.step_map.evaluate(self.states[nodes], self.space.command_at(points))
+        next_state, status = self.step_map.evaluate(self.states[nodes], self.space.command_at(points))
         value = (next_state - self.targets[nodes]) / self.space.state_scale
-        return np.where((reason == Reason.OK)[:, None], value, np.nan)
+        return np.where((status == StepStatus.OK)[:, None], value, np.nan)
 
 
 def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answers:
@@ -82,14 +82,14 @@ def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answ
     points, values, settled = _solve(problem, states, count)
     commands, predicted = space.command_at(points), problem.targets + values * space.state_scale
     reached = _length(values) <= REACHED
-    reason = np.full(len(points), int(Reason.OK))
+    status = np.full(len(points), int(StepStatus.OK))
     free = (np.abs(points) < 1).sum(axis=1)
     doubtful = (m > n) | (free >= min(2, m))  # Broyden's updates know the slope along one free direction, not along all
     suspect = ~reached & (~settled | doubtful)
-    _ask_controller(problem, np.flatnonzero(suspect), count, commands, predicted, reached, reason)
+    _ask_controller(problem, np.flatnonzero(suspect), count, commands, predicted, reached, status)
     shape = (len(states), count)
     return Answers(
-        commands.reshape(*shape, m), predicted.reshape(*shape, n), reached.reshape(shape), reason.reshape(shape)
+        commands.reshape(*shape, m), predicted.reshape(*shape, n), reached.reshape(shape), status.reshape(shape)
     )
 
 
@@ -98,8 +98,8 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
     space, n, m = problem.space, len(problem.space.state), len(problem.space.command)
     grid = box_grid(max(3, round(SAMPLES ** (1 / m))), m)
     sample = grid.reshape(-1, m)
-    next_states, reason = problem.step_map.evaluate(states[:, None], space.command_at(sample))
-    next_states = np.where((reason == Reason.OK)[..., None], next_states, np.nan)[:, None]
+    next_states, status = problem.step_map.evaluate(states[:, None], space.command_at(sample))
+    next_states = np.where((status == StepStatus.OK)[..., None], next_states, np.nan)[:, None]
     targets = problem.targets.reshape(len(states), count, 1, n)
     sampled = ((next_states - targets) / space.state_scale).reshape(-1, len(sample), n)
     ranks = _basins(_length(sampled).reshape(-1, *grid.shape[:-1]), m)
@@ -214,10 +214,10 @@ def _ask_controller(
     commands: Array,
     predicted: Array,
     reached: NDArray[np.bool_],
-    reason: Codes,
+    status: Codes,
 ) -> None:
     """Solves nodes one by one and writes the answers; a state without any step is searched once."""
-    controller, fallen = StepController(problem.step_map), dict[int, Reason]()
+    controller, fallen = StepController(problem.step_map), dict[int, StepStatus]()
     for node in nodes:
         row = int(node) // count
         if row not in fallen:
@@ -226,5 +226,5 @@ def _ask_controller(
                 commands[node], predicted[node], reached[node] = plan.command, plan.predicted, plan.reached
                 continue
             except StepFailed as failure:
-                fallen[row] = failure.reason
-        commands[node], predicted[node], reason[node] = np.nan, np.nan, fallen[row]
+                fallen[row] = failure.status
+        commands[node], predicted[node], status[node] = np.nan, np.nan, fallen[row]

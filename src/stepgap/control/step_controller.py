@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import get_lapack_funcs
 from scipy.ndimage import minimum_filter
 
-from stepgap.step import Array, Reason, StepFailed, StepMap, box_grid
+from stepgap.step import Array, StepFailed, StepMap, StepStatus, box_grid
 
 TOLERANCE = 1e-9
 """Distance [half ranges] at which a solution is not improved further."""
@@ -77,7 +77,7 @@ class StepController:
         state, target = as_vector("state", state, n), as_vector("target", target, n)
         start = space.command_centre if guess is None else as_vector("guess", guess, m)
         if not np.isfinite(state).all():
-            raise StepFailed(Reason.INVALID)
+            raise StepFailed(StepStatus.INVALID)
         if not (np.isfinite(target).all() and np.isfinite(start).all()):
             raise ValueError(f"target {target} and guess {start} must be finite numbers")
 

@@ -11,7 +11,7 @@ from stepgap.experiment.exploration import calibrating_plan, goals_of
 from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
-from stepgap.step import Array, Reason, StepFailed
+from stepgap.step import Array, StepFailed, StepStatus
 
 Steps = Generator[LoggedStep, None, None]
 """Steps as they are executed; closing it stops the plant."""
@@ -91,7 +91,7 @@ def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int,
             target = reference.targets[number - 1] if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
             yield logged
-            if record.reason != Reason.OK:
+            if record.status != StepStatus.OK:
                 return
             learner.observe(logged)
             state, command = record.next_state, plan.command

@@ -12,7 +12,7 @@ from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Array, Reason, StepFailed, StepMap
+from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 PLACES = 20
 """Targets of the reference, at most, at which a step is repeated; spread evenly."""
@@ -53,7 +53,7 @@ def measure_repeatability(
             for _ in range(SETTLING):
                 record = plant.take_step(_command(controller, state, target))
                 state = record.next_state
-                if record.reason != Reason.OK:
+                if record.status != StepStatus.OK:
                     return _pooled(deviations, freedom)
             command = _command(controller, state, target)
             found = np.array([repeated(plant, twin, command, rng, rng.uniform(0, tau)) for _ in range(REPEATS)])

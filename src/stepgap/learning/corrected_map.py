@@ -15,7 +15,7 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace
 class CorrectedMap(StepMap):
     """Nominal map plus residual (Eq. 13).
 
-    A step that fails on the nominal map fails here, for the same reason.
+    A step that fails on the nominal map fails here, with the same status.
 
     Attributes:
         nominal: The map of the physics model. Not a corrected one: a residual is fitted to
@@ -43,9 +43,9 @@ class CorrectedMap(StepMap):
         return self.nominal.space
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        """Next states and reason codes; never raises for a step that fails."""
-        next_state, reason = self.nominal.evaluate(state, command)
-        return Outcome(next_state + self.residual.mean(join_points(state, command)) + self.offset, reason)
+        """Next states and status codes; never raises for a step that fails."""
+        next_state, status = self.nominal.evaluate(state, command)
+        return Outcome(next_state + self.residual.mean(join_points(state, command)) + self.offset, status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""

@@ -16,7 +16,7 @@ from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.step import Array, Reason, StepMap, StepRecord
+from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
 WATCHED = 10
 """Steps over which a correction is compared with the nominal map."""
@@ -58,7 +58,7 @@ class Learner:
         self._fit: Future[Residual] | None = None
         self._due, self._next_fit = 0, max(1.0, GROWTH * len(log))
         self._context = next_context(self._log, nominal, iteration)
-        self._failures = [_point_of(step.record) for step in log if step.record.reason != Reason.OK]
+        self._failures = [_point_of(step.record) for step in log if step.record.status != StepStatus.OK]
         self._since: list[Lesson] = []
 
     def __enter__(self) -> Self:
@@ -91,7 +91,7 @@ class Learner:
         record, scale, context = logged.record, self.nominal.space.state_scale, self._context
         place, self._place = self._place, logged.record.place_after
         self._log.append(logged)
-        if record.reason != Reason.OK:
+        if record.status != StepStatus.OK:
             self._failures.append(_point_of(record))
         error, point = error_of(record, self.nominal), _point_of(record)
         self._context = context_after(record, error, self.nominal.space, len(self._log))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.step import Array, Reason, StepRecord, StepSpace
+from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
 LARGEST_FILE = 256 * 2**20
 """Largest `steps.csv` that is read [bytes]."""
@@ -74,7 +74,7 @@ def _values(logged: LoggedStep) -> list[int | float | str]:
     before = (record.state, logged.target, record.command, record.applied)
     after = (record.next_state, logged.predicted, logged.std)
     numbers = np.concatenate(before + after).tolist()
-    return [logged.iteration, logged.step, *numbers, float(record.place_after), record.reason.status]
+    return [logged.iteration, logged.step, *numbers, float(record.place_after), record.status.label]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -82,19 +82,19 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
     names, cells = column_names(space), row.split(",")
     if len(cells) != len(names):
         raise ValueError(f"{len(cells)} columns instead of {len(names)}")
-    if cells[-1].upper() not in Reason.__members__:
+    if cells[-1].upper() not in StepStatus.__members__:
         raise ValueError(f"unknown status {cells[-1]!r:.40}")
     n, m = len(space.state), len(space.command)
     numbers = np.array([float(cell) for cell in cells[2:-1]])
     parts = np.split(numbers, np.cumsum([n, n, m, m, n, n, n]))
     state, target, command, applied, next_state, predicted, std, (place,) = parts
-    reason = Reason[cells[-1].upper()]
+    status = StepStatus[cells[-1].upper()]
     known = [state, target, command, applied, std]
-    if reason == Reason.OK:
+    if status == StepStatus.OK:
         known.append(next_state)
     if not np.isfinite(np.concatenate(known)).all():
         raise ValueError("a number is not finite")
-    record = StepRecord(state, command, applied, next_state, reason, float(place))
+    record = StepRecord(state, command, applied, next_state, status, float(place))
     return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
 
 
@@ -103,7 +103,7 @@ def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
     here = (logged.iteration, logged.step)
     first = (0, min(1, logged.step))
     following = [first] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, 1)]
-    if last is not None and last.record.reason != Reason.OK:
+    if last is not None and last.record.status != StepStatus.OK:
         del following[0]
     if here not in following:
         wanted = " or ".join(f"step {step} of deployment {iteration}" for iteration, step in following)
@@ -142,7 +142,7 @@ class StepLog:
 
     def completed(self) -> "StepLog":
         """The steps that ended with an apex: those that can be learnt from."""
-        return StepLog(self.space, (logged for logged in self._steps if logged.record.reason == Reason.OK))
+        return StepLog(self.space, (logged for logged in self._steps if logged.record.status == StepStatus.OK))
 
     @property
     def iterations(self) -> list[int]:
@@ -152,7 +152,7 @@ class StepLog:
     @property
     def falls(self) -> int:
         """How many steps did not end with an apex."""
-        return sum(logged.record.reason != Reason.OK for logged in self._steps)
+        return sum(logged.record.status != StepStatus.OK for logged in self._steps)
 
     @property
     def place(self) -> Array:

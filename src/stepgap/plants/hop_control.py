@@ -20,7 +20,7 @@ from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.reduced import uprightness
-from stepgap.step import Array, Reason
+from stepgap.step import Array, StepStatus
 
 STEP_TIMEOUT = 4.0
 """Longest time from apex to apex [s]."""
@@ -109,7 +109,7 @@ class HopControl:
         self._phase, self._phase_start = Phase.FALLING, 0.0
         self._speed, self._x_start, self._yaw = 0.0, 0.0, 0.0
         self._fit, self._rates = FlightFit(), JointRates()
-        self._watch, self._reason = Watch(), Reason.OK
+        self._watch, self._reason = Watch(), StepStatus.OK
         self._begin_hop()
 
     def _begin_hop(self) -> None:
@@ -143,7 +143,7 @@ class HopControl:
         return brakes(self._limits, self._watch)
 
     @property
-    def reason(self) -> Reason:
+    def status(self) -> StepStatus:
         """OK while the robot hops; why not, else."""
         return self._reason
 
@@ -230,9 +230,9 @@ class HopControl:
         if self._phase == Phase.PUSHING:
             self._count_loss(asked[0] - applied[0], asked[1] - applied[1])
         if checked.limited and checked.limited.stops:
-            self._reason = Reason.STOPPED
+            self._reason = StepStatus.STOPPED
         elif uprightness(self._law.leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0:
-            self._reason = Reason.FELL
+            self._reason = StepStatus.FELL
         return Tick(
             self._time, self._reading, self._phase, motion.alpha_1, motion.alpha_2, asked, applied, checked.limited
         )
@@ -242,14 +242,14 @@ class HopControl:
 
         A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
         """
-        if self._reason == Reason.OK and self._left_ground and self._phase == Phase.FALLING:
+        if self._reason == StepStatus.OK and self._left_ground and self._phase == Phase.FALLING:
             state = self._apex()
             if np.isfinite(state).all():
                 finished = FinishedHop(state, self.lost_command(), self._yaw)
                 self._begin_hop()
                 return finished
         if self._time > self._deadline:
-            self._reason = Reason.NO_APEX if self._left_ground else Reason.NO_TAKE_OFF
+            self._reason = StepStatus.NO_APEX if self._left_ground else StepStatus.NO_TAKE_OFF
         return None
 
     def lost_command(self) -> Array:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from stepgap.plants.plant import Plant
-from stepgap.step import Array, Reason, StepMap, StepRecord, StepSpace
+from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
 
 
 class ModelPlant(Plant):
@@ -35,7 +35,7 @@ class ModelPlant(Plant):
         applied = np.clip(command, self.space.command_lower, self.space.command_upper)
         next_state, code = self._map.evaluate(self._state, applied)
         next_state = next_state + self._rng.normal(0.0, self._noise)
-        record = StepRecord(self._state, np.asarray(command, float), applied, next_state, Reason(int(code)))
+        record = StepRecord(self._state, np.asarray(command, float), applied, next_state, StepStatus(int(code)))
         self._state = next_state
         return record
 

@@ -20,7 +20,7 @@ class Plant(ABC):
 
     @property
     def fault(self) -> str:
-        """Why the last deployment ended before its time, where the plant can say more than the reason of the step."""
+        """Why the last deployment ended before its time, where the plant can say more than the status of the step."""
         return ""
 
     @abstractmethod
@@ -31,7 +31,7 @@ class Plant(ABC):
     def take_step(self, command: Array) -> StepRecord:
         """Executes one step with the command; shape (m,).
 
-        A fall is a record whose reason is not OK, after which the deployment is over.
+        A fall is a record whose status is not OK, after which the deployment is over.
         """
 
     @abstractmethod

@@ -16,7 +16,7 @@ from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.bands import INTERVAL
-from stepgap.step import Array, Quantity, Reason
+from stepgap.step import Array, Quantity, StepStatus
 
 WIDTH: Final = 7.16
 """Of every figure [inches]: both columns of a journal's page, so that letters are printed as large as drawn."""
@@ -181,7 +181,7 @@ def _pixels(steps: StepLog) -> dict[str, Any]:
 
 def _reached(steps: StepLog, index: int) -> Array:
     """One coordinate of the next states, NaN where there was no apex; shape (N,)."""
-    whole = np.array([logged.record.reason == Reason.OK for logged in steps])
+    whole = np.array([logged.record.status == StepStatus.OK for logged in steps])
     return np.where(whole, steps.next_state[:, index], np.nan)
 
 

@@ -8,7 +8,7 @@ from matplotlib.ticker import MaxNLocator
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet
 from stepgap.report.figures import BLACK, BLUE, GREY, VERMILLION, WIDTH, axis_label
 from stepgap.report.reference_gait import ReferenceGait
-from stepgap.step import Array, Reason, StepSpace
+from stepgap.step import Array, StepSpace, StepStatus
 
 
 def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) -> str:
@@ -25,7 +25,7 @@ def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) 
             "not held      within the command bounds; the nearest next state is "
             + _named(space.state_names, point.next_state, [q.unit for q in space.state])
         )
-    failed = reachable.reasons != Reason.OK
+    failed = reachable.statuses != StepStatus.OK
     if failed.all():
         lines.append("reachable     nothing: every command fails from this state")
     else:

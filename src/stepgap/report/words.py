@@ -5,7 +5,7 @@ import numpy as np
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import FinishedDeployment
-from stepgap.step import Array, Quantity, Reason
+from stepgap.step import Array, Quantity, StepStatus
 
 
 def headline(record: RunRecord) -> str:
@@ -131,8 +131,8 @@ def _count(number: int, noun: str) -> str:
 
 def _ended(record: RunRecord, deployment: FinishedDeployment) -> str:
     """How a deployment ended before its time."""
-    reason = list(record.steps.of_iteration(deployment.iteration))[-1].record.reason
-    how = "fell" if reason == Reason.FELL else f"ended without an apex ({reason.status})"
+    status = list(record.steps.of_iteration(deployment.iteration))[-1].record.status
+    how = "fell" if status == StepStatus.FELL else f"ended without an apex ({status.label})"
     return f"deployment {deployment.iteration} {how} at step {deployment.steps}"
 
 

@@ -10,7 +10,7 @@ from viser import GuiDropdownHandle, ViserServer
 from stepgap.learning.observations import error_of
 from stepgap.learning.residual import join_points
 from stepgap.learning.step_log import LoggedStep
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 from stepgap.view.geometry import Pose
 from stepgap.view.learnt import curve_along
 from stepgap.view.player import Player
@@ -259,8 +259,8 @@ def _step_table(logged: LoggedStep, source: Source) -> str:
     """Target, prediction and apex of a step, with its command, as Markdown."""
     record, space = logged.record, source.space
     head = f"**Step {logged.step}**"
-    if record.reason != Reason.OK:
-        head += f": {record.reason.status}"
+    if record.status != StepStatus.OK:
+        head += f": {record.status.label}"
     rows = ["| | target | predicted | apex |", "|---|---:|---:|---:|"]
     for index, quantity in enumerate(space.state):
         values = (logged.target[index], logged.predicted[index], record.next_state[index])

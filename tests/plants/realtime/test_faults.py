@@ -31,7 +31,7 @@ from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.ring_rig import emulated_settings
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 from tests.rigs.ethercat.ring_process import INTERFACE, RecordedTwin, live_ring
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
@@ -118,7 +118,7 @@ def test_the_robot_hops_on_after(name):
     with deployment(at(SURVIVED[name])) as (ring, hopping):
         assert hopping.run(HOPPING + 1500)
         assert len(hopping.hops) >= 2
-        assert all(hop.reason == Reason.OK for hop in hopping.hops)
+        assert all(hop.status == StepStatus.OK for hop in hopping.hops)
         check_torques(ring, hopping)
 
 

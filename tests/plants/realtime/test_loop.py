@@ -11,7 +11,7 @@ from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=38.0, torque_step=20.0, joint_speed=80.0, fold_angle=2.6, lowest_hip=0.1, highest_hip=0.9)
@@ -83,10 +83,10 @@ def test_a_limp_robot_waits_for_somebody_to_ask():
 
 def test_it_stands_softly_hops_as_commanded_and_lands():
     with Deployment() as deployment:
-        assert deployment.hopping().reason == Reason.OK
+        assert deployment.hopping().status == StepStatus.OK
         for number in (1, 2, 3):
             hop = deployment.hop(number)
-            assert hop.reason == Reason.OK
+            assert hop.status == StepStatus.OK
             np.testing.assert_allclose((hop.applied_fx, hop.applied_fy), COMMAND, atol=0.5)
             assert 0.5 < hop.height < 0.65
         deployment.board.request = Request.STOP
@@ -109,10 +109,10 @@ def test_it_stands_softly_hops_as_commanded_and_lands():
 def test_a_hop_without_a_command_has_none_and_two_in_a_row_land_the_robot():
     with Deployment() as deployment:
         deployment.hopping()
-        assert deployment.hop(1).reason == Reason.OK
+        assert deployment.hop(1).status == StepStatus.OK
         deployment.run(lambda: deployment.board.hop(2) is not None)
         missed = deployment.ended(2)
-        assert missed.reason == Reason.OK
+        assert missed.status == StepStatus.OK
         np.testing.assert_allclose((missed.applied_fx, missed.applied_fy), 0, atol=0.5)
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.OFF
@@ -149,7 +149,7 @@ def test_a_command_that_is_no_number_is_a_fault_without_torque(command):
         assert deployment.loop.state == RigState.FAULT
         assert "must be finite" in deployment.board.words
         hop = deployment.ended(1)
-        assert hop.reason == Reason.STOPPED
+        assert hop.status == StepStatus.STOPPED
 
 
 def test_a_command_beyond_its_bounds_acts_at_the_bound():
@@ -171,7 +171,7 @@ def test_the_software_stop_takes_torque_off_at_the_next_tick_for_good():
         assert not deployment.torques[-1].any()
         assert "emergency stop" in deployment.board.words
         hop = deployment.ended(1)
-        assert hop.reason == Reason.STOPPED
+        assert hop.status == StepStatus.STOPPED
 
 
 def test_a_stalled_loop_brakes_and_then_is_off():

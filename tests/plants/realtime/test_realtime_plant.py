@@ -22,7 +22,7 @@ from stepgap.plants.ticks.tick_log import read_ticks
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 from tests.plants.realtime.test_faults import LIMITS, SETTINGS, WATCHDOG
 from tests.rigs.ethercat.ring_process import RecordedTwin, live_ring
 
@@ -79,7 +79,7 @@ def test_it_hops_lands_and_keeps_every_tick(tmp_path):
             assert asked == ["hold the robot"]
             for _ in range(3):
                 record = plant.take_step(COMMAND)
-                assert record.reason == Reason.OK
+                assert record.status == StepStatus.OK
                 np.testing.assert_array_equal(record.state, state)
                 np.testing.assert_array_equal(record.command, COMMAND)
                 state = record.next_state
@@ -101,13 +101,13 @@ def test_it_hops_lands_and_keeps_every_tick(tmp_path):
 
 def test_a_killed_real_time_process_leaves_no_torque_and_loses_no_logged_tick(tmp_path):
     with hopping(tmp_path) as (ring, plant):
-        assert plant.take_step(COMMAND).reason == Reason.OK
+        assert plant.take_step(COMMAND).status == StepStatus.OK
         session = plant._session
         assert session is not None
         rows = session.board.ticks
         os.kill(session.process_id, signal.SIGKILL)
         record = plant.take_step(COMMAND)
-        assert record.reason == Reason.STOPPED
+        assert record.status == StepStatus.STOPPED
         assert np.isnan(record.next_state).all()
         assert plant.fault == "the real-time process was killed by signal 9"
         given = check_off(ring)
@@ -186,7 +186,7 @@ def test_a_robot_that_nobody_holds_gets_no_torque(tmp_path):
 def test_a_command_that_is_no_number_ends_the_deployment(tmp_path):
     with hopping(tmp_path) as (ring, plant):
         record = plant.take_step(np.array([np.nan, 0.0]))
-        assert record.reason == Reason.INVALID
+        assert record.status == StepStatus.INVALID
         check_off(ring)
 
 
@@ -199,7 +199,7 @@ def test_a_second_deployment_has_its_own_log(tmp_path):
     with live_ring(make_machine=RecordedTwin), RealtimePlant(SETUP, tmp_path) as plant:
         for _ in range(2):
             plant.start()
-            assert plant.take_step(COMMAND).reason == Reason.OK
+            assert plant.take_step(COMMAND).status == StepStatus.OK
             plant.stop()
     assert len(logged(tmp_path, 0)) > 1000
     assert len(logged(tmp_path, 1)) > 1000
@@ -210,7 +210,7 @@ def test_an_emergency_stop_from_the_learning_side(tmp_path):
         session = plant._session
         assert session is not None
         session.board.stop_at_once()
-        assert plant.take_step(COMMAND).reason == Reason.STOPPED
+        assert plant.take_step(COMMAND).status == StepStatus.STOPPED
         assert "emergency stop" in plant.fault
         assert session.board.request == Request.HOP
         check_off(ring)

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.hop import FLIGHT_LIMIT, SCUFF_DEPTH, STANCE_LIMIT
 from stepgap.robots.hopper.reduced import FOLD_ANGLE, LEAN_ANGLE, STRETCH_ANGLE
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 from tests.robots.hopper.lagrangian import oracle
 
 MOTORS = np.array([[1.0, 1.0], [1.0, -1.0]])  # generalised torques on (α₁, α₂) of the two motors
@@ -128,8 +128,8 @@ def follow(
     return solver.y, None
 
 
-def reference_hop(hopper: Hopper, start: Array, command: Array) -> tuple[Reason, Array]:
-    """Reason and next apex [speed, height] of one hop; NaN if there is none."""
+def reference_hop(hopper: Hopper, start: Array, command: Array) -> tuple[StepStatus, Array]:
+    """Status and next apex [speed, height] of one hop; NaN if there is none."""
     none, gains = np.full(2, np.nan), hopper.gains
     posture = gains.speed_gain * (start[0] - gains.speed_setpoint), knee(hopper.robot, gains.landing_length)
     state = np.array([0.0, start[1], *posture, start[0], 0.0, 0.0, 0.0])
@@ -143,12 +143,12 @@ def reference_hop(hopper: Hopper, start: Array, command: Array) -> tuple[Reason,
     def rising(state: State) -> list[float]:
         return [*hopper.failures(state), clearance(state) + SCUFF_DEPTH, state[5]]
 
-    failures = [Reason.FELL, Reason.FULL_STRETCH]
+    failures = [StepStatus.FELL, StepStatus.FULL_STRETCH]
     if clearance(state) <= 0:
-        return Reason.FOOT_SCUFFED, none
+        return StepStatus.FOOT_SCUFFED, none
     state, event = follow(hopper.flight_rate, falling, state, FLIGHT_LIMIT)
     if event != 2:
-        return [*failures, Reason.OK, Reason.NO_APEX][3 if event is None else event], none
+        return [*failures, StepStatus.OK, StepStatus.NO_APEX][3 if event is None else event], none
 
     state, _ = hopper.impact(state)
     for push, sign in ((np.zeros(2), -1.0), (np.asarray(command, float), 1.0)):
@@ -165,13 +165,13 @@ def reference_hop(hopper: Hopper, start: Array, command: Array) -> tuple[Reason,
         if event in (0, 1):
             return failures[event], none
         if event is None or event != (3 if sign < 0 else 2):
-            return Reason.NO_TAKE_OFF, none
+            return StepStatus.NO_TAKE_OFF, none
         if sign < 0:
             state[5] = 0.0
     if state[5] <= 0:
-        return Reason.NO_TAKE_OFF, none
+        return StepStatus.NO_TAKE_OFF, none
 
     state, event = follow(hopper.flight_rate, rising, state, FLIGHT_LIMIT)
     if event != 3:
-        return [*failures, Reason.FOOT_SCUFFED, Reason.NO_APEX][3 if event is None else event], none
-    return Reason.OK, np.array([state[4], state[1]])
+        return [*failures, StepStatus.FOOT_SCUFFED, StepStatus.NO_APEX][3 if event is None else event], none
+    return StepStatus.OK, np.array([state[4], state[1]])

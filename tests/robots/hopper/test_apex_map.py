@@ -15,7 +15,7 @@ from stepgap.hybrid.integrator import Tolerance
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import SMALLEST_SHARE, ApexMap
 from stepgap.robots.hopper.hop import Tolerances
-from stepgap.step import Reason, StepFailed, difference_jacobian
+from stepgap.step import StepFailed, StepStatus, difference_jacobian
 from tests.robots.hopper.reference_hop import Hopper, reference_hop
 
 MAP = ApexMap()
@@ -49,11 +49,11 @@ def hopper(robot: RobotParameters, gains: Gains) -> Hopper:
 def assert_reference_agrees(apex_map: ApexMap, points, relative: float) -> None:
     """Same reason, and next states equal relative to the larger of value and half the range of use."""
     outcome = evaluate(apex_map, points)
-    for point, next_state, reason in zip(points, outcome.next_state, outcome.reason, strict=True):
+    for point, next_state, status in zip(points, outcome.next_state, outcome.status, strict=True):
         expected_reason, expected = reference_hop(hopper(apex_map.robot, apex_map.gains), point[:2], point[2:])
-        assert (Reason(int(reason)), point.tolist()) == (expected_reason, point.tolist())
+        assert (StepStatus(int(status)), point.tolist()) == (expected_reason, point.tolist())
         scale = np.maximum(np.abs(expected), apex_map.space.state_scale)
-        if reason == Reason.OK:
+        if status == StepStatus.OK:
             assert np.abs((next_state - expected) / scale).max() < relative
 
 
@@ -75,7 +75,7 @@ def test_so_it_is_with_another_leg_spring(stiffness) -> None:
 
 def test_far_outside_the_range_of_use_reasons_are_the_reference_s() -> None:
     points = wide_points(14, 15)
-    assert len(np.unique(evaluate(MAP, points).reason)) >= 3
+    assert len(np.unique(evaluate(MAP, points).status)) >= 3
     assert_reference_agrees(MAP, points, 3e-6)
 
 
@@ -86,14 +86,14 @@ def test_tight_tolerances_leave_errors_far_below_those_of_the_default() -> None:
 def test_reasons_do_not_depend_on_the_tolerance() -> None:
     points = wide_points(16, 400)
     outcome, fine = evaluate(MAP, points), evaluate(ApexMap(tolerances=TIGHT), points)
-    assert (outcome.reason == fine.reason).all()
+    assert (outcome.status == fine.status).all()
     assert np.nanmax(np.abs(outcome.next_state - fine.next_state)) < 1e-5
 
 
 def test_next_state_is_nan_exactly_where_the_step_fails() -> None:
     outcome = evaluate(MAP, wide_points(17, 2000))
-    assert (np.isnan(outcome.next_state).all(axis=-1) == (outcome.reason != Reason.OK)).all()
-    assert (np.isfinite(outcome.next_state).all(axis=-1) == (outcome.reason == Reason.OK)).all()
+    assert (np.isnan(outcome.next_state).all(axis=-1) == (outcome.status != StepStatus.OK)).all()
+    assert (np.isfinite(outcome.next_state).all(axis=-1) == (outcome.status == StepStatus.OK)).all()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -101,8 +101,8 @@ def test_next_state_is_nan_exactly_where_the_step_fails() -> None:
 def test_numbers_that_are_not_finite_are_invalid(place, value) -> None:
     point = np.array([0.2, 0.58, 0.0, 0.0])
     point[place] = value
-    next_state, reason = evaluate(MAP, point)
-    assert reason == Reason.INVALID
+    next_state, status = evaluate(MAP, point)
+    assert status == StepStatus.INVALID
     assert np.isnan(next_state).all()
     with pytest.raises(StepFailed, match="invalid"):
         MAP(point[:2], point[2:])
@@ -111,29 +111,29 @@ def test_numbers_that_are_not_finite_are_invalid(place, value) -> None:
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 4))
 def test_any_finite_numbers_end_with_a_reason(point) -> None:
-    next_state, reason = evaluate(MAP, np.array(point))
-    assert int(reason) in set(Reason)
-    assert np.isfinite(next_state).all() == (reason == Reason.OK)
+    next_state, status = evaluate(MAP, np.array(point))
+    assert int(status) in set(StepStatus)
+    assert np.isfinite(next_state).all() == (status == StepStatus.OK)
 
 
 @pytest.mark.parametrize(
-    ("point", "reason"),
+    ("point", "status"),
     [
-        ([0.0, 0.25, 0, 0], Reason.FOOT_SCUFFED),  # the apex itself is in the ground
-        ([8.0, 0.6, 0, 0], Reason.FELL),  # lands with the leg too far over
-        ([0.2, 0.58, 0, -300], Reason.NO_TAKE_OFF),  # pulled down
-        ([0.0, 1e4, 0, 0], Reason.NO_APEX),  # falls for longer than the limit
+        ([0.0, 0.25, 0, 0], StepStatus.FOOT_SCUFFED),  # the apex itself is in the ground
+        ([8.0, 0.6, 0, 0], StepStatus.FELL),  # lands with the leg too far over
+        ([0.2, 0.58, 0, -300], StepStatus.NO_TAKE_OFF),  # pulled down
+        ([0.0, 1e4, 0, 0], StepStatus.NO_APEX),  # falls for longer than the limit
     ],
 )
-def test_a_failure_has_the_reason_that_one_would_give_it(point, reason) -> None:
-    assert evaluate(MAP, np.array(point, float)).reason == reason
+def test_a_failure_has_the_reason_that_one_would_give_it(point, status) -> None:
+    assert evaluate(MAP, np.array(point, float)).status == status
 
 
 def test_a_leg_that_lands_longer_than_its_spring_is_pulled_off_the_ground() -> None:
     """The spring pulls at touchdown: a ground that never pulls lets go at once."""
     pulling = ApexMap(gains=Gains(rest_length=0.2, landing_length=0.3))
     points = points_of_use(18, 6)
-    assert set(evaluate(pulling, points).reason) == {Reason.NO_TAKE_OFF}
+    assert set(evaluate(pulling, points).status) == {StepStatus.NO_TAKE_OFF}
     assert_reference_agrees(pulling, points[:2], 1e-6)
 
 
@@ -142,7 +142,7 @@ def test_a_foot_that_the_impact_throws_off_the_ground_is_not_held_by_it() -> Non
     robot = RobotParameters(bottom_mass=2.0, body_mass=0.05, boom_inertia_vertical=0.0, torque_limit=8.0)
     gains = Gains(2539.0, 0.2718, 0.2716, speed_gain=0.173, position_gain=61.6, damping_gain=2.414)
     heavy, points = ApexMap(robot, gains), np.array([[1.567, 0.2998, -74.8, 10.1], [-2.17, 0.302, -118.0, -161.0]])
-    assert evaluate(heavy, points[0]).reason == Reason.OK
+    assert evaluate(heavy, points[0]).status == StepStatus.OK
     assert_reference_agrees(heavy, points, 1e-5)
 
 
@@ -153,19 +153,19 @@ def test_batch_is_its_single_steps_for_any_leading_shape() -> None:
         size = int(np.prod(shape))
         outcome = evaluate(MAP, points[:size].reshape(*shape, 4))
         assert outcome.next_state.shape == (*shape, 2)
-        assert outcome.reason.shape == shape
+        assert outcome.status.shape == shape
         assert np.array_equal(outcome.next_state.reshape(-1, 2), flat.next_state[:size], equal_nan=True)
-    for point, next_state, reason in zip(points[:20], *(part[:20] for part in flat), strict=True):
+    for point, next_state, status in zip(points[:20], *(part[:20] for part in flat), strict=True):
         single = evaluate(MAP, point)
-        assert single.reason.shape == ()
-        assert single.reason == reason
+        assert single.status.shape == ()
+        assert single.status == status
         assert np.array_equal(single.next_state, next_state, equal_nan=True)
 
 
 def test_state_and_command_broadcast() -> None:
     points = points_of_use(20, 5)
     grid = MAP.evaluate(points[:, None, :2], points[None, :, 2:])
-    assert grid.reason.shape == (5, 5)
+    assert grid.status.shape == (5, 5)
     for i in range(5):
         assert np.array_equal(grid.next_state[i], MAP.evaluate(points[i, :2], points[:, 2:]).next_state)
     assert np.array_equal(grid.next_state[[0, 1, 2, 3, 4], [0, 1, 2, 3, 4]], evaluate(MAP, points).next_state)
@@ -179,7 +179,7 @@ def test_threads_change_no_bit(monkeypatch) -> None:
         outcomes.append(evaluate(MAP, points))
     for outcome in outcomes[1:]:
         assert outcome.next_state.tobytes() == outcomes[0].next_state.tobytes()
-        assert outcome.reason.tobytes() == outcomes[0].reason.tobytes()
+        assert outcome.status.tobytes() == outcomes[0].status.tobytes()
 
 
 def test_an_error_in_a_thread_is_raised(monkeypatch) -> None:
@@ -211,7 +211,7 @@ def test_jacobian_is_nan_exactly_where_the_step_fails() -> None:
     points = wide_points(24, 200)
     points[::2] = points_of_use(24, 100)
     jacobian = MAP.jacobian(points[:, :2], points[:, 2:])
-    assert (np.isnan(jacobian).all(axis=(1, 2)) == (evaluate(MAP, points).reason != Reason.OK)).all()
+    assert (np.isnan(jacobian).all(axis=(1, 2)) == (evaluate(MAP, points).status != StepStatus.OK)).all()
     assert (np.isnan(jacobian).any(axis=(1, 2)) == np.isnan(jacobian).all(axis=(1, 2))).all()
 
 
@@ -222,7 +222,7 @@ def test_points_that_share_their_state_give_what_each_gives_alone() -> None:
     outcome, jacobian = evaluate(MAP, points), MAP.jacobian(points[:, :2], points[:, 2:])
     for i, point in enumerate(points):
         alone = evaluate(MAP, point)
-        assert outcome.reason[i] == alone.reason
+        assert outcome.status[i] == alone.status
         assert np.array_equal(outcome.next_state[i], alone.next_state, equal_nan=True)
         assert np.array_equal(jacobian[i], MAP.jacobian(point[:2], point[2:]), equal_nan=True)
 

@@ -12,7 +12,7 @@ from stepgap.robots.hopper.direct_ring import DirectRing
 from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 from tests.rigs.ethercat.ring_process import INTERFACE
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
@@ -44,7 +44,7 @@ def hop(rig: Rig):
             raise
         for _ in range(HOPS):
             record = plant.take_step(np.array([-4.0, -6.0]))
-            assert record.reason == Reason.OK
+            assert record.status == StepStatus.OK
             states.append(record.next_state)
     return np.array(ticks), np.array(states)
 

@@ -10,7 +10,7 @@ from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.sampled_map import SampledApexMap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 
 CONTINUOUS = ApexMap()
 RNG = np.random.default_rng(5)
@@ -51,7 +51,7 @@ def test_a_batch_is_its_points_and_failures_have_their_reasons():
     for i in (0, 17, 39):
         np.testing.assert_array_equal(SampledApexMap()(STATES[i], COMMANDS[i]), batch.next_state[i])
     outcome = SampledApexMap().evaluate([[0.2, 0.2], [0.2, np.nan]], [0, 0])
-    assert outcome.reason.tolist() == [Reason.FOOT_SCUFFED, Reason.INVALID]
+    assert outcome.status.tolist() == [StepStatus.FOOT_SCUFFED, StepStatus.INVALID]
     assert np.isnan(outcome.next_state).all()
 
 
@@ -59,7 +59,7 @@ def test_far_from_the_range_of_use_it_fails_and_never_hangs_or_gives_nan_for_ok(
     rng = np.random.default_rng(3)
     states, commands = rng.uniform([-3, 0.1], [3, 1.5], (300, 2)), rng.uniform(-300, 300, (300, 2))
     outcome = SampledApexMap().evaluate(states, commands)
-    assert (np.isfinite(outcome.next_state).all(axis=1) == (outcome.reason == Reason.OK)).all()
+    assert (np.isfinite(outcome.next_state).all(axis=1) == (outcome.status == StepStatus.OK)).all()
 
 
 def test_its_jacobian_is_near_the_continuous_one():

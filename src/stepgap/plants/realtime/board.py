@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_ring import attached_memory, created_memory
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 
 LONGEST_TEXT = 512
 """Bytes of a fault's words."""
@@ -59,7 +59,7 @@ class Hop(NamedTuple):
         applied_fx: Forward command force that really acted [N].
         applied_fy: Upward command force that really acted [N].
         place: Yaw of the boom at the apex [rad]; NaN of a hop that failed.
-        reason: OK, or why there is no apex.
+        status: OK, or why there is no apex.
     """
 
     number: int
@@ -68,12 +68,12 @@ class Hop(NamedTuple):
     applied_fx: float
     applied_fy: float
     place: float
-    reason: Reason
+    status: StepStatus
 
     @classmethod
     def stopped(cls, number: int) -> Self:
         """A hop that was stopped before its apex."""
-        return cls(number, nan, nan, 0.0, 0.0, nan, Reason.STOPPED)
+        return cls(number, nan, nan, 0.0, 0.0, nan, StepStatus.STOPPED)
 
 
 class Board:
@@ -154,7 +154,7 @@ class Board:
         self._numbers[Field.SPEED], self._numbers[Field.HEIGHT] = hop.speed, hop.height
         self._numbers[Field.APPLIED_FX], self._numbers[Field.APPLIED_FY] = hop.applied_fx, hop.applied_fy
         self._numbers[Field.PLACE] = hop.place
-        self._words[Field.REASON] = hop.reason
+        self._words[Field.REASON] = hop.status
         self._words[Field.HOP_NUMBER] = hop.number
 
     def hop(self, number: int) -> Hop | None:
@@ -163,7 +163,7 @@ class Board:
         if words[Field.HOP_NUMBER] != number:
             return None
         speed, height, applied_fx, applied_fy, place = numbers[Field.SPEED : Field.REASON].tolist()
-        found = Hop(number, speed, height, applied_fx, applied_fy, place, Reason(words[Field.REASON]))
+        found = Hop(number, speed, height, applied_fx, applied_fy, place, StepStatus(words[Field.REASON]))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:

@@ -13,7 +13,7 @@ from stepgap.plants.safety import Limited
 from stepgap.plants.tick import TICK_UNITS
 from stepgap.rigs.rig import Health, Rig, RigFault
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 
 LOOP_UNITS = MappingProxyType({**TICK_UNITS, "state": "", "late": "s"})
 """Fields of a row of the tick log, with their units."""
@@ -182,8 +182,8 @@ class ControlLoop:
 
     def _judge_hop(self) -> None:
         """Tells of a hop that has ended; a failed one, or too many without a command, stop the robot."""
-        finished, reason = self._control.finished_hop(), self._control.reason
-        if finished is None and reason == Reason.OK:
+        finished, status = self._control.finished_hop(), self._control.status
+        if finished is None and status == StepStatus.OK:
             return
         fx, fy = self._command or (0.0, 0.0)
         if finished:
@@ -191,7 +191,7 @@ class ControlLoop:
         else:
             speed, height, (lost_x, lost_y), place = nan, nan, self._control.lost_command(), nan
             self._stop_asked = True
-        self._board.post_hop(Hop(self._hop, speed, height, fx - lost_x, fy - lost_y, place, reason))
+        self._board.post_hop(Hop(self._hop, speed, height, fx - lost_x, fy - lost_y, place, status))
         self._missed = self._missed + 1 if self._command is None and self._hop > 0 else 0
         if self._missed > self._settings.missed_commands:
             self._board.words = f"{self._missed} hops in a row had no command: the process that learns is missed"

@@ -14,7 +14,7 @@ from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
-from stepgap.step import ADVICE, Array, Reason, StepRecord, StepSpace
+from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
 LOOK_EVERY = 1e-3
 """Time between two looks whether a hop has ended [s]."""
@@ -67,9 +67,9 @@ class RealtimePlant(Plant):
         self._on_ready()
         session.board.request = Request.HOP
         hop = self._await_hop(session)
-        if hop.reason != Reason.OK:
+        if hop.status != StepStatus.OK:
             said = f" ({self._fault})" if self._fault else ""
-            raise RigFault(f"the first hop failed: {hop.reason.status}{said}: {ADVICE[hop.reason]}")
+            raise RigFault(f"the first hop failed: {hop.status.label}{said}: {ADVICE[hop.status]}")
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:
@@ -84,12 +84,12 @@ class RealtimePlant(Plant):
         within = np.clip(asked, self._space.command_lower, self._space.command_upper)
         if np.isnan(within).any():
             self.stop()
-            return StepRecord(state, asked, within, np.full(2, np.nan), Reason.INVALID)
+            return StepRecord(state, asked, within, np.full(2, np.nan), StepStatus.INVALID)
         self._hop += 1
         session.board.post_command(self._hop, *within.tolist())
         hop = self._await_hop(session)
         applied = np.array([hop.applied_fx, hop.applied_fy])
-        return StepRecord(state, asked, applied, self._state, hop.reason, hop.place)
+        return StepRecord(state, asked, applied, self._state, hop.status, hop.place)
 
     def stop(self) -> None:
         """Lands the robot, torque off."""
@@ -106,7 +106,7 @@ class RealtimePlant(Plant):
                 break
             session.check_sink()
             sleep(LOOK_EVERY)
-        if hop.reason != Reason.OK:
+        if hop.status != StepStatus.OK:
             self._fault = session.words()
         self._state = np.array([hop.speed, hop.height])
         return hop

@@ -48,17 +48,17 @@ def _same_state(points, i):
 
 
 @compiled
-def _hop_all(constants, points, next_state, reason):
-    """Fills `next_state` (n, 2) and `reason` (n,) for points (speed, height, fx, fy) of shape (n, 4)."""
+def _hop_all(constants, points, next_state, status):
+    """Fills `next_state` (n, 2) and `status` (n,) for points (speed, height, fx, fy) of shape (n, 4)."""
     masses, law, tolerances = _unpacked(constants)
     trace, landed, middle = make_trace(), INVALID, (0.0, 0.0, 0.0, 0.0)
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
             landed, middle = descend(masses, law, tolerances, speed, height, trace, False)
-        reason[i], next_state[i] = landed if np.isfinite(force_x + force_y) else INVALID, np.nan
-        if reason[i] == OK:
-            reason[i], next_state[i, 0], next_state[i, 1] = ascend(
+        status[i], next_state[i] = landed if np.isfinite(force_x + force_y) else INVALID, np.nan
+        if status[i] == OK:
+            status[i], next_state[i, 0], next_state[i, 1] = ascend(
                 masses, law, tolerances, middle, force_x, force_y, trace, False
             )
 
@@ -79,8 +79,8 @@ def _differentiate_all(constants, nudge, points, jacobian):
                 _, higher = descend(masses, law, tolerances, speed, height + nudge[1], way_down, True)
         if landed != OK:
             continue
-        reason, next_speed, next_height = ascend(masses, law, tolerances, middle, force_x, force_y, way_up, False)
-        if reason != OK:
+        status, next_speed, next_height = ascend(masses, law, tolerances, middle, force_x, force_y, way_up, False)
+        if status != OK:
             continue
         starts = (faster, higher, middle, middle)
         for j in range(4):
@@ -142,7 +142,7 @@ class ApexMap(StepMap):
         return NUDGE * np.concatenate([self.space.state_scale, self.space.command_scale])
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        """Next apexes and reason codes; state (…, 2) and command (…, 2) broadcast.
+        """Next apexes and status codes; state (…, 2) and command (…, 2) broadcast.
 
         Points in a row that share their state cost little more than the second half of their hops.
 
@@ -150,9 +150,9 @@ class ApexMap(StepMap):
             ValueError: The last axis of state or command has not two numbers.
         """
         points, leading = as_points(state, command)
-        next_state, reason = np.empty((len(points), 2)), np.empty(len(points), np.int64)
-        on_all_cores(_hop_all, (self._constants,), points, next_state, reason)
-        return Outcome(next_state.reshape(*leading, 2), reason.reshape(leading))
+        next_state, status = np.empty((len(points), 2)), np.empty(len(points), np.int64)
+        on_all_cores(_hop_all, (self._constants,), points, next_state, status)
+        return Outcome(next_state.reshape(*leading, 2), status.reshape(leading))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next speed, next height)/∂(speed, height, fx, fy); shape (…, 2, 4), NaN where the step fails.

@@ -25,7 +25,7 @@ from stepgap.robots.hopper.reduced import (
     piece_guards,
     stance_motion,
 )
-from stepgap.step import Reason
+from stepgap.step import StepStatus
 
 CONTACT, RISING, FALLING_OVER, STRETCHING, MOTOR_1, MOTOR_2 = range(6)  # guards, as `piece_guards` has them
 
@@ -35,13 +35,13 @@ MOST_PIECES = 100  # of one phase
 STANDSTILL = 1e-9  # ẏ that a body may have by rounding alone [m/s]
 FIRST_STEP = 3e-3  # tried at the start of a phase [s]
 
-OK = int(Reason.OK)
-FELL = int(Reason.FELL)
-NO_TAKE_OFF = int(Reason.NO_TAKE_OFF)
-FULL_STRETCH = int(Reason.FULL_STRETCH)
-FOOT_SCUFFED = int(Reason.FOOT_SCUFFED)
-NO_APEX = int(Reason.NO_APEX)
-INVALID = int(Reason.INVALID)
+OK = int(StepStatus.OK)
+FELL = int(StepStatus.FELL)
+NO_TAKE_OFF = int(StepStatus.NO_TAKE_OFF)
+FULL_STRETCH = int(StepStatus.FULL_STRETCH)
+FOOT_SCUFFED = int(StepStatus.FOOT_SCUFFED)
+NO_APEX = int(StepStatus.NO_APEX)
+INVALID = int(StepStatus.INVALID)
 
 
 class Tolerances(NamedTuple):
@@ -123,7 +123,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, again):
         again: Whether to retrace the steps of a neighbouring motion; then nothing can fail.
 
     Returns:
-        (reason, event, time, state): OK and CONTACT or RISING, or a reason that is common to both phases.
+        (status, event, time, state): OK and CONTACT or RISING, or a status that is common to both phases.
     """
     guards, time, event, h = observe(system, 0.0, state)[1], 0.0, BROKEN, FIRST_STEP
     if guards[MOTOR_1] <= 0.0:
@@ -148,8 +148,8 @@ def _run_phase(system, state, time_limit, tolerance, trace, again):
         system = switched(system, time, state, 1 if event == MOTOR_1 else 2)
     if event == CONTACT or event == RISING:
         return OK, event, time, state
-    reason = FELL if event == FALLING_OVER else FULL_STRETCH if event == STRETCHING else NO_APEX
-    return reason, event, time, state
+    status = FELL if event == FALLING_OVER else FULL_STRETCH if event == STRETCHING else NO_APEX
+    return status, event, time, state
 
 
 @compiled
@@ -166,7 +166,7 @@ def descend(masses, law, tolerances, speed, height, trace, again):
         again: Whether to retrace the steps it holds.
 
     Returns:
-        (reason, state): `Reason` as an integer, and leg angles and rates at mid-stance.
+        (status, state): `StepStatus` as an integer, and leg angles and rates at mid-stance.
     """
     rewind(trace)
     alpha_1, alpha_2 = landing_posture(law, speed)
@@ -176,9 +176,9 @@ def descend(masses, law, tolerances, speed, height, trace, again):
     falling = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
     if not again and observe(falling, 0.0, state)[1][CONTACT] <= 0.0:
         return FOOT_SCUFFED, state
-    reason, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
-    if reason != OK or event != CONTACT:
-        return reason if reason != OK else NO_APEX, state
+    status, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
+    if status != OK or event != CONTACT:
+        return status if status != OK else NO_APEX, state
 
     bar = four_bar(masses.leg, state[1])
     toe, m = foot(masses.leg, bar, state[0]), terms(masses, bar, state[0], state[1], state[2], state[3])
@@ -188,10 +188,10 @@ def descend(masses, law, tolerances, speed, height, trace, again):
     if speed_y >= 0.0:
         return OK, state
     loading = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
-    reason, event, _, state = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, trace, again)
-    if reason == NO_APEX or event == CONTACT:
-        reason = NO_TAKE_OFF
-    return reason, state
+    status, event, _, state = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, trace, again)
+    if status == NO_APEX or event == CONTACT:
+        status = NO_TAKE_OFF
+    return status, state
 
 
 @compiled
@@ -209,22 +209,22 @@ def ascend(masses, law, tolerances, state, force_x, force_y, trace, again):
         again: Whether to retrace the steps it holds.
 
     Returns:
-        (reason, next speed, next height): `Reason` as an integer; NaN if there is no next apex.
+        (status, next speed, next height): `StepStatus` as an integer; NaN if there is no next apex.
     """
     rewind(trace)
     pushing = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
     if not np.isfinite(force_x + force_y):
         return INVALID, np.nan, np.nan
-    reason, event, _, state = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, trace, again)
+    status, event, _, state = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, trace, again)
     hip = stance_motion(pushing, state)[1]
-    if reason == NO_APEX or (reason == OK and (event == RISING or hip.speed_y <= STANDSTILL)):
-        reason = NO_TAKE_OFF
-    if reason != OK:
-        return reason, np.nan, np.nan
+    if status == NO_APEX or (status == OK and (event == RISING or hip.speed_y <= STANDSTILL)):
+        status = NO_TAKE_OFF
+    if status != OK:
+        return status, np.nan, np.nan
 
     rising = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
-    reason, event, time, state = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
-    if reason != OK or event == CONTACT:
-        return FOOT_SCUFFED if reason == OK else reason, np.nan, np.nan
+    status, event, time, state = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
+    if status != OK or event == CONTACT:
+        return FOOT_SCUFFED if status == OK else status, np.nan, np.nan
     _, hip, _, _ = flight_motion(rising, time, state)
     return OK, hip.speed_x, hip.height

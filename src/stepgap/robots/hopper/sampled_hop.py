@@ -118,7 +118,7 @@ def _stance_slopes(system, state, here):
 
 @compiled
 def _failure(event, common):
-    """Reason for an event that ends a phase badly."""
+    """Status for an event that ends a phase badly."""
     return FELL if event == FALLING_OVER else FULL_STRETCH if event == STRETCHING else common
 
 
@@ -182,7 +182,7 @@ def sampled_hop(masses, law, tick, tolerance, speed, height, force_x, force_y, t
     """One hop with torques held for `tick` [s]; the other arguments and the answer are those of `hop`.
 
     Returns:
-        (reason, next speed, next height): `Reason` as an integer; NaN if there is no next apex.
+        (status, next speed, next height): `StepStatus` as an integer; NaN if there is no next apex.
     """
     nothing = np.nan, np.nan
     if not np.isfinite(speed + height + force_x + force_y):

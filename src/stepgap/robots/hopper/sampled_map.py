@@ -21,11 +21,11 @@ DIFFERENCE = 0.05
 
 
 @compiled
-def _hop_all(masses, law, tick, tolerance, points, next_state, reason):
+def _hop_all(masses, law, tick, tolerance, points, next_state, status):
     trace = make_trace()
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
-        reason[i], next_state[i, 0], next_state[i, 1] = sampled_hop(
+        status[i], next_state[i, 0], next_state[i, 1] = sampled_hop(
             masses, law, tick, tolerance, speed, height, force_x, force_y, trace
         )
 
@@ -64,16 +64,16 @@ class SampledApexMap(StepMap):
         return self.bounds.space()
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        """Next apexes and reason codes; state (…, 2) and command (…, 2) broadcast.
+        """Next apexes and status codes; state (…, 2) and command (…, 2) broadcast.
 
         Raises:
             ValueError: The last axis of state or command has not two numbers.
         """
         points, leading = as_points(state, command)
-        next_state, reason = np.full((len(points), 2), np.nan), np.zeros(len(points), dtype=np.int64)
+        next_state, status = np.full((len(points), 2), np.nan), np.zeros(len(points), dtype=np.int64)
         constants = masses_of(self.robot), joint_law(self.robot, self.gains), self.tick, self.tolerance
-        on_all_cores(_hop_all, constants, points, next_state, reason)
-        return Outcome(next_state.reshape(*leading, 2), reason.reshape(leading))
+        on_all_cores(_hop_all, constants, points, next_state, status)
+        return Outcome(next_state.reshape(*leading, 2), status.reshape(leading))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next speed, next height)/∂(speed, height, fx, fy) over a stretch that evens out the jumps; (…, 2, 4)."""
