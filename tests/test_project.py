@@ -79,10 +79,19 @@ def test_lock_agrees_with_pyproject(wanted: str) -> None:
     assert requirement.specifier.contains(version, prereleases=True), f"{version} is locked; run .ci/lock"
 
 
-def test_go_without_a_command_says_how_to_use_it() -> None:
-    outcome = subprocess.run([ROOT / "go"], capture_output=True, text=True, check=False)
-    assert outcome.returncode == 2
+@pytest.mark.parametrize(("arguments", "reason"), [([], "a command is missing"), (["--hlep"], "no option --hlep")])
+def test_go_without_a_command_says_how_to_use_it(arguments: list[str], reason: str) -> None:
+    outcome = subprocess.run([ROOT / "go", *arguments], capture_output=True, text=True, check=False)
+    assert (outcome.returncode, outcome.stdout) == (2, "")
+    assert reason in outcome.stderr
     assert "usage: ./go COMMAND" in outcome.stderr
+
+
+@pytest.mark.parametrize("option", ["--help", "-h"])
+def test_go_has_help(option: str) -> None:
+    outcome = subprocess.run([ROOT / "go", option], capture_output=True, text=True, check=False)
+    assert (outcome.returncode, outcome.stderr) == (0, "")
+    assert outcome.stdout.startswith("usage: ./go COMMAND")
 
 
 def test_readme_commands_exist() -> None:
