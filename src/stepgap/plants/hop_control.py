@@ -109,7 +109,7 @@ class HopControl:
         self._phase, self._phase_start = Phase.FALLING, 0.0
         self._speed, self._x_start, self._yaw = 0.0, 0.0, 0.0
         self._fit, self._rates = FlightFit(), JointRates()
-        self._watch, self._reason = Watch(), StepStatus.OK
+        self._watch, self._status = Watch(), StepStatus.OK
         self._begin_hop()
 
     def _begin_hop(self) -> None:
@@ -145,7 +145,7 @@ class HopControl:
     @property
     def status(self) -> StepStatus:
         """OK while the robot hops; why not, else."""
-        return self._reason
+        return self._status
 
     def await_release(self) -> None:
         """Begins a first hop: the robot is held in the air, and may be for as long as it takes."""
@@ -230,9 +230,9 @@ class HopControl:
         if self._phase == Phase.PUSHING:
             self._count_loss(asked[0] - applied[0], asked[1] - applied[1])
         if checked.limited and checked.limited.stops:
-            self._reason = StepStatus.STOPPED
+            self._status = StepStatus.STOPPED
         elif uprightness(self._law.leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0:
-            self._reason = StepStatus.FELL
+            self._status = StepStatus.FELL
         return Tick(
             self._time, self._reading, self._phase, motion.alpha_1, motion.alpha_2, asked, applied, checked.limited
         )
@@ -242,14 +242,14 @@ class HopControl:
 
         A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
         """
-        if self._reason == StepStatus.OK and self._left_ground and self._phase == Phase.FALLING:
+        if self._status == StepStatus.OK and self._left_ground and self._phase == Phase.FALLING:
             state = self._apex()
             if np.isfinite(state).all():
                 finished = FinishedHop(state, self.lost_command(), self._yaw)
                 self._begin_hop()
                 return finished
         if self._time > self._deadline:
-            self._reason = StepStatus.NO_APEX if self._left_ground else StepStatus.NO_TAKE_OFF
+            self._status = StepStatus.NO_APEX if self._left_ground else StepStatus.NO_TAKE_OFF
         return None
 
     def lost_command(self) -> Array:

@@ -41,7 +41,7 @@ class RigPlant(Plant):
         self._rig, self._space, self._on_tick = rig, bounds.space(), on_tick
         self._robot, self._gains, self._limits = robot, gains, limits or rig.limits or SafetyLimits.of(robot)
         self._control = self._new_control()
-        self._state, self._reason, self._fault = np.full(2, np.nan), StepStatus.OK, ""
+        self._state, self._status, self._fault = np.full(2, np.nan), StepStatus.OK, ""
 
     def _new_control(self) -> HopControl:
         return HopControl(self._rig.layout, self._robot, self._gains, self._limits)
@@ -63,12 +63,12 @@ class RigPlant(Plant):
             RigFault: The rig cannot be had, or the first hop failed.
         """
         self._rig.connect()
-        self._control, self._reason, self._fault = self._new_control(), StepStatus.OK, ""
+        self._control, self._status, self._fault = self._new_control(), StepStatus.OK, ""
         self._state = self._hop((0.0, 0.0)).state
-        if self._reason != StepStatus.OK:
+        if self._status != StepStatus.OK:
             said = f" ({self._fault})" if self._fault else ""
             raise RigFault(
-                f"the first hop failed: {self._reason.status}{said}: {ADVICE[self._reason]}; "
+                f"the first hop failed: {self._status.label}{said}: {ADVICE[self._status]}; "
                 "on the twin, see whether the differences in [gap] leave a robot that can hop"
             )
         return self._state
@@ -79,9 +79,9 @@ class RigPlant(Plant):
         within = np.clip(asked, self._space.command_lower, self._space.command_upper)
         state = self._state
         if np.isnan(within).any():
-            self._reason = StepStatus.INVALID
+            self._status = StepStatus.INVALID
         self._state, lost, place = self._hop((float(within[0]), float(within[1])))
-        return StepRecord(state, asked, within - lost, self._state, self._reason, place)
+        return StepRecord(state, asked, within - lost, self._state, self._status, place)
 
     def stop(self) -> None:
         """Torque off."""
@@ -90,15 +90,15 @@ class RigPlant(Plant):
     def _hop(self, command: tuple[float, float]) -> FinishedHop:
         """Ticks from just after an apex to just after the next; NaN where there is none."""
         control = self._control
-        while self._reason == StepStatus.OK:
+        while self._status == StepStatus.OK:
             try:
                 self._tick(command)
             except RigFault as fault:
-                self._reason, self._fault = StepStatus.STOPPED, str(fault)
+                self._status, self._fault = StepStatus.STOPPED, str(fault)
                 break
             if finished := control.finished_hop():
                 return finished
-            self._reason = control.status
+            self._status = control.status
         self._rig.close()
         return FinishedHop(np.full(2, np.nan), control.lost_command(), np.nan)
 
