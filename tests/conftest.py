@@ -1,3 +1,4 @@
+import os
 import re
 import signal
 from pathlib import Path
@@ -7,12 +8,39 @@ from hypothesis import settings
 
 from stepgap.cli.app import main
 from tests.cli.command_line import Command, Said
+from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats, leave_out_report
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
 settings.load_profile("no deadline")
 
 # A shell that starts tests in the background has them ignore Ctrl-C, and so would every process that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+MOST_WORKERS = 8
+"""Processes that share the tests of `-n auto`, at most: each needs a few seconds and 300 MB for its imports."""
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """One process for each core that may be used; this one alone on a single core, or where files are named."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    names_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
+    return 0 if cores == 1 or names_files else min(cores, MOST_WORKERS)
+
+
+@pytest.fixture
+def no_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_out_repeats(monkeypatch)
+
+
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_out_report(monkeypatch)
+
+
+@pytest.fixture
+def svg_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_out_files_of_figures(monkeypatch)
 
 
 @pytest.fixture

@@ -35,5 +35,5 @@ def test_only_what_the_system_says_without_a_name_gets_one(tmp_path: Path) -> No
     with pytest.raises(OSError, match="nowhere") as caught, naming(Path("here")):
         (tmp_path / "nowhere").read_bytes()
     assert caught.value.filename == str(tmp_path / "nowhere")
-    with pytest.raises(ValueError, match="^no file$"), naming(Path("here")):
+    with pytest.raises(ValueError, match="no file"), naming(Path("here")):
         raise ValueError("no file")

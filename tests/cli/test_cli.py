@@ -69,6 +69,7 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
     assert (finished / "run" / "steps.csv").read_text().count("\n") == 7
 
 
+@pytest.mark.usefixtures("no_report")
 def test_its_settings_rerun_it(finished: Path, stepgap: Command) -> None:
     said = stepgap("run", finished / "run" / "experiment.toml", "--out", "again")
     assert (said.code, said.out) == (0, "again/report.html\n")
@@ -79,6 +80,7 @@ def test_its_settings_rerun_it(finished: Path, stepgap: Command) -> None:
     assert lines[1].startswith("deployment 1 of 1 (gp_on_linear): 3 steps, RMSE")
 
 
+@pytest.mark.usefixtures("no_report", "no_repeats")
 def test_without_out_a_run_gets_a_new_folder(finished: Path, stepgap: Command) -> None:
     arguments = ["run", "--reference", finished / "targets.csv", "--iterations", 0, "--quiet"]
     first, second = stepgap(*arguments), stepgap(*arguments, "--seed=6", "--gains.stiffness", "2400")
@@ -94,6 +96,7 @@ def test_without_out_a_run_gets_a_new_folder(finished: Path, stepgap: Command) -
     assert json.loads(Path("runs/latest/summary.json").read_text())["seed"] == 6
 
 
+@pytest.mark.usefixtures("no_report")
 @pytest.mark.parametrize("rows", [0, 2, 4])
 def test_a_run_that_was_broken_off_is_resumed(finished: Path, stepgap: Command, rows: int) -> None:
     folder = copied(finished / "run", Path("run"))
@@ -290,7 +293,7 @@ def _interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.usefixtures("_interruptible")
+@pytest.mark.usefixtures("_interruptible", "no_report")
 def test_ctrl_c_says_how_to_go_on(finished: Path, stepgap: Command, trouble: Callable) -> None:
     trouble(lambda: signal.raise_signal(signal.SIGINT))
     said = stepgap("run", finished / "short.toml", "--out", "my run", "--quiet")

@@ -56,6 +56,7 @@ def run(folder: Path, *arguments: str) -> dict:
     return json.loads((out / "summary.json").read_text())
 
 
+@pytest.mark.usefixtures("no_report")
 def test_through_the_ring_a_run_has_the_figures_of_the_twin(tmp_path: Path, raw_ethernet: None) -> None:
     direct, ring = run(tmp_path), run(tmp_path, "--plant", "emulated-ring")
     for summary in (direct, ring):
@@ -66,6 +67,7 @@ def test_through_the_ring_a_run_has_the_figures_of_the_twin(tmp_path: Path, raw_
         assert biases[0] == pytest.approx(biases[1], abs=tolerance), "counts make a difference, a small one"
 
 
+@pytest.mark.usefixtures("no_report", "no_repeats")
 def test_a_run_through_the_ring_is_resumed_to_the_same_bytes(tmp_path: Path, raw_ethernet: None) -> None:
     run(tmp_path, "--plant", "emulated-ring")
     folder = tmp_path / "run_--plant_emulated-ring"
