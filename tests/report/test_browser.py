@@ -23,10 +23,10 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
     expect(words).to_contain_text("deployment")
     last = int(slider.get_attribute("max") or 0)
     assert last > 0
-    before, said = canvas.screenshot(), words.inner_text()
+    before, said = watched_page.picture_of(canvas), words.inner_text()
     slider.fill(str(last // 2))
     expect(words).not_to_have_text(said)
-    assert canvas.screenshot() != before
+    watched_page.wait_for_change(canvas, before)
     watched_page.keep_screenshot("report_replay")
 
     slider.fill("0")

@@ -15,10 +15,6 @@ from tests.browser import Watched
 from tests.browser import watched_page as watched_page  # a fixture
 from tests.view.conftest import STEPS
 
-PATIENCE = 30_000
-"""Longest wait for the page [ms]; software draws some pictures a second."""
-
-
 @pytest.fixture
 def served(run_folder: Path) -> Iterator[str]:
     """Address of the page of a run."""
@@ -36,20 +32,18 @@ def served(run_folder: Path) -> Iterator[str]:
 
 def test_the_page(served: str, watched_page: Watched) -> None:
     page = watched_page.page
-    page.set_default_timeout(PATIENCE)
-    expect.set_options(timeout=PATIENCE)
     page.goto(served)
     body = page.locator("body")
     expect(body).to_contain_text("The robot is let go.")
     picture = page.locator("canvas").first
-    held = picture.screenshot()
+    held = watched_page.picture_of(picture)
     page.get_by_text("One step", exact=True).click()  # the hop of the release
     expect(body).to_contain_text("The robot has been let go.")
     expect(body).to_contain_text("Paused.")
     page.get_by_text("One step", exact=True).click()
     expect(body).to_contain_text("Step 1")
     expect(body).to_contain_text("Paused.")
-    assert picture.screenshot() != held, "the robot must have moved"
+    watched_page.wait_for_change(picture, held)  # the robot has moved
     watched_page.keep_screenshot("view_tracking")
 
     page.get_by_text("What was learnt").click()
