@@ -6,7 +6,7 @@ from pathlib import Path
 from threading import Event, Thread
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import ViewportSize, expect
 
 from stepgap.view.page import Page
 from stepgap.view.source import Source
@@ -14,6 +14,10 @@ from stepgap.view.watch import HERE, start_server, watch
 from tests.browser import Watched
 from tests.browser import watched_page as watched_page  # a fixture
 from tests.view.conftest import STEPS
+
+SMALL: ViewportSize = {"width": 800, "height": 500}
+"""Without a graphics card the processor computes every pixel of the scene, in every frame."""
+
 
 @pytest.fixture
 def served(run_folder: Path) -> Iterator[str]:
@@ -32,6 +36,7 @@ def served(run_folder: Path) -> Iterator[str]:
 
 def test_the_page(served: str, watched_page: Watched) -> None:
     page = watched_page.page
+    page.set_viewport_size(SMALL)
     page.goto(served)
     body = page.locator("body")
     expect(body).to_contain_text("The robot is let go.")
