@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import monotonic
 from urllib.parse import urlsplit
@@ -27,7 +27,9 @@ def chromium() -> Iterator[Browser]:
     if program is None:
         pytest.skip("no Chromium on this machine (Debian: apt install chromium), so pages are not looked at")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=[*ROOT_NEEDS, *SOFTWARE_WEBGL], timeout=PATIENCE)
+        browser = playwright.chromium.launch(
+            executable_path=program, args=[*ROOT_NEEDS, *SOFTWARE_WEBGL], timeout=PATIENCE
+        )
         yield browser
         browser.close()
 
@@ -67,10 +69,10 @@ class Watched:
         assert box is not None
         return self.page.screenshot(clip=box)
 
-    def wait_for_change(self, element: Locator, picture: bytes) -> None:
-        """Until an element looks otherwise than in a picture."""
+    def wait_for_change(self, take_picture: Callable[[], bytes], before: bytes) -> None:
+        """Takes pictures until one differs from that of before."""
         deadline = monotonic() + PATIENCE / 1000
-        while self.picture_of(element) == picture:
+        while take_picture() == before:
             assert monotonic() < deadline, "it looks the same as before"
 
     def close(self) -> None:

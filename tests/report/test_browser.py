@@ -1,5 +1,6 @@
 """The report in a headless Chromium: it asks nobody for anything, complains of nothing, its replay scrubs."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -23,10 +24,11 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
     expect(words).to_contain_text("deployment")
     last = int(slider.get_attribute("max") or 0)
     assert last > 0
-    before, said = watched_page.picture_of(canvas), words.inner_text()
+    take_picture = partial(watched_page.picture_of, canvas)
+    before, said = take_picture(), words.inner_text()
     slider.fill(str(last // 2))
     expect(words).not_to_have_text(said)
-    watched_page.wait_for_change(canvas, before)
+    watched_page.wait_for_change(take_picture, before)
     watched_page.keep_screenshot("report_replay")
 
     slider.fill("0")
