@@ -14,7 +14,7 @@ ARTEFACTS = "STEPGAP_TEST_ARTEFACTS"
 """Environment variable with the folder that keeps screenshots; without it, they go where the test's files are."""
 
 PATIENCE = 300_000
-"""Longest wait for the browser [ms]; on a busy machine software draws a picture in seconds. A wait that ends costs none."""
+"""Longest wait for the browser [ms]; it ends a test that hangs, since a busy machine draws a picture in seconds."""
 
 ROOT_NEEDS = ("--no-sandbox", "--disable-dev-shm-usage")
 SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")

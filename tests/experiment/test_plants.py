@@ -9,6 +9,7 @@ import subprocess
 import sys
 from io import StringIO
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
@@ -135,7 +136,7 @@ def test_sigterm_ends_a_run_as_ctrl_c_does(tmp_path: Path) -> None:
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     steps = tmp_path / "run" / "steps.csv"
     while process.poll() is None and not (steps.exists() and steps.read_bytes().count(b"\n") > 3):
-        os.sched_yield()
+        sleep(0.01)
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate()
     assert process.returncode == 130
