@@ -7,11 +7,14 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from inspect import signature
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from stepgap.base import compiled
 
 ROOT = Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -92,6 +95,15 @@ def test_go_has_help(option: str) -> None:
     outcome = subprocess.run([ROOT / "go", option], capture_output=True, text=True, check=False)
     assert (outcome.returncode, outcome.stderr) == (0, "")
     assert outcome.stdout.startswith("usage: ./go COMMAND")
+
+
+def test_coverage_leaves_out_all_that_is_compiled_and_no_more() -> None:
+    """It cannot see machine code, so lines that run only there would count as lines that no test runs."""
+    patterns = PYPROJECT["tool"]["coverage"]["report"]["exclude_also"]
+    makers = [name for name, made in vars(compiled).items() if getattr(made, "__module__", "") == compiled.__name__]
+    decorators = {name for name in makers if "function" in signature(getattr(compiled, name)).parameters}
+    left_out = {name for name in makers if any(re.search(pattern, f"@{name}") for pattern in patterns)}
+    assert left_out == {name for name in decorators if not name.startswith("_")}
 
 
 def test_readme_commands_exist() -> None:
