@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.files import naming
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
 LARGEST_FILE = 256 * 2**20
@@ -317,7 +318,7 @@ class StepWriter:
 
     def __init__(self, path: Path, space: StepSpace):
         self._header = ",".join(column_names(space))
-        self._file = path.open("a+b")
+        self._path, self._file = path, path.open("a+b")
         try:
             self._lock(path)
             self._file.seek(0)
@@ -339,18 +340,24 @@ class StepWriter:
                 raise
 
     def append(self, logged: LoggedStep) -> None:
-        """Writes one row, after the last whole one, and waits until the disk has it."""
+        """Writes one row, after the last whole one, and waits until the disk has it.
+
+        Raises:
+            OSError: The row cannot be written; the rows before it stay as they are.
+        """
         text = row_of(logged) if self._whole else f"{self._header}\n{row_of(logged)}"
         row = f"{text}\n".encode()
-        self._file.truncate(self._whole)
-        self._file.write(row)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        with naming(self._path):
+            self._file.truncate(self._whole)
+            self._file.write(row)
+            self._file.flush()
+            os.fsync(self._file.fileno())
         self._whole += len(row)
 
     def close(self) -> None:
         """Closes the file."""
-        self._file.close()
+        with naming(self._path):
+            self._file.close()
 
     def __enter__(self) -> "StepWriter":
         return self

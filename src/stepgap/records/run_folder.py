@@ -3,13 +3,13 @@
 The folder may still be growing: `steps.csv` may hold steps of a deployment that `summary.json` does not know yet.
 """
 
-import tomllib
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.settings_file import parse_toml
 from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog, column_names, digest, read_step_log
 from stepgap.records.paper import STATE_NAMES, UNITS
@@ -164,7 +164,7 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
 def _read_settings(path: Path) -> str | None:
     text = read_text(path, LARGEST_SETTINGS)
     try:
-        tomllib.loads(text or "")
-    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
+        parse_toml(text or "")
+    except ValueError as error:
         raise ValueError(f"{path}: not TOML ({error}); it must be the file that the run wrote") from None
     return text

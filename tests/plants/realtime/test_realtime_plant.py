@@ -152,7 +152,7 @@ def wait_for_end(process_id: int) -> None:
     """Until a process that is no child of this one has ended."""
     descriptor = os.pidfd_open(process_id)
     try:
-        assert select.select([descriptor], [], [], 60)[0], "it never ended"
+        assert select.select([descriptor], [], [], 600)[0], "it never ended"
     finally:
         os.close(descriptor)
 

@@ -151,6 +151,13 @@ def test_comments_and_odd_layouts_are_kept() -> None:
     )
 
 
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
+    rig_file, out = tmp_path / "rig.toml", tmp_path / "new.toml"
+    rig_file.write_text(EXAMPLE.read_text("utf-8"), encoding="utf-8-sig")
+    write_calibrated(rig_file, out, with_zeros(SETTINGS, dict.fromkeys(SENSORS, 3)))
+    assert read_rig_settings(out) == with_zeros(SETTINGS, dict.fromkeys(SENSORS, 3))
+
+
 def test_a_file_that_cannot_be_changed_so_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
     rig_file, out = tmp_path / "rig.toml", tmp_path / "new.toml"
     inline = 'boom_vertical = { slave = "pitch encoder", counts_per_turn = 16384 }\n'

@@ -1,7 +1,6 @@
 """The zeros of a rig's sensors, from what they count in a pose that is known."""
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import asin, isfinite, tau
@@ -10,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.settings_file import InputError, parse_toml
 from stepgap.plants.commissioning.limp import Ticks
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.ethercat import RigSettings, read_rig_settings
@@ -148,7 +147,7 @@ def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:
 
 
 def _has_zero(text: str, table: str) -> bool:
-    return "zero" in tomllib.loads(text).get(table, {})
+    return "zero" in parse_toml(text).get(table, {})
 
 
 def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:
@@ -164,7 +163,7 @@ def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:
     """
     zeros = {table: getattr(settings, table).zero for table in SENSORS}
     try:
-        text = replaced_zeros(rig_file.read_bytes().decode("utf-8"), zeros)
+        text = replaced_zeros(rig_file.read_bytes().decode("utf-8-sig"), zeros)
         with out.open("xb") as file:
             file.write(text.encode("utf-8"))
     except OSError as error:
