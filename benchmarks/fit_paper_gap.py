@@ -102,7 +102,7 @@ def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) 
     rng = random_stream(seed, 0)
     turn = rng.uniform(0, tau)
     twin = Twin(robot, gap, rng, ground=ground, turn=turn)
-    uncorrected = Learner(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
+    uncorrected = Learner.start(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
     steps = deploy(uncorrected, RigPlant(twin, robot, gains, bounds), reference, iteration=0)
     with threadpool_limits(limits=1, user_api="blas"), closing(steps):
         log = StepLog(nominal.space, islice(steps, most_steps))

@@ -122,7 +122,7 @@ def test_nothing_completed_has_no_error() -> None:
 def test_repeatability_is_the_noise_of_the_plant() -> None:
     reference = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (2, (0.2, 0.58))], steps=2000)
     plant = plant_of(REALITY)(np.random.default_rng(1))
-    steps = list(deploy(Learner(NOMINAL, in_space([]), ALWAYS, 0), plant, reference, 0))
+    steps = list(deploy(Learner.start(NOMINAL, in_space([]), ALWAYS, 0), plant, reference, 0))
     assert repeatability(in_space(steps), reference) == pytest.approx(NOISE, rel=0.05)
     assert np.isnan(repeatability(in_space(steps[:9]), reference)).all(), "4 steady steps cannot tell 5 coefficients"
     assert np.isnan(repeatability(in_space([]), reference)).all()
@@ -150,9 +150,9 @@ def test_learning_closes_the_gap(tmp_path: Path) -> None:
 
 
 def test_nothing_learnt_leaves_the_nominal_map() -> None:
-    assert Learner(NOMINAL, in_space([]), ALWAYS, 1).residual.kind == "none"
+    assert Learner.start(NOMINAL, in_space([]), ALWAYS, 1).residual.kind == "none"
     failing = in_space([logged(1, (0.1, 0.5), (0.1, 0.5))])
-    assert Learner(NeverWorks(), failing, ALWAYS, 1).residual.kind == "none"
+    assert Learner.start(NeverWorks(), failing, ALWAYS, 1).residual.kind == "none"
 
 
 def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:

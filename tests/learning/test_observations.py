@@ -19,7 +19,7 @@ def log_of(*deployments: int, fallen: bool = False) -> StepLog:
             after, status = actual(state[row], command[row]), StepStatus.OK
             after, status = (np.full(2, np.nan), StepStatus.FELL) if fell else (after, status)
             record = StepRecord(state[row], 2 * command[row], command[row], after, status)
-            log.append(LoggedStep(iteration, number, state[row], state[row], np.zeros(2), record))
+            log += [LoggedStep(iteration, number, state[row], state[row], np.zeros(2), record)]
     return log
 
 

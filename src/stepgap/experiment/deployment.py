@@ -2,16 +2,18 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from typing import Protocol, Self
 
 import numpy as np
 
 from stepgap.control.careful_controller import CarefulController, CarefulPlan
 from stepgap.control.reference import Reference
 from stepgap.experiment.exploration import calibrating_plan, goals_of
-from stepgap.learning.learner import Learner
+from stepgap.learning.background import BackgroundThread, Deferred
+from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
-from stepgap.step import Array, StepFailed, StepStatus
+from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 Steps = Generator[LoggedStep, None, None]
 """Steps as they are executed; closing it stops the plant."""
@@ -66,18 +68,50 @@ def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment
     )
 
 
-def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int, calibration: int = 0) -> Steps:
+class AdaptiveMap(Protocol):
+    """What a deployment needs to know of the map between two steps; a `Learner` is one."""
+
+    @property
+    def nominal(self) -> StepMap:
+        """Map of the physics model."""
+        ...
+
+    @property
+    def residual(self) -> Residual:
+        """Model of actual − nominal for the step to come."""
+        ...
+
+    @property
+    def failures(self) -> Array:
+        """Points (state, command) of the steps that failed; shape (k, n + m)."""
+        ...
+
+    @property
+    def pending(self) -> Deferred[Residual] | None:
+        """What a thread may compute while the robot hops."""
+        ...
+
+    def step_map(self) -> StepMap:
+        """The map to plan the next step with."""
+        ...
+
+    def after(self, logged: LoggedStep) -> Self:
+        """The map after the step just executed."""
+        ...
+
+
+def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: int, calibration: int = 0) -> Steps:
     """Tracks the reference with the map as it is known at each step, until its end or a fall.
 
     Args:
-        learner: Says what is known, and is told of every step.
+        learner: What is known before the first step.
         plant: Executes the steps.
         reference: What to track, from step 1 on.
         iteration: Number of the deployment.
         calibration: Steps before that, numbered up to 0, whose commands are chosen for what they teach.
     """
     command = None
-    with learner, plant:
+    with BackgroundThread() as background, plant:
         state = plant.start()
         for number in range(1 - calibration, len(reference) + 1):
             controller = CarefulController(learner.step_map(), learner.nominal, learner.failures)
@@ -86,14 +120,14 @@ def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int,
                 plan = calibrating_plan(controller, learner.residual, state, goals)
             else:
                 plan = tracking_plan(controller, state, reference.targets[number - 1], command)
-            learner.fit_beside()
+            background.compute(learner.pending)  # now that the command is out, so that it delays none
             record = plant.take_step(plan.command)
             target = reference.targets[number - 1] if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
             yield logged
             if record.status != StepStatus.OK:
                 return
-            learner.observe(logged)
+            learner = learner.after(logged)
             state, command = record.next_state, plan.command
 
 

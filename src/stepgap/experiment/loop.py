@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import reduce
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -132,7 +133,7 @@ def run(
         former = _read_summary(folder / "summary.json")
         vouched = _vouched_deployments(former, writer.recorded, seed, past)
         for iteration in range(learning.iterations + 1):
-            learner = Learner(nominal, StepLog(nominal.space, [*past, *log]), learning, iteration)
+            learner = Learner.start(nominal, StepLog(nominal.space, [*past, *log]), learning, iteration)
             if iteration > 0 or len(past):
                 write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(learner.residual.to_dict()))
             kept, plant = not replays and bool(recorded) and recorded[0].iteration == iteration, None
@@ -144,11 +145,11 @@ def run(
                 steps = _recorded_once(steps, recorded, writer, path)
             with closing(steps):  # so that an error here stops the plant at once
                 for logged in steps:
-                    log.append(logged)
+                    log += [logged]
                     observer.on_step(logged)
             if plant and plant.fault:
                 observer.on_fault(plant.fault)
-            kind = learning.residual if learning.lessons(iteration) else learner.residual.name
+            kind = learning.residual if learning.steps_to_learn(iteration) else learner.residual.name
             deployments.append(summarise(log.of_iteration(iteration), reference, kind))
             if not recorded:
                 write_whole(
@@ -160,7 +161,8 @@ def run(
         if measure_spread and learner and not recorded:
             spread = _measured_spread(former, nominal.space.state_names) if vouched == len(deployments) else None
             if spread is None:
-                spread = measure_spread(learner.step_map(), random_stream(seed, deployments[-1].iteration, 1))
+                last = reduce(Learner.after, log.of_iteration(deployments[-1].iteration).completed(), learner)
+                spread = measure_spread(last.step_map(), random_stream(seed, deployments[-1].iteration, 1))
             summary = _summary(deployments, log, reference, seed, past, spread)
             write_whole(folder / "summary.json", json.dumps(summary, indent=1))
     if recorded:

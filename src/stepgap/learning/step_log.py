@@ -111,16 +111,16 @@ def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
 
 
 class StepLog:
-    """Steps in the order in which they were executed.
+    """Steps in the order in which they were executed; immutable, `log + steps` is a longer one.
 
     Args:
         space: Names of their state and command.
-        steps: What is known already.
+        steps: Those in it.
     """
 
     def __init__(self, space: StepSpace, steps: Iterable[LoggedStep] = ()):
         self.space = space
-        self._steps = list(steps)
+        self._steps = tuple(steps)
 
     def __len__(self) -> int:
         return len(self._steps)
@@ -128,9 +128,14 @@ class StepLog:
     def __iter__(self) -> Iterator[LoggedStep]:
         return iter(self._steps)
 
-    def append(self, logged: LoggedStep) -> None:
-        """Adds a step."""
-        self._steps.append(logged)
+    def __add__(self, steps: Iterable[LoggedStep]) -> "StepLog":
+        """These steps, then others."""
+        return StepLog(self.space, (*self._steps, *steps))
+
+    @property
+    def last(self) -> LoggedStep | None:
+        """The latest step; None if there is none."""
+        return self._steps[-1] if self._steps else None
 
     def of_iteration(self, iteration: int) -> "StepLog":
         """The steps of one deployment."""
@@ -212,8 +217,7 @@ def joined(logs: Sequence[StepLog]) -> StepLog:
     whole = StepLog(logs[0].space)
     for log in logs:
         first = max(whole.iterations, default=-1) + 1
-        for logged in log:
-            whole.append(replace(logged, iteration=logged.iteration + first))
+        whole += [replace(logged, iteration=logged.iteration + first) for logged in log]
     return whole
 
 
@@ -249,18 +253,19 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_FILE + 1)
-    steps, readable = StepLog(space), _readable(content)
+    steps: list[LoggedStep] = []
+    readable = _readable(content)
     try:
         for logged in _steps_in(content[:readable], path, space):
             steps.append(logged)
     except RecordError as error:
-        if not len(steps):
+        if not steps:
             raise
-        return steps, str(error)
+        return StepLog(space, steps), str(error)
     if readable < len(content):
-        return steps, f"{path}: no text from byte {readable} on"
+        return StepLog(space, steps), f"{path}: no text from byte {readable} on"
     cut = content[content.rfind(b"\n") + 1 :]
-    return steps, f"{path}: the last line breaks off after {len(cut)} bytes" if cut else ""
+    return StepLog(space, steps), f"{path}: the last line breaks off after {len(cut)} bytes" if cut else ""
 
 
 def _readable(content: bytes) -> int:
