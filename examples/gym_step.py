@@ -27,7 +27,7 @@ def episode(plan, seed, iteration):
         seen, _, fell, at_end, info = env.step(space.point_of(planned.command))
         over, status = fell or at_end, StepStatus[info["status"].upper()]
         errors.append(seen[:2] - target)
-        record = StepRecord(state, info["command"], info["applied"], seen[:2], status, info.get("place", np.nan))
+        record = StepRecord(state, info["command"], info["applied"], seen[:2], status, info.get("yaw", np.nan))
         steps.append(LoggedStep(iteration, len(errors), target, planned.predicted, np.zeros(2), record))
     return steps, np.sqrt(np.mean(np.square(errors), axis=0))
 

@@ -73,8 +73,8 @@ def test_online_the_error_falls_from_hop_to_hop(kind: ResidualKind) -> None:
     truth = REALITY.evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state
 
     def error(learner: Learner) -> Array:
-        missed = learner.step_map().evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state - truth
-        return np.sqrt(np.mean(missed**2, axis=0))
+        innovations = learner.step_map().evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state - truth
+        return np.sqrt(np.mean(innovations**2, axis=0))
 
     later = after(learner, hops(REALITY, 60, seed=2))
     assert (error(later) < (0.9 if kind == "constant" else 0.35) * error(learner)).all()
@@ -177,35 +177,35 @@ def test_steps_that_failed_are_remembered() -> None:
 
 
 def leaning(reality: StepMap, seed: int, iteration: int) -> list[LoggedStep]:
-    """Hops on a boom that leans: the place adds a wave to the speed, its zero elsewhere in each deployment."""
-    place = 10.0 * seed
+    """Hops on a boom that leans: a sine of the yaw is added to the speed, with another zero in each deployment."""
+    yaw = 10.0 * seed
     rng, steps = np.random.default_rng([seed, 1]), []
     for logged in hops(reality, 200, seed=seed, iteration=iteration):
-        added = np.array([0.02 * np.sin(place), 0.0])
-        place += rng.uniform(0.05, 0.35)
-        record = replace(logged.record, next_state=logged.record.next_state + added, place_after=place)
+        added = np.array([0.02 * np.sin(yaw), 0.0])
+        yaw += rng.uniform(0.05, 0.35)
+        record = replace(logged.record, next_state=logged.record.next_state + added, yaw_after=yaw)
         steps.append(replace(logged, record=record))
     return steps
 
 
-def test_what_a_place_adds_is_no_error_of_the_map_and_followed_there() -> None:
-    """Steps are judged from a known place on; the wave's own RMS is 14 mm/s, the noise 4."""
+def test_what_depends_on_the_yaw_is_no_error_of_the_map_and_is_followed() -> None:
+    """After a known yaw; the RMS of the sine is 14 mm/s, that of the noise 4 mm/s."""
     known = leaning(REALITY, 1, 0) + leaning(REALITY, 2, 1)
     rms: dict[bool, tuple[float, float]] = {}
     for drift in (True, False):
         learner = Learner.start(NOMINAL, log_of(known), LearningSettings(drift=drift), 2)
-        points, missed = POINTS[:, :2], []
+        points, innovations = POINTS[:, :2], []
         learnt = learner.residual.mean(POINTS) - (REALITY(points, POINTS[:, 2:]) - NOMINAL(points, POINTS[:, 2:]))
         for logged in leaning(REALITY, 3, 2):
             record = logged.record
-            missed.append(record.next_state - learner.step_map()(record.state, record.applied))
+            innovations.append(record.next_state - learner.step_map()(record.state, record.applied))
             learner = learner.after(logged)
-        rms[drift] = float(np.std(learnt[:, 0])), float(np.std(np.array(missed)[60:, 0]))
+        rms[drift] = float(np.std(learnt[:, 0])), float(np.std(np.array(innovations)[60:, 0]))
     assert rms[True][0] < 0.7 * rms[False][0]
     assert rms[True][1] < 0.006 < 0.013 < rms[False][1]
 
 
-def test_without_a_correction_what_a_place_adds_is_noise() -> None:
+def test_without_a_correction_what_depends_on_the_yaw_is_noise() -> None:
     """Nothing is followed then, so that a step scatters by it; of a robot that is the model, `auto` takes none, too."""
     known = leaning(NOMINAL, 1, 0) + leaning(NOMINAL, 2, 1)
     errors = observe(log_of(known), NOMINAL).error

@@ -115,7 +115,7 @@ class TestRefused:
         with pytest.raises(ValueError, match="equally many"):
             observed_with(right[1:])
 
-    @pytest.mark.parametrize("named", ["place", "deployment"])
-    def test_places_or_deployments_of_other_steps(self, named: str) -> None:
+    @pytest.mark.parametrize("named", ["yaw", "deployment"])
+    def test_yaws_or_deployments_of_other_steps(self, named: str) -> None:
         with pytest.raises(ValueError, match="equally many"):
             replace(Observations(SPACE, *self.DATA), **{named: np.zeros(3, np.intp)})

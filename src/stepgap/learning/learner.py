@@ -8,9 +8,8 @@ import numpy as np
 
 from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.drift import Drift
+from stepgap.learning.disturbance import DisturbanceFilter, without_yaw_dependence
 from stepgap.learning.observations import context_after, error_of, next_context, observe
-from stepgap.learning.place_effects import without_place_effects
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
@@ -72,7 +71,7 @@ class Learner:
     """What is known between two steps of a deployment; `Learner.start` makes the first one, `after` the next one.
 
     A correction that predicted the latest steps significantly worse than the nominal map is left out until it predicts
-    better again. It is shifted by what drifts, from hop to hop and with the yaw. A learner that learns online updates
+    better again. It is shifted by the estimated disturbance. A learner that learns online updates
     its residual with every step before the next one is planned, and also finds new hyper-parameters: the fit is
     deferred, so that a `BackgroundThread` can compute `pending` while the robot hops, and its result is taken over a
     fixed number of steps later. So the same steps give the same learner, however long a fit takes.
@@ -86,7 +85,7 @@ class Learner:
         context: That history, as `observations` defines it; shape (2n + m + 1,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
         steps_to_learn: Number of steps of this deployment that will still be learnt from.
-        drift: Estimate of what changes from step to step.
+        disturbance: What depends on time and yaw, not on state and command.
         monitor: Comparison of the correction with the nominal map.
         refit: The fit that is running, if there is one.
         refit_from: Number of known steps from which the next fit may begin.
@@ -100,7 +99,7 @@ class Learner:
     context: Array
     failures: Array
     steps_to_learn: float
-    drift: Drift
+    disturbance: DisturbanceFilter
     monitor: Monitor
     refit: Refit | None
     refit_from: float
@@ -126,7 +125,7 @@ class Learner:
             context=next_context(log, nominal, iteration),
             failures=np.array(failures).reshape(len(failures), len(space.state) + len(space.command)),
             steps_to_learn=settings.steps_to_learn(iteration),
-            drift=Drift.none(len(space.state)),
+            disturbance=DisturbanceFilter.initial(len(space.state)),
             monitor=Monitor(),
             refit=None,
             refit_from=max(1.0, REFIT_GROWTH * len(log)),
@@ -141,7 +140,7 @@ class Learner:
     def yaw(self) -> float:
         """Yaw at which the step to come starts [rad], NaN where it is not known."""
         last = self.log.last
-        return last.record.place_after if last and last.iteration == self.iteration else nan
+        return last.record.yaw_after if last and last.iteration == self.iteration else nan
 
     @property
     def pending(self) -> Deferred[Residual] | None:
@@ -152,7 +151,7 @@ class Learner:
         """The map to plan the next step with."""
         if self.monitor.worse:
             return CorrectedMap(self.nominal, no_residual(*self.model.sizes))
-        residual, offset, share = self.residual, self.drift.offset(self.yaw), self.drift.std(self.yaw)
+        residual, offset, share = self.residual, self.disturbance.offset(self.yaw), self.disturbance.std(self.yaw)
         return CorrectedMap(self.nominal, residual, offset, share * residual.noise_std)
 
     def after(self, logged: LoggedStep) -> "Learner":
@@ -170,12 +169,12 @@ class Learner:
             return learner._with_refit()
         residual, scale = self.residual, self.nominal.space.state_scale
         remaining = error - residual.mean(point)
-        innovation = remaining - self.drift.offset(self.yaw)  # of the correction as it is deployed
+        innovation = remaining - self.disturbance.offset(self.yaw)  # of the correction as it is deployed
         follows = self.settings.drift and residual.kind != "none"
         learner = replace(
             learner,
             monitor=self.monitor.updated(error / scale, innovation / scale),
-            drift=self.drift.followed(remaining, self.yaw) if follows else self.drift,
+            disturbance=self.disturbance.updated(remaining, self.yaw) if follows else self.disturbance,
         )
         if self.steps_to_learn > 0:
             learner = learner._updated(self.context, point, error)
@@ -217,11 +216,11 @@ def _fitted(
     errors = observe(log, nominal)
     kind = settings.residual if len(errors) else "none"
     if settings.drift and kind != "none":
-        cleaned = without_place_effects(errors, iteration)
+        cleaned = without_yaw_dependence(errors, iteration)
         residual = fit_residual(kind, cleaned, settings.features, settings.memory, start)
         if residual.kind != "none":
             return residual
-        kind = "none"  # without a correction nothing drifts with it: what depends on the yaw is noise
+        kind = "none"  # without a correction no disturbance is estimated: it is noise
     return fit_residual(kind, errors, settings.features, settings.memory, start)
 
 

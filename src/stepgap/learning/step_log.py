@@ -54,7 +54,7 @@ def column_names(space: StepSpace) -> list[str]:
         *command,
         *(f"applied_{name}" for name in command),
         *(f"{kind}_{name}" for kind in ("next", "predicted", "std") for name in state),
-        "place_after",
+        "yaw_after",
         "status",
     ]
 
@@ -74,7 +74,7 @@ def _values(logged: LoggedStep) -> list[int | float | str]:
     before = (record.state, logged.target, record.command, record.applied)
     after = (record.next_state, logged.predicted, logged.std)
     numbers = np.concatenate(before + after).tolist()
-    return [logged.iteration, logged.step, *numbers, float(record.place_after), record.status.label]
+    return [logged.iteration, logged.step, *numbers, float(record.yaw_after), record.status.label]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -87,14 +87,14 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
     n, m = len(space.state), len(space.command)
     numbers = np.array([float(cell) for cell in cells[2:-1]])
     parts = np.split(numbers, np.cumsum([n, n, m, m, n, n, n]))
-    state, target, command, applied, next_state, predicted, std, (place,) = parts
+    state, target, command, applied, next_state, predicted, std, (yaw,) = parts
     status = StepStatus[cells[-1].upper()]
     known = [state, target, command, applied, std]
     if status == StepStatus.OK:
         known.append(next_state)
     if not np.isfinite(np.concatenate(known)).all():
         raise ValueError("a number is not finite")
-    record = StepRecord(state, command, applied, next_state, status, float(place))
+    record = StepRecord(state, command, applied, next_state, status, float(yaw))
     return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
 
 
@@ -160,9 +160,9 @@ class StepLog:
         return sum(logged.record.status != StepStatus.OK for logged in self._steps)
 
     @property
-    def place(self) -> Array:
-        """Places at the start of each step [rad], NaN where they are not known; shape (N,)."""
-        before = np.roll([logged.record.place_after for logged in self._steps], 1)
+    def yaw(self) -> Array:
+        """Yaw at the start of each step [rad], NaN where it is not known; shape (N,)."""
+        before = np.roll([logged.record.yaw_after for logged in self._steps], 1)
         return np.where(self.follows, before, np.nan)
 
     @property
@@ -219,6 +219,15 @@ def joined(logs: Sequence[StepLog]) -> StepLog:
         first = max(whole.iterations, default=-1) + 1
         whole += [replace(logged, iteration=logged.iteration + first) for logged in log]
     return whole
+
+
+def check_not_older(header: Sequence[str], path: Path) -> None:
+    """Raises RecordError if a header names a column as only earlier versions of StepGap did."""
+    if "place_after" in header:
+        raise RecordError(
+            f"{path}, line 1: recorded by an older version of StepGap, in which the column yaw_after was called "
+            "place_after; run its experiment.toml again, or read the steps alone after renaming the column"
+        )
 
 
 def text_of(log: StepLog) -> str:
@@ -293,6 +302,7 @@ def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedSt
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: not a text file in UTF-8 ({error.reason})") from None
     if lines[:1] != [header]:
+        check_not_older(lines[0].split(",") if lines else [], path)
         raise RecordError(f"{path}, line 1: the columns must be {header}")
     last = None
     for number, line in enumerate(lines[1:], start=2):
