@@ -64,7 +64,7 @@ def measure_repeatability(
     return _pooled(deviations, freedom)
 
 
-def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, turn: float = 0.0) -> Array:
+def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, floor_yaw: float = 0.0) -> Array:
     """Next state of a copy of the plant that takes the step with other noise; the plant itself stays at the apex.
 
     Args:
@@ -72,9 +72,9 @@ def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generat
         twin: The one that `plant` hops.
         command: Of the step; shape (m,).
         rng: Draws the copy's noise.
-        turn: Angle by which the floor is turned under the copy [rad].
+        floor_yaw: Angle by which the floor is turned under the copy [rad].
     """
-    return deepcopy(plant, {id(twin): twin.fork(rng, turn=turn)}).take_step(command).next_state
+    return deepcopy(plant, {id(twin): twin.fork(rng, floor_yaw=floor_yaw)}).take_step(command).next_state
 
 
 def _command(controller: StepController, state: Array, target: Array) -> Array:
