@@ -30,12 +30,13 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import SETTLING_STEPS, paper_reference
-from stepgap.experiment.deployment import Deployment, deploy, summarise
+from stepgap.experiment.deployment import deploy, summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.paper import NO_GP
+from stepgap.records.summary import Deployment
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters

@@ -21,7 +21,7 @@ SHORT = ["--reference", "short.csv"]
 def test_the_page_of_data_runs(
     stepgap: Command, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+    monkeypatch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, 0.01]))
     Path("short.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
     assert stepgap("run", *SHORT, "--out", "runs/latest", "--iterations", 1, "--quiet").code == 0
     for language, block in BLOCKS:

@@ -15,7 +15,7 @@ TARGETS = "speed,height\n" + 6 * "0.1,0.56\n" + 10 * "0.25,0.6\n"
 
 @pytest.fixture(autouse=True)
 def _no_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+    monkeypatch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, 0.01]))
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def cold(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cold")
     (folder / "targets.csv").write_text(TARGETS)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, 0.01]))
         reference = ["--reference", str(folder / "targets.csv")]
         main(["run", *reference, "--iterations", "1", "--out", str(folder / "run"), "--seed", "5", "--quiet"])
     return folder

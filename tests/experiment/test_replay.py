@@ -48,7 +48,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RigPlant, "start", watched_start)
-        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, 0.01]))
         patch.setattr(
             "stepgap.cli.run_report.report_run", lambda folder, *_: Report(folder, ())
         )  # its figures take time

@@ -22,6 +22,6 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two deployments of four steps on the twin."""
     folder = tmp_path_factory.mktemp("viewed") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, 0.01]))
         run_into(folder, "--quiet")
     return folder

@@ -1,7 +1,6 @@
 """One deployment: track a reference with what is known of the map, step by step, and measure how well."""
 
 from collections.abc import Generator
-from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
@@ -13,37 +12,11 @@ from stepgap.learning.background import BackgroundThread, Deferred
 from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
+from stepgap.records.summary import Deployment
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 Steps = Generator[LoggedStep, None, None]
 """Steps as they are executed; closing it stops the plant."""
-
-
-@dataclass(frozen=True, eq=False)
-class Deployment:
-    """Tracking errors of one deployment, next state − target, over the steps that ended with an apex.
-
-    Attributes:
-        iteration: Its number.
-        residual: Kind of the residual model that the controller used.
-        steps: Steps executed, those of a calibration included, of which no errors are counted.
-        falls: Steps that ended without an apex; at most one, because the deployment ends with it.
-        rmse: Root-mean-square error; shape (n,).
-        mae: Mean absolute error; shape (n,).
-        bias: Mean error; shape (n,).
-        steady_rmse: RMSE over `Reference.steady`; NaN where there are none; shape (n,).
-        transient_rmse: RMSE over `Reference.transient`; shape (n,).
-    """
-
-    iteration: int
-    residual: str
-    steps: int
-    falls: int
-    rmse: Array
-    mae: Array
-    bias: Array
-    steady_rmse: Array
-    transient_rmse: Array
 
 
 def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment:
@@ -66,6 +39,22 @@ def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment
         steady_rmse=rms(error[np.isin(numbers, reference.steady)]),
         transient_rmse=rms(error[np.isin(numbers, reference.transient)]),
     )
+
+
+def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
+    """Standard deviation of the next state at equal state and command, from steady steps [state units]; shape (n,).
+
+    Estimated from one deployment: the residual standard error of the next state after a linear fit in state and
+    command. Where the map bends, that is more than the true noise. NaN where the steps are too few.
+    """
+    numbers = set((reference.steady + 1).tolist())
+    steady = StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))
+    inputs = np.hstack([np.ones((len(steady), 1)), steady.state, steady.applied])
+    degrees_of_freedom = len(steady) - inputs.shape[1]
+    if degrees_of_freedom < 1:
+        return np.full(len(steps.space.state), np.nan)
+    fitted = inputs @ np.linalg.lstsq(inputs, steady.next_state, rcond=None)[0]
+    return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / degrees_of_freedom)
 
 
 class AdaptiveMap(Protocol):

@@ -24,7 +24,7 @@ REPEATS = 12
 """How often it is repeated."""
 
 
-def measure_repeatability(
+def measure_noise_floor(
     plant: RigPlant, twin: Twin, step_map: StepMap, reference: Reference, rng: np.random.Generator
 ) -> Array:
     """Pooled standard deviation of the next state when the twin repeats a step [state units]; shape (n,).

@@ -13,7 +13,7 @@ import numpy as np
 from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog, check_not_older, column_names, digest, read_step_log
 from stepgap.records.paper import STATE_NAMES, UNITS
-from stepgap.records.summary import LARGEST_NUMBER, FinishedDeployment, Summary, read_summary, read_text
+from stepgap.records.summary import LARGEST_NUMBER, Deployment, Summary, read_summary, read_text
 from stepgap.step import Array, Quantity, StepSpace
 
 LARGEST_SETTINGS = 2**18
@@ -45,7 +45,7 @@ class RunRecord:
     settings: str | None
 
     @property
-    def deployments(self) -> tuple[FinishedDeployment, ...]:
+    def deployments(self) -> tuple[Deployment, ...]:
         """The finished ones, rising."""
         return self.summary.deployments
 
