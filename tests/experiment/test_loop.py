@@ -283,7 +283,7 @@ def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tm
     """The map at the end of the last deployment, with the disturbance estimated by then, whoever executed its steps."""
     maps: list[CorrectedMap] = []
 
-    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:  # noqa: ARG001
+    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
         assert isinstance(step_map, CorrectedMap)
         maps.append(step_map)
         if len(maps) == 1:

@@ -91,7 +91,7 @@ def run(
     log, deployments = StepLog(nominal.space), list[Deployment]()
     past, names, scale = _as_past(known or log), nominal.space.state_names, nominal.space.state_scale
     one_thread = threadpool_limits(limits=1, user_api="blas")  # same bytes on any machine
-    with Recording(folder, nominal.space, seed, past, replays) as recording, one_thread:
+    with one_thread, Recording(folder, nominal.space, seed, past, replays) as recording:
         while True:
             iteration = len(deployments)
             learner = Learner.start(nominal, past + log, learning, iteration)
