@@ -17,7 +17,7 @@ from time import perf_counter, sleep
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.control.careful_controller import CarefulController
+from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
 from stepgap.learning.background import BackgroundThread
@@ -53,7 +53,7 @@ def measure(nominal: ApexMap, known: list[LoggedStep], new: list[LoggedStep], ho
         for logged in new:
             begin = perf_counter()
             learner = learner.after(logged)
-            controller = CarefulController(learner.step_map(), nominal, learner.failures)
+            controller = CautiousController(learner.step_map(), nominal, learner.failures)
             controller(logged.record.next_state, logged.target, guess=logged.record.command)
             seconds.append(perf_counter() - begin)
             background.compute(learner.pending)

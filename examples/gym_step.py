@@ -5,7 +5,7 @@ import numpy as np
 
 import stepgap.gym
 from stepgap import Reference, StepController, StepRecord
-from stepgap.control.careful_controller import CarefulController
+from stepgap.control.cautious_controller import CautiousController
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -34,7 +34,7 @@ def episode(plan, seed, iteration):
 
 steps, first = episode(StepController(nominal), 0, 0)
 learner = Learner.start(nominal, StepLog(space, steps), LearningSettings(), 1)
-_, second = episode(CarefulController(learner.step_map(), nominal, learner.failures), 1, 1)
+_, second = episode(CautiousController(learner.step_map(), nominal, learner.failures), 1, 1)
 print("model's map: speed {:.4f} m/s, height {:.4f} m".format(*first))
 print("corrected:   speed {:.4f} m/s, height {:.4f} m".format(*second))
 env.close()

@@ -5,7 +5,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from stepgap.control.careful_controller import CarefulController, CarefulPlan
+from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.reference import Reference
 from stepgap.experiment.exploration import calibrating_plan, goals_of
 from stepgap.learning.background import BackgroundThread, Deferred
@@ -103,7 +103,7 @@ def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: 
     with BackgroundThread() as background, plant:
         state = plant.start()
         for number in range(1 - calibration, len(reference) + 1):
-            controller = CarefulController(learner.step_map(), learner.nominal, learner.failures)
+            controller = CautiousController(learner.step_map(), learner.nominal, learner.failures)
             if number < 1:
                 goals = goals_of(reference, controller.step_map)
                 plan = calibrating_plan(controller, learner.residual, state, goals)
@@ -120,10 +120,10 @@ def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: 
             state, command = record.next_state, plan.command
 
 
-def tracking_plan(controller: CarefulController, state: Array, target: Array, guess: Array | None) -> CarefulPlan:
+def tracking_plan(controller: CautiousController, state: Array, target: Array, guess: Array | None) -> CautiousPlan:
     """The command for a target; the middle of the bounds where the map knows none that makes a step."""
     try:
         return controller(state, target, guess=guess)
     except StepFailed:
         command = controller.step_map.space.command_centre
-        return CarefulPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))
+        return CautiousPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))
