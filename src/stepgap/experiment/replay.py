@@ -157,8 +157,8 @@ def _not_again(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
     reason = (
         f"it was run with {'; '.join(changed)}" if changed else "the record was changed, or made on another machine"
     )
-    place = f"step {logged.step} of deployment {logged.iteration}"
-    return f"{folder / 'steps.csv'}: {place} could not be made again to the last bit; {reason}"
+    step = f"step {logged.step} of deployment {logged.iteration}"
+    return f"{folder / 'steps.csv'}: {step} could not be made again to the last bit; {reason}"
 
 
 class _Recorder:
