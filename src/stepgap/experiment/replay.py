@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.experiment.loop import versions_here
+from stepgap.base.versions import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
 from stepgap.experiment.settings import Experiment, InputError, read_experiment
 from stepgap.learning.step_log import LoggedStep, RecordError, read_step_log, row_of
@@ -159,8 +159,8 @@ def _not_again(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
     reason = (
         f"it was run with {'; '.join(changed)}" if changed else "the record was changed, or made on another machine"
     )
-    place = f"step {logged.step} of deployment {logged.iteration}"
-    return f"{folder / 'steps.csv'}: {place} could not be made again to the last bit; {reason}"
+    step = f"step {logged.step} of deployment {logged.iteration}"
+    return f"{folder / 'steps.csv'}: {step} could not be made again to the last bit; {reason}"
 
 
 class _Recorder:

@@ -15,7 +15,7 @@ import numpy as np
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import layout_of, logged_ticks, replayed_hops
 from stepgap.experiment.settings import InputError, read_experiment
-from stepgap.learning.learner import next_context
+from stepgap.learning.observations import next_context
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep, StepLog, read_step_log
