@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from stepgap.base.normal import INTERVAL_95
 from stepgap.bench.timing import machine, peers, timed
-from stepgap.learning.gaussian_process import append
 from stepgap.learning.gaussian_process_fit import fit_gaussian_process
 from stepgap.learning.sparse_gaussian_process import fit_sparse
 from stepgap.step import Array
@@ -137,7 +137,11 @@ def _ours() -> list[Library]:
     def sparse(points: Array, values: Array, starts: int) -> Any:
         return fit_sparse(points, values, SCALE, VALUE_SCALE)
 
-    both = {"predict_gradient": predict_gradient, "append": append, "starts": MOST_STARTS}
+    both = {
+        "predict_gradient": predict_gradient,
+        "append": lambda process, point, value: process.append(point, value),
+        "starts": MOST_STARTS,
+    }
     return [
         Library("StepGap", "priors; starts compete on at most 100 points", exact, predict, 3000, **both),
         Library("StepGap, linear basis", "and slopes", linear, predict, 3000, **both),
@@ -161,7 +165,7 @@ def time_libraries(
     rows = []
     for i, (library, process) in enumerate(pairs):
         mean, std = library.predict(process, queries)
-        covered = np.abs(observed - mean) < 1.96 * np.hypot(std, NOISE)
+        covered = np.abs(observed - mean) < INTERVAL_95 * np.hypot(std, NOISE)
         gradient = library.predict_gradient and partial(library.predict_gradient, process, queries[0])
         grow = library.append and partial(library.append, process, queries[0], 0.0)
         rows.append(

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.drift import Drift
-from stepgap.learning.observations import context_after, error_of, next_context, observe
+from stepgap.learning.observations import error_of, history_after, next_history, observe
 from stepgap.learning.place_effects import without_place_effects
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
@@ -28,7 +28,7 @@ FITTED_A_HOP = 150
 """Steps that a fit handles, at least, while the robot hops once."""
 
 Lesson = tuple[Array, Array, Array]
-"""Context, point and error of a step that is learnt from."""
+"""History, point and error of a step that is learnt from."""
 
 
 class Learner:
@@ -57,7 +57,7 @@ class Learner:
         self._pool = ThreadPoolExecutor(1)
         self._fit: Future[Residual] | None = None
         self._due, self._next_fit = 0, max(1.0, GROWTH * len(log))
-        self._context = next_context(self._log, nominal, iteration)
+        self._history = next_history(self._log, nominal, iteration)
         self._failures = [_point_of(step.record) for step in log if step.record.status != StepStatus.OK]
         self._since: list[Lesson] = []
 
@@ -70,7 +70,7 @@ class Learner:
     @property
     def residual(self) -> Residual:
         """Model of actual − nominal for the step to come."""
-        return self._residual.given(self._context)
+        return self._residual.conditioned_on(self._history)
 
     @property
     def failures(self) -> Array:
@@ -88,16 +88,16 @@ class Learner:
 
     def observe(self, logged: LoggedStep) -> None:
         """Takes in the step just executed."""
-        record, scale, context = logged.record, self.nominal.space.state_scale, self._context
+        record, scale, history = logged.record, self.nominal.space.state_scale, self._history
         place, self._place = self._place, logged.record.place_after
         self._log.append(logged)
         if record.status != StepStatus.OK:
             self._failures.append(_point_of(record))
         error, point = error_of(record, self.nominal), _point_of(record)
-        self._context = context_after(record, error, self.nominal.space, len(self._log))
+        self._history = history_after(record, error, self.nominal.space, len(self._log))
         if not np.isfinite(error).all():
             return
-        residual = self._residual.given(context)
+        residual = self._residual.conditioned_on(history)
         left = error - residual.mean(point)
         missed = left - self._drift.offset(place)  # by the correction with the shift that it is deployed with
         self._advantage.append(float(np.sum((error / scale) ** 2) - np.sum((missed / scale) ** 2)))
@@ -105,7 +105,7 @@ class Learner:
             self._drift = self._drift.followed(left, place)
         if self._lessons > 0:
             self._lessons -= 1
-            self._learn((context, point, error))
+            self._learn((history, point, error))
 
     def fit_beside(self) -> None:
         """Begins a fit where the steps have grown in number, and teaches the one that goes on the steps since.
@@ -129,8 +129,8 @@ class Learner:
         elif self._fit is not None and len(self._log) >= self._due:
             self._residual, self._fit = _taught(self._fit, self._since), None
         else:
-            context, point, error = lesson
-            self._residual = self._residual.given(context).append(point, error)
+            history, point, error = lesson
+            self._residual = self._residual.conditioned_on(history).append(point, error)
 
     def _fitted(self, log: StepLog, start: Residual | None) -> Residual:
         learning, errors = self._learning, observe(log, self.nominal)
@@ -147,8 +147,8 @@ class Learner:
 def _taught(fit: Future[Residual], lessons: Sequence[Lesson]) -> Residual:
     """What a fit gives, with the steps since."""
     residual = fit.result()
-    for context, point, error in lessons:
-        residual = residual.given(context).append(point, error)
+    for history, point, error in lessons:
+        residual = residual.conditioned_on(history).append(point, error)
     return residual
 
 
