@@ -16,7 +16,7 @@ from stepgap.cli.app import Overrides, say, says_if_it_compiles
 
 if TYPE_CHECKING:
     from stepgap.cli.run_report import Report
-    from stepgap.plants.tick import Tick
+    from stepgap.robots.hopper.tick import Tick
     from stepgap.view.live import LiveView
 
 
