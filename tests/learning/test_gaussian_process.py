@@ -196,7 +196,7 @@ class TestAtFixedHyperParameters:
         points, values = sample(60)
         process = condition(points, values, SCALE, FIXED)
         far = CENTRE + 1e4 * SCALE
-        factor = process.least_squares.factor.whole()
+        factor = process.least_squares.factor.assembled()
         covariance = FIXED.signal_std**2 * np.linalg.inv(factor @ factor.T).sum()
         assert process.mean(far) == pytest.approx(process.coefficient)
         np.testing.assert_array_equal(process.mean_gradient(far), 0)
@@ -386,7 +386,7 @@ class TestEvidence:
             stds = {name: factor * getattr(found, name) for name in ("signal_std", "noise_std", "slope_std")}
             other = condition(self.POINTS, self.VALUES, SCALE, HyperParameters(found.length_scale, **stds))
             assert other.log_likelihood < process.log_likelihood
-        factor = process.least_squares.factor.whole()
+        factor = process.least_squares.factor.assembled()
         whitened = np.linalg.solve(factor, np.ones(25)), np.linalg.solve(factor, self.VALUES)
         assert process.coefficient == pytest.approx(np.linalg.lstsq(whitened[0][:, None], whitened[1])[0][0])
 

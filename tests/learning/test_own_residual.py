@@ -100,9 +100,9 @@ def test_settings_take_it_and_it_brings_its_features() -> None:
     assert "own_residual" not in sys.modules, "names are known without imports"
     LearningSettings(**SETTINGS["learning"])
     assert "own_residual" not in sys.modules
-    for features, wanted in (("none", "previous_error"), ("previous_step", "previous_step"), ("auto", None)):
-        found = fit_residual(NAME, steps(), features).history_inputs.features
-        assert found == wanted or wanted is None
+    assert fit_residual(NAME, steps()).history_inputs.features == "previous_error"
+    assert fit_residual(NAME, steps(), "previous_step").history_inputs.features == "previous_step"
+    assert fit_residual(NAME, steps(), "auto").history_inputs.features in ("previous_error", "previous_step")
     assert fit_residual("auto", steps()).kind != NAME, "it does not declare itself a candidate"
 
 

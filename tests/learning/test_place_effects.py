@@ -8,7 +8,7 @@ import numpy as np
 from stepgap.learning.observations import Observations
 from stepgap.learning.place_effects import PRIOR_COUNT, PRIOR_STD, RELUCTANCE, STRENGTHS, without_place_effects
 from stepgap.learning.polynomial import monomials
-from stepgap.learning.step_table import Indices
+from stepgap.learning.step_table import Labels
 from stepgap.step import Array
 from tests.learning.test_corrected_map import SPACE
 
@@ -31,7 +31,7 @@ def effect(place: Array, deployment: Array, strength: Array) -> Array:
 class Recorded(NamedTuple):
     observations: Observations
     place: Array
-    deployment: Indices
+    deployment: Labels
     added: Array
 
 

@@ -27,6 +27,7 @@ from stepgap.base.normal import INTERVAL_95
 from stepgap.base.random_streams import random_stream
 from stepgap.base.settings_file import InputError
 from stepgap.bench.baselines import IntegralCorrection, identify
+from stepgap.bench.timing import Progress
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy, summarise
 from stepgap.learning.entry_points import residual_models, residual_names
@@ -51,8 +52,6 @@ FIRST_STEPS = 20
 
 CALIBRATION = 20
 """Hops of the methods that begin with some whose commands are chosen for what they teach."""
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +246,7 @@ def bench_learning(
     methods: Sequence[str],
     record: Path,
     workers: int,
-    say: Say = lambda line: None,
+    say: Progress = lambda line: None,
 ) -> list[Row]:
     """Measures what the record does not hold yet, a line per twin and seed as it is done; all rows asked for.
 

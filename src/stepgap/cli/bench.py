@@ -57,12 +57,12 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
         quick: Take some seconds, with few points and few peers.
         out: JSON file for the result; without it bench_gp.json or the next free name.
     """
-    from stepgap.bench.gaussian_process import bench_gp, describe_bench
+    from stepgap.bench.gaussian_process import bench_gp, describe_gp_bench
 
     file = out or free_name(Path("bench_gp.json"))
     check_new(file, "--out")
     result = bench_gp(0, quick, lambda line: print(f"{line} …", file=sys.stderr))
-    print(describe_bench(result))
+    print(describe_gp_bench(result))
     with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)

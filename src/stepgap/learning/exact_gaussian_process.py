@@ -73,7 +73,7 @@ class ExactGaussianProcess(GaussianProcess):
         solved = self.least_squares
         if len(self.values) == 1:
             return np.array([np.nan]), np.array([np.inf])
-        K_inv, _ = _potri(solved.factor.whole(), lower=1)
+        K_inv, _ = _potri(solved.factor.assembled(), lower=1)
         K_inv_1 = solved.factor.solve_transposed(solved.basis)
         precision = K_inv.diagonal() - K_inv_1**2 / K_inv_1.sum()
         return self.values - solved.weights / precision, self.hyper_parameters.signal_std / np.sqrt(precision)

@@ -40,11 +40,11 @@ class HyperParameters:
     slope_std: float = 0.0
 
     def __post_init__(self) -> None:
-        require(_positive(self.length_scale), "length_scale", "positive and finite")
-        require(_positive(self.signal_std), "signal_std", "positive and finite")
+        ensure(_positive(self.length_scale), "length_scale", "positive and finite")
+        ensure(_positive(self.signal_std), "signal_std", "positive and finite")
         for name in ("noise_std", "slope_std"):
             std = getattr(self, name)
-            require(std == 0 or _positive(std), name, "non-negative and finite")
+            ensure(std == 0 or _positive(std), name, "non-negative and finite")
 
     def covariance(self, kernel: Kernel, centres: Array, input_scale: Array) -> Covariance:
         """Covariance with fixed centres (M, d); slopes turn about the first, with a free β any other would do."""
@@ -214,20 +214,20 @@ class GaussianProcess(ABC):
 def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
     """Own copies of the data, once their shapes and numbers are sound."""
     points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
-    require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
-    require(_positive(input_scale), "input_scale", "positive and finite")
+    ensure(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
+    ensure(_positive(input_scale), "input_scale", "positive and finite")
     sized = points.ndim == 2 and len(points) > 0 and points.shape[1] == len(input_scale)
-    require(sized, "points", f"of shape (N, {len(input_scale)}) with N ≥ 1, not {points.shape}")
-    require(np.isfinite(points).all(), "points", "finite")
-    require(values.shape == points.shape[:1], "values", f"of shape ({len(points)},), not {values.shape}")
-    require(np.isfinite(values).all(), "values", "finite")
+    ensure(sized, "points", f"of shape (N, {len(input_scale)}) with N ≥ 1, not {points.shape}")
+    ensure(np.isfinite(points).all(), "points", "finite")
+    ensure(values.shape == points.shape[:1], "values", f"of shape ({len(points)},), not {values.shape}")
+    ensure(np.isfinite(values).all(), "values", "finite")
     return points, values, input_scale
 
 
 def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
     """Raises ValueError unless there is a length scale for each input."""
     same = hyper_parameters.length_scale.shape == input_scale.shape
-    require(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
+    ensure(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
 
 
 def saved_data(data: Mapping[str, Any]) -> tuple[Array, Array, Array]:
@@ -245,7 +245,7 @@ def _positive(array: ArrayLike) -> bool:
     return bool(np.all(np.isfinite(array) & (np.asarray(array) > 0)))
 
 
-def require(holds: object, name: str, what: str) -> None:
+def ensure(holds: object, name: str, what: str) -> None:
     """Raises ValueError, which says what `name` must be, unless it holds."""
     if not holds:
         raise ValueError(f"{name} must be {what}")

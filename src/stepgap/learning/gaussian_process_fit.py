@@ -20,7 +20,7 @@ from threadpoolctl import ThreadpoolController
 from stepgap.learning.cholesky import factorise
 from stepgap.learning.covariance import covariance_matrix, evidence_gradient
 from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
-from stepgap.learning.gaussian_process import HyperParameters, checked_data, require
+from stepgap.learning.gaussian_process import HyperParameters, checked_data, ensure
 from stepgap.learning.kernel import MATERN_52, Kernel
 from stepgap.learning.least_squares import LeastSquares, fit_least_squares
 from stepgap.step import Array
@@ -98,7 +98,7 @@ def fit_gaussian_process(
     points, values, input_scale = checked_data(points, values, input_scale)
     if value_scale is None:
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
-    require(0 < value_scale < math.inf, "value_scale", "positive and finite")
+    ensure(0 < value_scale < math.inf, "value_scale", "positive and finite")
     least_noise = LEAST_NOISE * value_scale
     evidence = Evidence(
         points / input_scale, values, points.shape[1], least_noise, value_scale, last_length_scale, kernel

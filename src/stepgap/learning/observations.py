@@ -12,7 +12,7 @@ import numpy as np
 
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.step_log import StepLog
-from stepgap.learning.step_table import Indices
+from stepgap.learning.step_table import Labels
 from stepgap.step import Array, StepMap, StepRecord, StepSpace
 
 
@@ -41,7 +41,7 @@ class Observations:
     error: Array
     history: Array | None = None
     place: Array | None = None
-    deployment: Indices | None = None
+    deployment: Labels | None = None
 
     def __post_init__(self) -> None:
         state, command = self.space.state_names, self.space.command_names

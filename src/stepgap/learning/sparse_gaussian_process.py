@@ -25,7 +25,7 @@ from stepgap.learning.gaussian_process import (
     HyperParameters,
     check_sizes,
     checked_data,
-    require,
+    ensure,
     saved_data,
     saved_hyper_parameters,
 )
@@ -214,12 +214,10 @@ def condition_sparse(
     """
     points, values, input_scale = checked_data(points, values, input_scale)
     check_sizes(hyper_parameters, input_scale)
-    require(hyper_parameters.noise_std > 0, "noise_std", "positive for a sparse process")
+    ensure(hyper_parameters.noise_std > 0, "noise_std", "positive for a sparse process")
     inducing = np.array(inducing, float)
     sized = inducing.ndim == 2 and len(inducing) > 0 and inducing.shape[1] == len(input_scale)
-    require(
-        sized and np.isfinite(inducing).all(), "inducing", f"finite and of shape (M, {len(input_scale)}) with M ≥ 1"
-    )
+    ensure(sized and np.isfinite(inducing).all(), "inducing", f"finite and of shape (M, {len(input_scale)}) with M ≥ 1")
     covariance = hyper_parameters.covariance(kernel, inducing, input_scale)
     factor = factorise(covariance_matrix(covariance.correlation_of_centres(), np.zeros((len(inducing), 0)), 0.0))
     features = _features(covariance, factor, points)

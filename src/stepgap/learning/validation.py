@@ -19,7 +19,7 @@ from stepgap.base.normal import INTERVAL_95, log_density
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_fit import fit_residual
-from stepgap.learning.step_table import Indices, StepTable
+from stepgap.learning.step_table import Labels, StepTable
 from stepgap.step import Array
 
 FOLDS = 10
@@ -31,7 +31,7 @@ LEAST_STEPS: Final = 2 * FOLDS
 CERTAIN: Final = 2.0
 """Standard errors by which one residual must at least be better than another to be called better."""
 
-RISK: Final = 0.05
+SIGNIFICANCE_LEVEL: Final = 0.05
 """Of calling different what is not, if the scores of blocks were independent and normal."""
 
 
@@ -46,8 +46,8 @@ class Folds:
     """
 
     whole_deployments: bool
-    fold: Indices
-    block: Indices
+    fold: Labels
+    block: Labels
 
     @property
     def count(self) -> int:
@@ -64,7 +64,7 @@ def contiguous_folds(steps: int, number: int = FOLDS) -> Folds:
     return Folds(False, block // parts, block)
 
 
-def deployment_folds(deployment: Indices) -> Folds:
+def deployment_folds(deployment: Labels) -> Folds:
     """One fold for each deployment; if there are more than `FOLDS`, one for each of `FOLDS` groups of them."""
     names, position = np.unique(deployment, return_inverse=True)
     if len(names) < 2:
@@ -137,10 +137,12 @@ class Reduction:
     @property
     def certain(self) -> bool:
         """Whether it is above zero by `CERTAIN` standard errors and by Student's t: 2.26 of them for ten blocks."""
-        return self.value > max(CERTAIN, float(stdtrit(self.blocks - 1, 1 - RISK / 2))) * self.standard_error
+        return (
+            self.value > max(CERTAIN, float(stdtrit(self.blocks - 1, 1 - SIGNIFICANCE_LEVEL / 2))) * self.standard_error
+        )
 
 
-def reduction(one: HeldOut, other: HeldOut, block: Indices, coordinates: Sequence[int]) -> Reduction:
+def reduction(one: HeldOut, other: HeldOut, block: Labels, coordinates: Sequence[int]) -> Reduction:
     """By how much `one` is better than `other`, paired step by step.
 
     Over several coordinates: of the root of the mean, over coordinates, of the ratios of the squared errors, so that

@@ -13,7 +13,7 @@ from stepgap.report.learnt import Learnt, input_quantities
 from stepgap.report.words import decimal
 from stepgap.step import Array
 
-UNITS: Final = {
+UNIT_NOTES: Final = {
     "value": "in the unit of each coordinate",
     "input": "in the unit of each input",
     "value per input": "in the unit of each coordinate per unit of the input",
@@ -65,7 +65,7 @@ def _by_input(record: RunRecord, learnt: Learnt, parameters: list[Parameter | No
         known = f"{decimal(values.min())} … {decimal(values.max())}"
         rows.append([with_unit(quantity), known, *(_shown(parameter, row) for parameter in parameters)])
     heads = ["input", "range of the data", *(f"for {quantity.name}" for quantity in record.space.state)]
-    return table(f"{name[:1].upper()}{name[1:]}, {UNITS[unit]}", heads, rows)
+    return table(f"{name[:1].upper()}{name[1:]}, {UNIT_NOTES[unit]}", heads, rows)
 
 
 def _shown(parameter: Parameter | None, row: int = 0) -> str:
