@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.base.errors import InputError
 from stepgap.cli.app import main
 from stepgap.control.reference import Reference
 from stepgap.experiment import plants as run_plants
-from stepgap.experiment.settings import Experiment, InputError, read_experiment, write_experiment
+from stepgap.experiment.settings import Experiment, read_experiment, write_experiment
 from stepgap.plants.commissioning.check import Check, Timing, fingerprint, write_check
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.rig import RigFault

@@ -22,9 +22,9 @@ import mujoco.sysid
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
 from stepgap.base.random_streams import random_stream
-from stepgap.base.settings_file import InputError
 from stepgap.bench.baselines import IntegralCorrection, identify
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy, summarise

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stepgap.base.errors import StepGapError
 from stepgap.bench.timing import machine, peers, timed
 from stepgap.control.command_table import build_table, measure_table
 from stepgap.control.step_controller import StepController
@@ -26,7 +27,7 @@ Evaluate = Callable[[Any, Any], Any]
 Say = Callable[[str], None]
 
 
-class TooFewSteps(Exception):
+class TooFewSteps(StepGapError):
     """The settings let the robot hop too rarely to measure anything; the message is one line."""
 
 

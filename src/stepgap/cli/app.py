@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import cyclopts
 from cyclopts import App, Parameter
 
-from stepgap.base.output_files import words_of
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError, StepGapError, message_of
 
 Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
 """Settings given as `--table.key value`."""
@@ -63,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if debug:
             raise
         bad_input = _is_bad_input(error)
-        foreseen = bad_input or type(error).__module__.startswith("stepgap.")
+        foreseen = bad_input or isinstance(error, StepGapError)
         say(f"{_words(error)}{_hint(error)}" if foreseen else f"{type(error).__name__}: {error}")
         sys.exit(2 if bad_input else 1)
 
@@ -74,11 +73,7 @@ def say(message: str) -> None:
 
 
 def _is_bad_input(error: Exception) -> bool:
-    if isinstance(error, cyclopts.CycloptsError) or _is_forbidden(error):
-        return True
-    from stepgap.learning.step_log import RecordError
-
-    return isinstance(error, InputError | RecordError)
+    return isinstance(error, InputError | cyclopts.CycloptsError) or _is_forbidden(error)
 
 
 def _is_forbidden(error: Exception) -> bool:
@@ -90,7 +85,7 @@ def _words(error: Exception) -> str:
     """What a foreseen error says."""
     if isinstance(error, cyclopts.UnusedCliTokensError) and error.unused_tokens:
         return f"{' '.join(error.unused_tokens)}: more than this verb takes; --help shows what it does"
-    return words_of(error)
+    return message_of(error)
 
 
 def _hint(error: Exception) -> str:

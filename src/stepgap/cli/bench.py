@@ -8,8 +8,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter, validators
 
+from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, free_name, writing
-from stepgap.base.settings_file import InputError
 from stepgap.cli.app import DEBUG_HELP, Overrides, says_if_it_compiles
 
 bench = App(

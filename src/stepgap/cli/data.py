@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter, validators
 
-from stepgap.base.output_files import check_new, free_name, words_of, write_new, writing
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.output_files import check_new, free_name, write_new, writing
 from stepgap.cli.app import says_if_it_compiles
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _read_run(folder: Path) -> "RunRecord":
     try:
         return read_run_folder(folder)
     except (ValueError, OSError) as error:
-        raise InputError(words_of(error)) from None
+        raise InputError(message_of(error)) from None
 
 
 def _suffix(iteration: int | None) -> str:

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from stepgap.base.settings_file import InputError, to_table
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import to_table
 from stepgap.experiment.settings import Experiment
 from stepgap.rigs.ethercat.emulator.emulator import emulated, run_emulator
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine

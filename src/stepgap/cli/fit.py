@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, write_new
-from stepgap.base.settings_file import InputError
 from stepgap.cli.app import Overrides
 
 

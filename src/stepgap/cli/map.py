@@ -5,8 +5,8 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, free_name, writing
-from stepgap.base.settings_file import InputError
 from stepgap.cli.app import Overrides, says_if_it_compiles
 
 if TYPE_CHECKING:

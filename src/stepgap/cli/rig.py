@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.cli.app import DEBUG_HELP, Overrides, Program, says_if_it_compiles
 
 ETHERCAT = "ethercat"

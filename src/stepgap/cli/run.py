@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter, validators
 
+from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
-from stepgap.base.settings_file import InputError
 from stepgap.cli.app import Overrides, say, says_if_it_compiles
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ def view(
         port: Of the page; without it the first free one from 8080 on.
         ring: Shared memory with the ticks of the run that started this.
     """
-    from stepgap.base.settings_file import InputError
+    from stepgap.base.errors import InputError
     from stepgap.base.signals import terminated_as_interrupted
     from stepgap.view.page import Page
     from stepgap.view.source import Source
@@ -50,7 +50,7 @@ def view(
 
 
 def _attached(ring: str) -> "TickRing":
-    from stepgap.base.settings_file import InputError
+    from stepgap.base.errors import InputError
     from stepgap.plants.ticks.tick_ring import TickRing
 
     try:

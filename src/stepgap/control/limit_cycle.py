@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stepgap.base.ranges import require
 from stepgap.control.step_controller import REACHED, StepController, as_vector, solve
 from stepgap.step import Array, Codes, StepMap, StepStatus
 
@@ -140,8 +141,7 @@ def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> Rea
         state: Shape (n,).
         samples: Grid points for each command, at least 2.
     """
-    if samples < 2:
-        raise ValueError(f"samples = {samples}, but it must be at least 2: both ends of each command")
+    require(samples >= 2, "samples", samples, "be at least 2: both ends of each command")
     space = step_map.space
     state = as_vector("state", state, len(space.state))
     commands = space.command_grid(samples)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.experiment.loop import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
-from stepgap.experiment.settings import Experiment, InputError, read_experiment
+from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep, RecordError, read_step_log, row_of
 from stepgap.plants.phases import Phase
 from stepgap.plants.realtime.states import RigState

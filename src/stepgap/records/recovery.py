@@ -4,7 +4,7 @@ from pathlib import Path
 
 from mcap.writer import MCAP0_MAGIC
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.learning.step_log import recover_steps, text_of
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.run_folder import space_of_header

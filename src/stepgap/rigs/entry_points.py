@@ -5,7 +5,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.rigs.rig import Rig
 from stepgap.robots.hopper.parameters import RobotParameters
 

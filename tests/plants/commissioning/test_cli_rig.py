@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import tomli_w
 
-from stepgap.base.settings_file import InputError, to_table
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import to_table
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import read_ticks

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.moteus.moteus_settings import MoteusSettings, read_moteus_settings
 from stepgap.robots.hopper.parameters import RobotParameters

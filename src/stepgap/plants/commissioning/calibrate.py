@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.plants.commissioning.limp import Ticks
 from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
 from stepgap.rigs.rig import Reading, RigFault

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
-from stepgap.base.settings_file import LARGEST_FILE, InputError
+from stepgap.base.settings_file import LARGEST_FILE
 from stepgap.plants.commissioning.limp import ticks_of
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.rigs.limp_rig import FrameCount

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from math import floor, inf, isfinite
 from pathlib import Path
 
-from stepgap.base.settings_file import build, read_toml, require, shown, with_table
+from stepgap.base.ranges import format_value, require
+from stepgap.base.settings_file import build, read_toml, with_table
 from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
 from stepgap.robots.hopper.limits import SafetyLimits
 
@@ -29,7 +30,7 @@ class WrittenPdo:
             try:
                 Entry.parse(entry)
             except ValueError as error:
-                raise ValueError(f"entries = {shown(entry)}, but it must be right: {error}") from None
+                raise ValueError(f"entries = {format_value(entry)}, but it must be right: {error}") from None
 
     def pdo(self) -> Pdo:
         """What is described."""
@@ -55,7 +56,7 @@ class WrittenPdoSet:
         try:
             self.pdo_set()
         except ValueError as error:
-            raise ValueError(f"name = {shown(self.name)}, but it must be a set of PDOs: {error}") from None
+            raise ValueError(f"name = {format_value(self.name)}, but it must be a set of PDOs: {error}") from None
 
     def pdo_set(self) -> PdoSet:
         """What is described."""

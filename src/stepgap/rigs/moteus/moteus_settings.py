@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from pathlib import Path
 
-from stepgap.base.settings_file import build, read_toml, require, with_table
+from stepgap.base.ranges import require
+from stepgap.base.settings_file import build, read_toml, with_table
 from stepgap.rigs.moteus.joint import Scale
 from stepgap.robots.hopper.limits import SafetyLimits
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass, fields
 from math import inf, isnan, pi
 from typing import Self
 
-from stepgap.robots.hopper.parameters import RobotParameters, require
+from stepgap.base.ranges import require
+from stepgap.robots.hopper.parameters import RobotParameters
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.ranges import require
 from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
-from stepgap.robots.hopper.parameters import Gains, RobotParameters, require
+from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
