@@ -8,7 +8,7 @@ The flow, from the model to a robot that tracks:
 4. Every step becomes a `StepRecord`; `fit_residual` learns actual − nominal from them (Eq. 12).
 5. `CorrectedMap` is nominal + residual (Eq. 13), again a `StepMap`, so 2 to 4 repeat with it.
 
-`stepgap.experiment.loop.run` is that loop, and the command line `stepgap run` calls it.
+`run_experiment` is that loop, and the command line `stepgap run` calls it.
 """
 
 from importlib import import_module

@@ -97,9 +97,9 @@ def test_a_second_process_compiles_only_what_changed_in_a_called_file(package) -
 
 def test_only_a_process_that_compiles_tells(package) -> None:
     told = """
-from stepgap.base.compiling import telling_of_compilation
+from stepgap.base.compiling import on_first_compilation
 from robot.outer import doubled
-with telling_of_compilation(lambda: print("compiling")):
+with on_first_compilation(lambda: print("compiling")):
     print(doubled(1.0), doubled(2))
 """
     assert run(told, package.parent) == "compiling\n4.0 6.0"

@@ -55,6 +55,6 @@ def test_the_message_of_an_error_names_the_file(error: Exception, message: str) 
 )
 def test_the_range_check_names_value_and_rule(value: object, text: str) -> None:
     require(True, "gain", value, "be positive")
-    with pytest.raises(ValueError, match="^gain = ") as raised:
+    with pytest.raises(ValueError, match=r"^gain = ") as raised:
         require(False, "gain", value, "be positive")
     assert str(raised.value) == f"gain = {text}, but it must be positive"

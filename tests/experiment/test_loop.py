@@ -17,7 +17,7 @@ from stepgap.experiment.deployment import Deployment, deploy, summarise
 from stepgap.experiment.loop import (
     Observer,
     repeatability,
-    run,
+    run_experiment,
     write_whole,
 )
 from stepgap.learning.corrected_map import CorrectedMap
@@ -60,7 +60,9 @@ def run_in(
     known: StepLog | None = None,
 ) -> list[Deployment]:
     folder.mkdir(exist_ok=True)
-    return run(nominal, make_plant, REFERENCE, learning, folder, seed, observer, replays=replays, known=known)
+    return run_experiment(
+        nominal, make_plant, REFERENCE, learning, folder, seed, observer, replays=replays, known=known
+    )
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -269,7 +271,7 @@ def test_a_measured_repeatability_is_recorded_and_measured_once(tmp_path: Path) 
         return np.array([0.003, np.nan])
 
     for _ in range(2):
-        run(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, tmp_path, 3, measure_spread=measure)
+        run_experiment(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, tmp_path, 3, measure_spread=measure)
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert summary["repeatability"] == {"speed": 0.003, "height": None}
         assert summary["repeatability_measured"] is True
@@ -624,5 +626,5 @@ def test_an_error_anywhere_stops_the_plant_at_once(tmp_path: Path, monkeypatch: 
 def test_a_reference_for_another_map_is_refused(tmp_path: Path) -> None:
     reference = Reference(("pace", "height"), REFERENCE.targets)
     with pytest.raises(ValueError, match="the reference is for pace,height"):
-        run(NOMINAL, plant_of(REALITY), reference, ALWAYS, tmp_path, 0)
+        run_experiment(NOMINAL, plant_of(REALITY), reference, ALWAYS, tmp_path, 0)
     assert not contents(tmp_path)

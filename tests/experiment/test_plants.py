@@ -138,7 +138,7 @@ def test_sigterm_ends_a_run_as_ctrl_c_does(tmp_path: Path) -> None:
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate()
     assert process.returncode == 130
-    assert "go on with: stepgap run --out run --resume" in said
+    assert "resume with: stepgap run --out run --resume" in said
     with steps.open(newline="") as file:
         rows = list(csv.reader(file))
     assert {len(row) for row in rows} == {len(rows[0])}, "no row is cut off"
