@@ -29,7 +29,7 @@ MOTION = """
 from typing import NamedTuple
 from stepgap.base.compiled import implements
 from stepgap.hybrid.integrator import Tolerance, integrate, make_trace
-from stepgap.hybrid.motion import observe, rate, slopes
+from stepgap.hybrid.motion import rate_and_guards, rate, rate_jacobian
 
 class Ball(NamedTuple):
     gravity: float
@@ -38,11 +38,11 @@ class Ball(NamedTuple):
 def _rate(system, state):
     return state[2], state[3], -system.gravity, 0.0
 
-@implements(observe, Ball)
+@implements(rate_and_guards, Ball)
 def _observe(system, time, state):
     return rate(system, state), (state[0],)
 
-@implements(slopes, Ball)
+@implements(rate_jacobian, Ball)
 def _slopes(system, state, here):
     return None
 

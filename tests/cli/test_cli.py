@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.compiled import generic
 from stepgap.cli.app import main
+from stepgap.experiment.settings import Experiment
 from stepgap.learning.step_log import StepWriter
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import RigFault
@@ -210,10 +211,10 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, word
     ("text", "words"),
     [
         ("[gains]\nstifness = 3\n", ["bad.toml: [gains] stifness: unknown key; did you mean stiffness?"]),
-        ("[gains]\nstiffness = 'a\\nb'\n", ["bad.toml: [gains] stiffness = 'a\\\\nb', but it must be a number"]),
+        ("[gains]\nstiffness = 'a\nb'\n", ["bad.toml: [gains] stiffness = 'a\\nb', but it must be a number"]),
         ("[robot]\ngravity = nan\n", ["bad.toml: [robot] gravity = nan, but it must be finite"]),
         ("'a\nb' = 1", ["not TOML"]),
-        ('"a\\nb" = 1', ["unknown key"]),
+        ('"a\nb" = 1', ["unknown key"]),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(stepgap: Command, text: str, words: list[str]) -> None:
@@ -376,6 +377,27 @@ def test_the_help_of_a_verb_without_settings_names_none(stepgap: Command, verb: 
     said = stepgap(*verb.split(), "--help").out
     assert "--TABLE" not in said
     assert "--debug" in said
+
+
+def test_the_defaults_in_the_help_are_those_of_the_settings(stepgap: Command) -> None:
+    """The settings have no default on the command line, so its help states theirs in words."""
+    said, usual = " ".join(re.sub("[│]", " ", stepgap("run", "--help").out).split()), Experiment()
+    for option, value in {
+        "--plant STR": usual.plant,
+        "--seed INT": usual.seed,
+        "--iterations INT": usual.learning.iterations,
+        "--calibrate INT": usual.learning.calibration,
+    }.items():
+        assert said.partition(option)[2].partition("[default: ")[2].partition("]")[0] == str(value), option
+
+
+@pytest.mark.parametrize("verb", ["run", "map", "fit", "view", "export", "bench learning"])
+def test_no_integer_is_shown_as_a_string(stepgap: Command, verb: str) -> None:
+    said = stepgap(*verb.split(), "--help").out
+    counted = r"--(seed|iterations|calibrate|port|points|folds|deployment|iteration|twins|seeds)"
+    kinds = re.findall(rf"{counted} +([A-Z]+)", said)
+    assert kinds
+    assert {kind for name, kind in kinds if not (verb == "fit" and name == "deployment")} == {"INT"}
 
 
 def test_the_version_is_that_of_the_package(stepgap: Command) -> None:

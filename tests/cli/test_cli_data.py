@@ -23,9 +23,9 @@ from stepgap.cli.app import main
 from stepgap.cli.doctor import doctor
 from stepgap.experiment.replay import REPLAY_UNITS, replay
 from stepgap.learning.step_log import StepLog, read_step_log
-from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_log import TickLog, read_ticks
 from stepgap.robots.hopper.parameters import CommandBounds
+from stepgap.robots.hopper.tick import TICK_UNITS
 from tests.cli.command_line import Command, Said, refused
 from tests.report.runs import make_run
 
@@ -168,10 +168,7 @@ def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -
     np.testing.assert_array_equal(found, ticks[: len(found)])
     assert len(found) > 1000
     assert contents(run / "ticks") == before
-    refused(
-        stepgap("export", run, "--to", "mcap", "--iteration", 0),
-        "--iteration: logs of a rig do not name the deployment",
-    )
+    refused(stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: logs of a rig do not name")
     refused(stepgap("export", run, "--to", "mjcf"), "plant 'ethercat'")
     shutil.rmtree(run / "ticks")
     refused(stepgap("export", run, "--to", "mcap"), "run/ticks: no .mcap file there")

@@ -10,7 +10,7 @@ from typing import Any, cast, get_args, get_origin, get_type_hints
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import LARGEST_INTEGER, format_value
 
-LARGEST_FILE = 2**20
+LARGEST_SETTINGS_FILE = 2**20
 """Largest file of settings that is read [bytes]."""
 
 Locate = Callable[[str], str]
@@ -29,9 +29,9 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     """
     try:
         with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not {what}")
+            content = file.read(LARGEST_SETTINGS_FILE + 1)
+        if len(content) > LARGEST_SETTINGS_FILE:
+            raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes, so it is not {what}")
         return tomllib.loads(content.decode("utf-8-sig"))  # some editors begin a file with a mark
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None

@@ -26,16 +26,19 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
 from stepgap.base.random_streams import random_stream
 from stepgap.bench.baselines import IntegralCorrection, identify
+from stepgap.bench.timing import Announce
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy, summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings, ResidualKind
 from stepgap.learning.step_log import StepLog
-from stepgap.plants.rig_plant import RigPlant, Tick
+from stepgap.plants.rig_plant import RigPlant
 from stepgap.report.bands import hops_to_band
 from stepgap.report.learning import UNCORRECTED, Row
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -50,8 +53,6 @@ CALIBRATION = 20
 
 INTERVAL = 1.96
 """Standard deviations on either side that hold 95 % of a normal distribution."""
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,7 @@ class Trial:
     ) -> StepLog:
         """The steps of a deployment; none where not even the hop before them was made."""
         nominal, log = self.nominal, StepLog(self.nominal.space)
-        plant = RigPlant(self.meet(iteration), nominal.robot, nominal.gains, nominal.bounds, on_tick)
+        plant = RigPlant(self.meet(iteration), HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_tick)
         with closing(deploy(learner, plant, self.reference, iteration, calibration)) as steps:
             try:
                 for logged in islice(steps, most_steps):
@@ -166,7 +167,7 @@ FROM_THE_FIRST_HOP: dict[str, Method] = {
 METHODS = REDEPLOYED | FROM_THE_FIRST_HOP
 
 
-def measure(reference: Reference, twin: int, seed: int, methods: Sequence[str]) -> list[Row]:
+def measure_twin(reference: Reference, twin: int, seed: int, methods: Sequence[str]) -> list[Row]:
     """What each method makes of a twin; the first row is that of the shared deployment 0."""
     nominal = ApexMap()
     with threadpool_limits(limits=1, user_api="blas"):
@@ -202,7 +203,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Row:
     errors = np.concatenate([log.next_state - log.target for log in tracked])
     earlier = sum(map(len, deployments)) - len(errors)  # calibrating hops, and those that failed
     hops = None if found.falls else hops_to_band(errors)
-    covered, counted = coverage(tracked[-1])
+    covered, counted = count_covered(tracked[-1])
     return row | {
         "steps": found.steps,
         "falls": found.falls,
@@ -216,7 +217,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Row:
     }
 
 
-def coverage(steps: StepLog) -> tuple[Array, int]:
+def count_covered(steps: StepLog) -> tuple[Array, int]:
     """How many steps ended within the 95 % interval predicted, by coordinate (n,), and how many had one."""
     known = np.isfinite(steps.predicted).all(axis=1) & (steps.std > 0).all(axis=1)
     inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL * steps.std
@@ -242,7 +243,7 @@ def bench_learning(
     methods: Sequence[str],
     record: Path,
     workers: int,
-    say: Say = lambda line: None,
+    announce: Announce = lambda line: None,
 ) -> list[Row]:
     """Measures what the record does not hold yet, a line per twin and seed as it is done; all rows asked for.
 
@@ -253,7 +254,7 @@ def bench_learning(
         methods: Names of METHODS.
         record: JSON lines, each the rows of one twin and seed; need not exist.
         workers: Processes; 1 is this one.
-        say: Is told of progress.
+        announce: Called with a line of progress.
     """
     known = _read(record)
     done = {(row["twin"], row["seed"], row["method"]) for row in known}
@@ -266,7 +267,7 @@ def bench_learning(
             file.write(json.dumps(rows) + "\n")
             file.flush()
             left = (perf_counter() - begin) * (len(jobs) - number) / number
-            say(f"{number} of {len(jobs)} done, {left / 60:.0f} min left")
+            announce(f"{number} of {len(jobs)} done, {left / 60:.0f} min remaining")
             known += rows
     rows = {(row["twin"], row["seed"], row["method"]): row for row in known}
     return [rows[*pair, method] for method in (UNCORRECTED, *methods) for pair in pairs]
@@ -275,11 +276,11 @@ def bench_learning(
 def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterator[list[Row]]:
     """The rows of each job, in the order in which they are done."""
     if workers == 1:
-        yield from (measure(reference, *job) for job in jobs)
+        yield from (measure_twin(reference, *job) for job in jobs)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
-            for job in as_completed([pool.submit(measure, reference, *job) for job in jobs]):
+            for job in as_completed([pool.submit(measure_twin, reference, *job) for job in jobs]):
                 yield job.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

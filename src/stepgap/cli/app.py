@@ -30,7 +30,7 @@ from stepgap.cli.view import view
 
 OVERRIDE = re.compile(r"--([a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
-BAD_INPUT, FAILED, STOPPED = 2, 1, 130
+_BAD_INPUT, _FAILED, _STOPPED = 2, 1, 130
 """Exit codes; the last one after Ctrl-C, as shells have it."""
 
 app = App(
@@ -61,12 +61,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _run_verb([argument for argument in arguments if argument != "--debug"], program)
     except KeyboardInterrupt as interrupt:
         warn(f"stopped{interrupt}")
-        sys.exit(STOPPED)
+        sys.exit(_STOPPED)
     except Exception as error:
         if debug:
             raise
         warn(_line_of(error))
-        sys.exit(BAD_INPUT if _is_bad_input(error) else FAILED)
+        sys.exit(_BAD_INPUT if _is_bad_input(error) else _FAILED)
 
 
 def _run_verb(arguments: Sequence[str], program: list[str]) -> None:

@@ -31,7 +31,7 @@ TRIAL_TIMEOUT = 30.0
 NEEDS_GL = "only MuJoCo's own pictures need it, not runs, reports and their figures"
 
 
-Row = tuple[str, str]
+_Row = tuple[str, str]
 """What was looked for and what was found."""
 
 
@@ -43,19 +43,19 @@ def doctor() -> None:
         print(f"{name:{width}}  {found}")
 
 
-def _versions() -> Iterator[Row]:
+def _versions() -> Iterator[_Row]:
     from stepgap.experiment.loop import versions_here
 
     yield from versions_here().items()
 
 
-def _machine() -> Iterator[Row]:
+def _machine() -> Iterator[_Row]:
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield "system", platform.platform()
     yield "cores", f"{usable} of {os.cpu_count()}, load {os.getloadavg()[0]:.1f}"
 
 
-def _graphics() -> Iterator[Row]:
+def _graphics() -> Iterator[_Row]:
     shown = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     yield "display", shown or f"none; {NEEDS_GL}"
     chosen = os.environ.get("MUJOCO_GL")
@@ -66,7 +66,7 @@ def _graphics() -> Iterator[Row]:
     yield "OpenGL", f"none; {NEEDS_GL}. Debian, Ubuntu: apt install libegl1 libgl1 (or libosmesa6)"
 
 
-def _rights() -> Iterator[Row]:
+def _rights() -> Iterator[_Row]:
     yield "raw sockets", _raw_sockets()
     refused = _try(REALTIME_TRIAL)
     yield "real time", "granted" if refused == "" else refused or "the trial failed"
@@ -83,7 +83,7 @@ def _raw_sockets() -> str:
     return "granted: EtherCAT can be used"
 
 
-def _cache() -> Row:
+def _cache() -> _Row:
     from stepgap.base.compiled import cache_folder
 
     folder = cache_folder()
@@ -93,7 +93,7 @@ def _cache() -> Row:
     return "cache", f"{folder}, {size / 2**20:.0f} MiB; it may be deleted; what is needed is then compiled again"
 
 
-def _extras() -> Iterator[Row]:
+def _extras() -> Iterator[_Row]:
     """The optional packages of stepgap."""
     wanted: dict[str, list[str]] = defaultdict(list)
     for requirement in requires("stepgap") or []:

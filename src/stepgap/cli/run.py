@@ -23,8 +23,8 @@ if TYPE_CHECKING:  # what takes time to import is imported where it is used
     from stepgap.experiment.settings import Experiment
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.learning.step_log import StepLog
-    from stepgap.plants.tick import Tick
     from stepgap.robots.hopper.apex_map import ApexMap
+    from stepgap.robots.hopper.tick import Tick
     from stepgap.view.live import LiveView
 
 

@@ -13,7 +13,7 @@ import tomli_w
 from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
 from stepgap.base.ranges import format_value, require
-from stepgap.base.settings_file import LARGEST_FILE, Locate, located, merge, read_toml, to_table, with_table
+from stepgap.base.settings_file import LARGEST_SETTINGS_FILE, Locate, located, merge, read_toml, to_table, with_table
 from stepgap.control.reference import Reference, paper_reference, read_reference
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log, text_of
@@ -110,8 +110,8 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
         return paper_reference()
     path, wanted = Path(experiment.reference), f"reference must be '{PAPER}' or a CSV file of targets"
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes; {wanted}")
+        if path.stat().st_size > LARGEST_SETTINGS_FILE:
+            raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes; {wanted}")
         return read_reference(path, space)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {wanted}") from None
