@@ -1,14 +1,10 @@
 """The verb `stepgap doctor`: what this machine has of everything that StepGap can use; no user needs all of it."""
 
 import os
-import platform
 import re
-import socket
-import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, requires, version
 
 PURPOSES = {
     "ethercat": "robots with drives and encoders on an EtherCAT bus, and emulated rings",
@@ -50,6 +46,8 @@ def _versions() -> Iterator[_Row]:
 
 
 def _machine() -> Iterator[_Row]:
+    import platform
+
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield "system", platform.platform()
     yield "cores", f"{usable} of {os.cpu_count()}, load {os.getloadavg()[0]:.1f}"
@@ -74,6 +72,8 @@ def _rights() -> Iterator[_Row]:
 
 def _raw_sockets() -> str:
     """Says whether EtherCAT frames may be sent."""
+    import socket
+
     if not hasattr(socket, "AF_PACKET"):
         return "not on this system; EtherCAT needs Linux"
     try:
@@ -95,6 +95,8 @@ def _cache() -> _Row:
 
 def _extras() -> Iterator[_Row]:
     """The optional packages of stepgap."""
+    from importlib.metadata import requires
+
     wanted: dict[str, list[str]] = defaultdict(list)
     for requirement in requires("stepgap") or []:
         name, extra = re.match(r"[\w.-]+", requirement), re.search(r"extra == ['\"](.+?)['\"]", requirement)
@@ -109,6 +111,8 @@ def _extras() -> Iterator[_Row]:
 
 
 def _version(package: str) -> str | None:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(package)
     except PackageNotFoundError:
@@ -117,6 +121,8 @@ def _version(package: str) -> str | None:
 
 def _try(code: str, **environment: str) -> str | None:
     """Output of Python code in another process, because it may crash; None if it fails."""
+    import subprocess
+
     try:
         outcome = subprocess.run(
             [sys.executable, "-c", code],
