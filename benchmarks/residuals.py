@@ -24,13 +24,13 @@ def scores(nominal: ApexMap, learning: LearningSettings, log: StepLog, iteration
     """What was fitted, its RMSE on a deployment (n,), and its mean log density there, summed over the state."""
     before = StepLog(log.space, (logged for logged in log if logged.iteration < iteration))
     rest, std = [], []
-    with Learner(nominal, before, learning, iteration) as learner:
-        name = learner.residual.name
-        for logged in log.of_iteration(iteration).completed():
-            step_map, record = learner.step_map(), logged.record
-            rest.append(record.next_state - step_map(record.state, record.applied))
-            std.append(np.hypot(step_map.std(record.state, record.applied), step_map.noise_std))
-            learner.observe(logged)
+    learner = Learner.start(nominal, before, learning, iteration)
+    name = learner.residual.name
+    for logged in log.of_iteration(iteration).completed():
+        step_map, record = learner.step_map(), logged.record
+        rest.append(record.next_state - step_map(record.state, record.applied))
+        std.append(np.hypot(step_map.std(record.state, record.applied), step_map.noise_std))
+        learner = learner.after(logged)
     density = np.mean(-0.5 * np.square(np.divide(rest, std)) - np.log(std) - 0.5 * np.log(2 * np.pi), axis=0)
     return name, np.sqrt(np.mean(np.square(rest), axis=0)), float(density.sum())
 

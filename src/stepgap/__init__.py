@@ -17,18 +17,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stepgap.base.errors import InputError as InputError
     from stepgap.base.errors import StepGapError as StepGapError
-    from stepgap.control.careful_controller import CarefulController as CarefulController
-    from stepgap.control.command_table import CommandTable as CommandTable
+    from stepgap.control.cautious_controller import CautiousController as CautiousController
     from stepgap.control.command_table import build_table as build_table
-    from stepgap.control.limit_cycle import FixedPoint as FixedPoint
-    from stepgap.control.limit_cycle import ReachableSet as ReachableSet
+    from stepgap.control.command_table import CommandTable as CommandTable
     from stepgap.control.limit_cycle import fixed_point as fixed_point
+    from stepgap.control.limit_cycle import FixedPoint as FixedPoint
     from stepgap.control.limit_cycle import reachable_set as reachable_set
-    from stepgap.control.reference import Reference as Reference
+    from stepgap.control.limit_cycle import ReachableSet as ReachableSet
     from stepgap.control.reference import paper_reference as paper_reference
+    from stepgap.control.reference import Reference as Reference
     from stepgap.control.step_controller import StepController as StepController
     from stepgap.control.step_controller import StepPlan as StepPlan
-    from stepgap.experiment.deployment import Deployment as Deployment
     from stepgap.experiment.loop import Observer as Observer
     from stepgap.experiment.loop import run_experiment as run_experiment
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
@@ -42,18 +41,21 @@ if TYPE_CHECKING:
     from stepgap.plants.model_plant import ModelPlant as ModelPlant
     from stepgap.plants.plant import Plant as Plant
     from stepgap.plants.rig_plant import RigPlant as RigPlant
-    from stepgap.rigs.rig import Reading as Reading
+    from stepgap.records.summary import Deployment as Deployment
     from stepgap.rigs.rig import Rig as Rig
     from stepgap.rigs.rig import RigFault as RigFault
-    from stepgap.rigs.rig import RigLayout as RigLayout
+    from stepgap.rigs.rig import SensorModel as SensorModel
     from stepgap.robots.hopper.apex_map import ApexMap as ApexMap
     from stepgap.robots.hopper.hop_control import HopperControl as HopperControl
     from stepgap.robots.hopper.parameters import CommandBounds as CommandBounds
     from stepgap.robots.hopper.parameters import Gains as Gains
     from stepgap.robots.hopper.parameters import RobotParameters as RobotParameters
     from stepgap.robots.hopper.sampled_map import SampledApexMap as SampledApexMap
+    from stepgap.robots.hopper.sensors import HopperReading as HopperReading
+    from stepgap.robots.hopper.sensors import HopperSensorModel as HopperSensorModel
     from stepgap.robots.hopper.twin.reality_gap import RealityGap as RealityGap
     from stepgap.robots.hopper.twin.twin import Twin as Twin
+    from stepgap.step import difference_jacobian as difference_jacobian
     from stepgap.step import Outcome as Outcome
     from stepgap.step import Quantity as Quantity
     from stepgap.step import StepFailed as StepFailed
@@ -61,18 +63,19 @@ if TYPE_CHECKING:
     from stepgap.step import StepRecord as StepRecord
     from stepgap.step import StepSpace as StepSpace
     from stepgap.step import StepStatus as StepStatus
-    from stepgap.step import difference_jacobian as difference_jacobian
 
 _MODULES = {
     "ApexMap": "robots.hopper.apex_map",
-    "CarefulController": "control.careful_controller",
+    "CautiousController": "control.cautious_controller",
     "CommandBounds": "robots.hopper.parameters",
     "CommandTable": "control.command_table",
     "CorrectedMap": "learning.corrected_map",
-    "Deployment": "experiment.deployment",
+    "Deployment": "records.summary",
     "FixedPoint": "control.limit_cycle",
     "Gains": "robots.hopper.parameters",
     "HopperControl": "robots.hopper.hop_control",
+    "HopperReading": "robots.hopper.sensors",
+    "HopperSensorModel": "robots.hopper.sensors",
     "InputError": "base.errors",
     "LearningSettings": "learning.settings",
     "LoggedStep": "learning.step_log",
@@ -83,17 +86,16 @@ _MODULES = {
     "Plant": "plants.plant",
     "Quantity": "step",
     "ReachableSet": "control.limit_cycle",
-    "Reading": "rigs.rig",
     "RealityGap": "robots.hopper.twin.reality_gap",
     "Reference": "control.reference",
     "Regression": "learning.regression",
     "Residual": "learning.residual",
     "Rig": "rigs.rig",
     "RigFault": "rigs.rig",
-    "RigLayout": "rigs.rig",
     "RigPlant": "plants.rig_plant",
     "RobotParameters": "robots.hopper.parameters",
     "SampledApexMap": "robots.hopper.sampled_map",
+    "SensorModel": "rigs.rig",
     "StepController": "control.step_controller",
     "StepFailed": "step",
     "StepGapError": "base.errors",

@@ -56,6 +56,7 @@ def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
     assert stepgap("run", *settings, "--out", "run", "--quiet") == Said(0, "run/report.html\n", "")
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_a_rigs_motion_comes_from_its_tick_logs(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,6 +87,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     assert "left out of the report: replay (run/ticks/ticks-0.mcap: No such file" in said.err
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
     Path("run").mkdir()
     rows = (finished / "steps.csv").read_text()
@@ -99,6 +101,7 @@ def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
     )
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     settings = Path("run/experiment.toml")
@@ -111,6 +114,7 @@ def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap:
     assert "<script" not in text
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_settings_that_are_not_understood_are_named(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     Path("run/experiment.toml").write_text("unheard_of = 1\n")
@@ -136,6 +140,7 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
 
 
+@pytest.mark.usefixtures("svg_only")
 @pytest.mark.parametrize("name", ["steps.csv", "summary.json", "experiment.toml", "models/iteration_1.json"])
 def test_damaged_files_are_refused_and_nothing_is_written(finished: Path, stepgap: Command, name: str) -> None:
     shutil.copytree(finished, "run")

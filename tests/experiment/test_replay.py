@@ -10,7 +10,6 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.cli.app import main
-from stepgap.cli.run_report import Report
 from stepgap.experiment.plants import plant_on, remade_rig
 from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
 from stepgap.experiment.settings import read_experiment
@@ -25,6 +24,7 @@ from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.step import StepStatus
+from tests.quick_runs import leave_out_repeats, leave_out_report
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
@@ -49,10 +49,8 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RigPlant, "start", watched_start)
-        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
-        patch.setattr(
-            "stepgap.cli.run_report.report_run", lambda folder, *_: Report(folder, ())
-        )  # its figures take time
+        leave_out_repeats(patch)
+        leave_out_report(patch)
         return run_of(tmp_path_factory.mktemp("watched")), ticks
 
 
@@ -132,6 +130,7 @@ def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
     assert np.isfinite(replay(tmp_path, 0, every=10).rows).all()
 
 
+@pytest.mark.usefixtures("no_repeats", "no_report")
 def test_a_run_on_the_ring_is_made_again_without_the_ring(tmp_path: Path) -> None:
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
     try:

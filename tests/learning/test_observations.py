@@ -19,7 +19,7 @@ def log_of(*deployments: int, fallen: bool = False) -> StepLog:
             after, status = actual(state[row], command[row]), StepStatus.OK
             after, status = (np.full(2, np.nan), StepStatus.FELL) if fell else (after, status)
             record = StepRecord(state[row], 2 * command[row], command[row], after, status)
-            log.append(LoggedStep(iteration, number, state[row], state[row], np.zeros(2), record))
+            log += [LoggedStep(iteration, number, state[row], state[row], np.zeros(2), record)]
     return log
 
 
@@ -115,7 +115,7 @@ class TestRefused:
         with pytest.raises(ValueError, match="equally many"):
             observed_with(right[1:])
 
-    @pytest.mark.parametrize("named", ["place", "deployment"])
-    def test_places_or_deployments_of_other_steps(self, named: str) -> None:
+    @pytest.mark.parametrize("named", ["yaw", "deployment"])
+    def test_yaws_or_deployments_of_other_steps(self, named: str) -> None:
         with pytest.raises(ValueError, match="equally many"):
             replace(Observations(SPACE, *self.DATA), **{named: np.zeros(3, np.intp)})

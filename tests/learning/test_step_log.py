@@ -23,6 +23,7 @@ from stepgap.learning.step_log import (
     row_of,
 )
 from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
+from tests.full_disk import SAYS, largest_file
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.5, 0.6)),
@@ -50,15 +51,15 @@ def any_step(draw: st.DrawFn) -> LoggedStep:
     status = draw(st.sampled_from(list(StepStatus)))
     next_state = draw(PAIR) if status == StepStatus.OK else NO_STATE
     predicted = draw(st.one_of(PAIR, st.just(NO_STATE)))
-    place = draw(st.one_of(FINITE, st.just(math.nan)))
-    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, place)
+    yaw = draw(st.one_of(FINITE, st.just(math.nan)))
+    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, yaw)
     return LoggedStep(0, 1, draw(PAIR), predicted, draw(PAIR), record)
 
 
 def numbers_of(logged: LoggedStep) -> bytes:
     record = logged.record
     arrays = (record.state, logged.target, record.command, record.applied, record.next_state)
-    return np.concatenate([*arrays, logged.predicted, logged.std, [record.place_after]]).tobytes()
+    return np.concatenate([*arrays, logged.predicted, logged.std, [record.yaw_after]]).tobytes()
 
 
 @given(logged=any_step())
@@ -76,27 +77,27 @@ def test_the_columns_are_the_contract(tmp_path: Path) -> None:
     header, *rows = (tmp_path / "steps.csv").read_text().splitlines()
     assert header == (
         "iteration,step,speed,height,target_speed,target_height,fx,fy,applied_fx,applied_fy,"
-        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,place_after,status"
+        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,yaw_after,status"
     )
     assert header.split(",") == column_names(SPACE)
     assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,0.11,0.55,0.2,0.58,0.0,0.0,nan,ok"
     assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,nan,nan,0.2,0.58,0.0,0.0,nan,fell"
 
 
-def test_the_place_of_a_step_is_where_the_one_before_ended() -> None:
+def test_the_yaw_of_a_step_is_where_the_one_before_ended() -> None:
     first = [step(), step(number=2), step(number=3)]
-    places = [0.5, math.nan, 7.0]
-    known = [replace(s, record=replace(s.record, place_after=place)) for s, place in zip(first, places, strict=True)]
-    np.testing.assert_array_equal(StepLog(SPACE, [*known, step(1, 1)]).place, [math.nan, 0.5, math.nan, math.nan])
-    assert StepLog(SPACE).place.shape == (0,)
+    yaws = [0.5, math.nan, 7.0]
+    known = [replace(s, record=replace(s.record, yaw_after=yaw)) for s, yaw in zip(first, yaws, strict=True)]
+    np.testing.assert_array_equal(StepLog(SPACE, [*known, step(1, 1)]).yaw, [math.nan, 0.5, math.nan, math.nan])
+    assert StepLog(SPACE).yaw.shape == (0,)
     left_out = StepLog(SPACE, [known[0], known[2]])
-    np.testing.assert_array_equal(left_out.place, [math.nan, math.nan])
+    np.testing.assert_array_equal(left_out.yaw, [math.nan, math.nan])
 
 
-def test_an_infinite_place_is_refused() -> None:
+def test_an_infinite_yaw_is_refused() -> None:
     record = step().record
-    with pytest.raises(ValueError, match="place_after = inf, but it must be an angle, or NaN where it is not known"):
-        replace(record, place_after=math.inf)
+    with pytest.raises(ValueError, match="yaw_after = inf, but it must be an angle, or NaN where it is not known"):
+        replace(record, yaw_after=math.inf)
 
 
 def test_the_log_by_columns() -> None:
@@ -142,6 +143,18 @@ def test_wherever_a_file_is_cut_off_it_goes_on_from_the_last_whole_row(tmp_path:
         assert path.read_bytes() == whole or kept == 2
 
 
+def test_a_full_disk_is_said_with_the_file_and_spoils_no_row(tmp_path: Path) -> None:
+    path = tmp_path / "steps.csv"
+    write(path, step())
+    whole = path.read_bytes()
+    with largest_file(len(whole) + 20), pytest.raises(OSError, match=SAYS) as caught:
+        write(path, step(number=2))
+    assert caught.value.filename == str(path)
+    assert path.read_bytes()[: len(whole)] == whole
+    write(path, step(number=2))
+    assert len(read_step_log(path, SPACE)) == 2
+
+
 def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "steps.csv"
     write(path, step(), step(number=2, status=StepStatus.NO_APEX))
@@ -152,6 +165,7 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
     ("spoil", "line", "says"),
     [
         (lambda text: text.replace("speed", "pace", 1), 1, "the columns must be iteration,step,speed"),
+        (lambda text: text.replace("yaw_after", "place_after", 1), 1, "column yaw_after was called place_after"),
         (lambda text: "hello", 1, "columns"),
         (lambda text: "\n" + text, 1, "columns"),
         (lambda text: text.replace("0.55", "0.5x", 1), 2, "could not convert"),

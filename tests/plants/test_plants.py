@@ -5,10 +5,11 @@ import pytest
 
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.rig import Reading, RigFault
+from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepFailed, StepStatus
@@ -45,23 +46,23 @@ def test_steps_are_chained_and_record_what_was_asked_and_applied(make_plant):
             state = record.next_state
 
 
-def test_the_place_of_a_step_is_the_boom_at_its_end():
+def test_the_yaw_after_a_step_is_that_of_the_boom():
     twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0), start_speed=0.3)
     with RigPlant(twin, CONTROL) as plant:
         plant.start()
         for _ in range(3):
-            place = plant.take_step(COMMAND).place_after
-            assert abs(place - twin.true_state().boom[0]) < 2 * np.pi / 5000 + 1e-3  # a count, and a tick's way
-            assert place > 0.1
+            yaw = plant.take_step(COMMAND).yaw_after
+            assert abs(yaw - twin.true_state().boom[0]) < 2 * np.pi / 5000 + 1e-3  # a count, and a tick's way
+            assert yaw > 0.1
 
 
-def test_a_step_without_an_apex_and_a_map_have_no_place():
+def test_a_step_without_an_apex_and_a_map_have_no_yaw():
     with model_plant(0) as plant:
         plant.start()
-        assert np.isnan(plant.take_step(COMMAND).place_after)
+        assert np.isnan(plant.take_step(COMMAND).yaw_after)
     with twin_plant(0) as plant:
         plant.start()
-        assert np.isnan(plant.take_step(np.array([np.nan, 0.0])).place_after)
+        assert np.isnan(plant.take_step(np.array([np.nan, 0.0])).yaw_after)
 
 
 def test_same_seed_same_steps(make_plant):
@@ -150,7 +151,7 @@ def test_torque_that_the_drives_refuse_is_taken_off_the_applied_command():
     assert record.applied[1] < 14.0
 
 
-@pytest.mark.parametrize("sensor", Reading._fields)
+@pytest.mark.parametrize("sensor", HopperReading._fields)
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
     """Also the contact force, of which no torque is computed: without it no landing is seen."""
@@ -163,7 +164,7 @@ def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
         record = plant.take_step(COMMAND)
         assert (record.status, plant.fault[:36]) == (StepStatus.STOPPED, "the sensors tell what is no number: ")
         with pytest.raises(RigFault):
-            twin.write(0.0, 0.0)
+            twin.write((0.0, 0.0))
 
 
 def test_every_tick_is_reported_with_torques_within_the_limit():

@@ -10,6 +10,7 @@ from stepgap.learning.step_log import StepWriter, column_names, digest
 from stepgap.records import run_folder
 from stepgap.records.run_folder import read_run_folder, space_of_header
 from stepgap.records.summary import parse_summary
+from stepgap.report.settings_table import parsed
 from stepgap.step import Quantity, StepSpace, StepStatus
 from tests.report.runs import logged, write_run, write_summary
 
@@ -203,6 +204,11 @@ def test_settings_that_are_none(folder: Path, content: bytes, message: str) -> N
     text = complaint(folder)
     assert text.startswith("RUN/experiment.toml: ")
     assert message in text
+
+
+def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
+    (folder / "experiment.toml").write_text("seed = 3\n", encoding="utf-8-sig")
+    assert parsed(read_run_folder(folder).settings) == {"seed": 3}
 
 
 def test_directories_in_place_of_files(folder: Path) -> None:

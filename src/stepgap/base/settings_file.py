@@ -13,6 +13,8 @@ from stepgap.base.ranges import LARGEST_INTEGER, format_value
 LARGEST_SETTINGS_FILE = 2**20
 """Largest file of settings that is read [bytes]."""
 
+BYTE_ORDER_MARK = "\ufeff"
+
 Locate = Callable[[str], str]
 """Names a dotted setting as the user knows it: by its file and table, or by its option."""
 
@@ -32,15 +34,27 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
             content = file.read(LARGEST_SETTINGS_FILE + 1)
         if len(content) > LARGEST_SETTINGS_FILE:
             raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes, so it is not {what}")
-        return tomllib.loads(content.decode("utf-8-sig"))  # some editors begin a file with a mark
+        return parse_toml(content.decode("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not text; {what} is a TOML file in UTF-8") from None
-    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except ValueError as error:
         raise InputError(f"{path}: not TOML: {error}") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The table of a TOML text, which may begin with a byte-order mark, as some editors write it.
+
+    Raises:
+        ValueError: It is not TOML.
+    """
+    try:
+        return tomllib.loads(text.removeprefix(BYTE_ORDER_MARK))
+    except RecursionError:
+        raise ValueError("its lists or tables are nested too deeply") from None
 
 
 def with_table(name: str) -> str:

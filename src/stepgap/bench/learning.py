@@ -23,12 +23,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import write_whole
+from stepgap.base.files import append_text, write_whole
 from stepgap.base.random_streams import random_stream
 from stepgap.bench.baselines import IntegralCorrection, identify
 from stepgap.bench.timing import Announce
 from stepgap.control.reference import Reference
-from stepgap.experiment.deployment import deploy, summarise
+from stepgap.experiment.deployment import AdaptiveMap, deploy, summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings, ResidualKind
 from stepgap.learning.step_log import StepLog
@@ -77,17 +77,17 @@ class Trial:
 
     def uncorrected(self) -> Learner:
         """Knows nothing."""
-        return Learner(self.nominal, StepLog(self.nominal.space), LearningSettings(residual="none"), 0)
+        return Learner.start(self.nominal, StepLog(self.nominal.space), LearningSettings(residual="none"), 0)
 
     def meet(self, iteration: int) -> Twin:
         """The twin of a deployment."""
         robot, rng = self.nominal.robot, random_stream(self.twin, self.seed, iteration)
         ground = GroundProfile(self.gap, robot.boom_length, random_stream(self.twin, 0))
-        return Twin(robot, self.gap, rng, ground=ground, turn=rng.uniform(0, tau))
+        return Twin(robot, self.gap, rng, ground=ground, floor_yaw=rng.uniform(0, tau))
 
     def deploy(
         self,
-        learner: Learner,
+        learner: AdaptiveMap,
         iteration: int,
         calibration: int = 0,
         most_steps: int | None = None,
@@ -99,7 +99,7 @@ class Trial:
         with closing(deploy(learner, plant, self.reference, iteration, calibration)) as steps:
             try:
                 for logged in islice(steps, most_steps):
-                    log.append(logged)
+                    log += [logged]
             except RigFault:
                 if len(log):
                     raise
@@ -111,11 +111,11 @@ Method = Callable[[Trial, StepLog], StepLog]
 
 
 def _integral(trial: Trial, log: StepLog) -> StepLog:
-    return trial.deploy(IntegralCorrection(trial.nominal, log), 1)
+    return trial.deploy(IntegralCorrection.start(trial.nominal, log), 1)
 
 
 def _identified(trial: Trial, log: StepLog) -> StepLog:
-    return trial.deploy(Learner(identify(trial.nominal, log), log, LearningSettings(residual="none"), 1), 1)
+    return trial.deploy(Learner.start(identify(trial.nominal, log), log, LearningSettings(residual="none"), 1), 1)
 
 
 def _sysid(trial: Trial, log: StepLog) -> StepLog:
@@ -125,12 +125,12 @@ def _sysid(trial: Trial, log: StepLog) -> StepLog:
     again = trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)  # the very same deployment, to the last bit
     if not len(again):
         return trial.deploy(trial.uncorrected(), 1)
-    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).layout)
-    return trial.deploy(Learner(found, log, LearningSettings(residual="none"), 1), 1)
+    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).sensor_model)
+    return trial.deploy(Learner.start(found, log, LearningSettings(residual="none"), 1), 1)
 
 
 def _residual(trial: Trial, log: StepLog, kind: ResidualKind) -> StepLog:
-    learner = Learner(trial.nominal, log, LearningSettings(residual=kind), 1)
+    learner = Learner.start(trial.nominal, log, LearningSettings(residual=kind), 1)
     key = json.dumps(learner.residual.to_dict())
     if key not in trial.redeployed:  # `auto` is one of the others: its deployment would be the same
         trial.redeployed[key] = trial.deploy(learner, 1)
@@ -138,7 +138,7 @@ def _residual(trial: Trial, log: StepLog, kind: ResidualKind) -> StepLog:
 
 
 def _from_the_first_hop(trial: Trial, log: StepLog, learning: LearningSettings) -> StepLog:
-    return trial.deploy(Learner(trial.nominal, StepLog(log.space), learning, 0), 0, learning.calibration)
+    return trial.deploy(Learner.start(trial.nominal, StepLog(log.space), learning, 0), 0, learning.calibration)
 
 
 SKIPPED = {} if hasattr(mujoco.sysid, "optimize") else {"sysid": "needs the packages of stepgap[sysid]"}
@@ -262,13 +262,12 @@ def bench_learning(
     jobs = [Job(*pair, tuple(method for method in methods if (*pair, method) not in done)) for pair in pairs]
     jobs = [job for job in jobs if job.methods]
     begin = perf_counter()
-    with record.open("a", encoding="utf-8") as file:
-        for number, rows in enumerate(_measured(reference, jobs, workers), start=1):
-            file.write(json.dumps(rows) + "\n")
-            file.flush()
-            left = (perf_counter() - begin) * (len(jobs) - number) / number
-            announce(f"{number} of {len(jobs)} done, {left / 60:.0f} min remaining")
-            known += rows
+    append_text(record, "")  # or hours might pass before it is found that nothing can be written
+    for number, rows in enumerate(_measured(reference, jobs, workers), start=1):
+        append_text(record, json.dumps(rows) + "\n")
+        left = (perf_counter() - begin) * (len(jobs) - number) / number
+        announce(f"{number} of {len(jobs)} done, {left / 60:.0f} min remaining")
+        known += rows
     rows = {(row["twin"], row["seed"], row["method"]): row for row in known}
     return [rows[*pair, method] for method in (UNCORRECTED, *methods) for pair in pairs]
 

@@ -95,10 +95,11 @@ def _is_bad_input(error: Exception) -> bool:
 
 
 def _line_of(error: Exception) -> str:
-    """The message of an error; of one that StepGap does not foresee, its type, too."""
+    """The message of an error; of one that neither StepGap nor the system explains, its type, too."""
     if isinstance(error, cyclopts.UnusedCliTokensError) and error.unused_tokens:
         return f"{' '.join(error.unused_tokens)}: too many arguments; --help shows what this verb takes"
-    if _is_bad_input(error) or isinstance(error, StepGapError):
+    about_a_file = isinstance(error, OSError) and error.filename is not None  # such as that its disk is full
+    if _is_bad_input(error) or about_a_file or isinstance(error, StepGapError):
         return f"{message_of(error)}{_hint(error)}"
     return f"{type(error).__name__}: {error}"
 

@@ -3,7 +3,10 @@
 import json
 import os
 import sys
+from contextlib import redirect_stdout
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 from cyclopts import App, Parameter, validators
@@ -57,6 +60,27 @@ def bench_gp_(*, quick: Flag = False, out: Path | None = None) -> None:
     file = _new_file(out, "bench_gp.json")
     result = bench_gp(0, quick, _announce)
     print(describe_gp_bench(result))
+    _write_json(file, result)
+
+
+@announces_compilation
+def bench_run_(experiment: Path | None = None, /, *, out: Path | None = None, overrides: Overrides = None) -> None:
+    """Run an experiment and show how its CPU time is divided: physics, control, learning and so on; about a minute.
+
+    Args:
+        experiment: TOML file of settings. [default: the experiment of the paper]
+        out: New JSON file for the result. [default: bench_run.json or the next free name]
+    """
+    from stepgap.bench.run import bench_run, describe_run
+    from stepgap.cli.run import Display, run
+    from stepgap.experiment.settings import read_experiment
+
+    settings = read_experiment(experiment, overrides or [])
+    file, display = _new_file(out, "bench_run.json"), Display(quiet=True)
+    with TemporaryDirectory() as folder, redirect_stdout(sys.stderr):
+        whole = partial(run, experiment, out=Path(folder) / "run", display=display, overrides=overrides)
+        result = bench_run(settings, whole)
+    print(describe_run(result))
     _write_json(file, result)
 
 
@@ -151,4 +175,5 @@ def _print_line(line: str) -> None:
 bench = App(name="bench", help="Measure how fast and how accurate StepGap is on this machine, and how well it learns.")
 add_verb(bench, "map", bench_map_)
 add_verb(bench, "gp", bench_gp_)
+add_verb(bench, "run", bench_run_)
 add_verb(bench, "learning", bench_learning_)

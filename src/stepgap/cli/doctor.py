@@ -40,7 +40,7 @@ def doctor() -> None:
 
 
 def _versions() -> Iterator[_Row]:
-    from stepgap.experiment.loop import versions_here
+    from stepgap.base.versions import versions_here
 
     yield from versions_here().items()
 

@@ -10,8 +10,9 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from stepgap.experiment.loop import Deployment, Observer, summary_entry
+from stepgap.experiment.loop import Observer
 from stepgap.learning.step_log import LoggedStep, values_of
+from stepgap.records.summary import Deployment, deployment_entry
 from stepgap.step import StepSpace, StepStatus
 
 
@@ -117,7 +118,7 @@ def printing_events(observer: Observer, space: StepSpace) -> Observer:
         observer.on_step(logged)
 
     def on_deployment(deployment: Deployment) -> None:
-        print_event("deployment", **summary_entry(deployment, space.state_names))
+        print_event("deployment", **deployment_entry(deployment, space.state_names))
         observer.on_deployment(deployment)
 
     def on_fault(message: str) -> None:

@@ -197,7 +197,7 @@ def _execute(
             ready.folder,
             ready.settings.seed,
             live.observing(observer) if live else observer,
-            plants.measure_spread,
+            plants.measure_noise_floor,
             plants.replays,
             ready.known,
         )

@@ -17,8 +17,8 @@ from stepgap.learning.step_log import RecordError, digest
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.report import Background, RunRecord, comparison_html, read_run_folder, write_report
 from stepgap.report.motion import RATE, Motion, Replay, read_motion, sensed_motion, write_motion
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.sensors import HopperSensorModel
 
 EVERY = 1000 // RATE
 """One of so many ticks of a simulation, of which there are 1000 a second, is shown."""
@@ -140,7 +140,9 @@ def _replay(
     return Replay(motions, settings.robot, layout.pivot_height)
 
 
-def _motion(record: RunRecord, iteration: int, layout: RigLayout, ticks_of: Callable[[int], TickTable]) -> Motion:
+def _motion(
+    record: RunRecord, iteration: int, layout: HopperSensorModel, ticks_of: Callable[[int], TickTable]
+) -> Motion:
     """How a deployment moved: as kept in the folder, or from its ticks."""
     path = record.folder / "replay" / f"deployment_{iteration}.npz"
     steps = digest(record.steps.of_iteration(iteration))

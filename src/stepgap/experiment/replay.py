@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.experiment.loop import versions_here
+from stepgap.base.versions import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep, RecordError, read_step_log, row_of
@@ -16,9 +16,11 @@ from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.summary import read_summary
 from stepgap.rigs.entry_points import load_rig
-from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout
-from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import Health, Reading, Rig, RigFault, SensorModel, Torques
+from stepgap.robots.hopper.hop_control import sensors_of
 from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array
@@ -73,15 +75,15 @@ def replayed_hops(folder: Path, iteration: int, every: int = 1) -> Iterator[Tick
         yield TickTable(REPLAY_UNITS, ticks)
 
 
-def layout_of(settings: Experiment) -> RigLayout:
+def layout_of(settings: Experiment) -> HopperSensorModel:
     """How to read the counts of an experiment's ticks.
 
     Raises:
         InputError: The rig, or the file that describes it, is not there.
     """
     if settings.plant in SIMULATED:
-        return remade_rig(settings, 0)[0].layout
-    return load_rig(settings.plant, Path(settings.rig), settings.robot).layout
+        return sensors_of(remade_rig(settings, 0)[0])
+    return sensors_of(load_rig(settings.plant, Path(settings.rig), settings.robot))
 
 
 def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
@@ -158,8 +160,8 @@ def _not_again(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
     reason = (
         f"it was run with {'; '.join(changed)}" if changed else "the record was changed, or made on another machine"
     )
-    place = f"step {logged.step} of deployment {logged.iteration}"
-    return f"{folder / 'steps.csv'}: {place} could not be made again to the last bit; {reason}"
+    step = f"step {logged.step} of deployment {logged.iteration}"
+    return f"{folder / 'steps.csv'}: {step} could not be made again to the last bit; {reason}"
 
 
 class _Recorder:
@@ -211,11 +213,11 @@ class _Watched(Rig):
         self._rig, self._look = rig, look
 
     @property
-    def layout(self) -> RigLayout:
-        return self._rig.layout
+    def sensor_model(self) -> SensorModel:
+        return self._rig.sensor_model
 
     @property
-    def limits(self) -> SafetyLimits | None:
+    def limits(self) -> RigLimits | None:
         return self._rig.limits
 
     @property
@@ -230,8 +232,8 @@ class _Watched(Rig):
         self._look()
         return reading
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
-        return self._rig.write(torque_1, torque_2)
+    def write(self, torques: Torques) -> Torques:
+        return self._rig.write(torques)
 
     def close(self) -> None:
         self._rig.close()

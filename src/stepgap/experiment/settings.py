@@ -1,7 +1,6 @@
 """Every setting of an experiment: read strictly from TOML and the command line, written back resolved."""
 
 import csv
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -13,7 +12,16 @@ import tomli_w
 from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
 from stepgap.base.ranges import format_value, require
-from stepgap.base.settings_file import LARGEST_SETTINGS_FILE, Locate, located, merge, read_toml, to_table, with_table
+from stepgap.base.settings_file import (
+    LARGEST_SETTINGS_FILE,
+    Locate,
+    located,
+    merge,
+    parse_toml,
+    read_toml,
+    to_table,
+    with_table,
+)
 from stepgap.control.reference import Reference, paper_reference, read_reference
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log, text_of
@@ -164,8 +172,8 @@ def write_experiment(folder: Path, experiment: Experiment, reference: Reference,
 def _parse_value(text: str) -> Any:
     """The TOML value that `text` spells; a bare word is a string."""
     try:
-        table = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
+        table = parse_toml(f"value = {text}")
+    except ValueError:
         return text
     return table["value"] if len(table) == 1 else text
 

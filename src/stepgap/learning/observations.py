@@ -27,8 +27,7 @@ class Observations:
         applied_command: Command the joints received; shape (N, m).
         error: Actual − nominal next state; shape (N, n).
         context: What was known of the past; shape (N, 2n + m + 1). None: nothing but the order of the steps.
-        place: Where on its round the robot was when each step started [rad], NaN where not known; shape (N,). None:
-            nothing is known of it.
+        yaw: Yaw at which each step started [rad], NaN where it is not known; shape (N,). None: it is not known at all.
         deployment: Number of the deployment it belongs to; shape (N,). None: all of them to one.
 
     Raises:
@@ -40,7 +39,7 @@ class Observations:
     applied_command: Array
     error: Array
     context: Array | None = None
-    place: Array | None = None
+    yaw: Array | None = None
     deployment: Indices | None = None
 
     def __post_init__(self) -> None:
@@ -51,11 +50,11 @@ class Observations:
         if self.context is not None:
             errors = (f"error of {name}" for name in state)
             _check_rows(self.context, "context", (*errors, *command, *state, "steps before"))
-        parts = (self.state, self.applied_command, self.error, self.context, self.place, self.deployment)
+        parts = (self.state, self.applied_command, self.error, self.context, self.yaw, self.deployment)
         sizes = [len(part) for part in parts if part is not None]
         if len(set(sizes)) != 1:
             raise ValueError(
-                f"states, applied commands, errors, contexts, places and deployments must be equally many, not {sizes}"
+                f"states, applied commands, errors, contexts, yaws and deployments must be equally many, not {sizes}"
             )
 
     def __len__(self) -> int:
@@ -82,7 +81,7 @@ def observe(log: StepLog, nominal: StepMap) -> Observations:
     before = np.where(log.follows[:, None], np.roll(told, 1, axis=0), 0.0)
     context = np.hstack([before, np.arange(float(len(log)))[:, None]])
     known = np.isfinite(error).all(axis=1)
-    rows = log.state[known], log.applied[known], error[known], context[known], log.place[known], log.deployment[known]
+    rows = log.state[known], log.applied[known], error[known], context[known], log.yaw[known], log.deployment[known]
     return Observations(nominal.space, *rows)
 
 

@@ -59,6 +59,6 @@ class LearningSettings:
         if not 0 <= self.calibration <= 1000:
             raise ValueError(f"calibration = {self.calibration}, but it must lie between 0 and 1000")
 
-    def lessons(self, iteration: int) -> float:
-        """How many steps of a deployment are learnt from while it goes on."""
+    def steps_to_learn(self, iteration: int) -> float:
+        """Number of steps of a deployment that are learnt from while it is running."""
         return inf if self.online else self.calibration if iteration == 0 else 0

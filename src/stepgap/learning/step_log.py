@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError
+from stepgap.base.files import naming
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
 LARGEST_FILE = 256 * 2**20
@@ -55,7 +56,7 @@ def column_names(space: StepSpace) -> list[str]:
         *command,
         *(f"applied_{name}" for name in command),
         *(f"{kind}_{name}" for kind in ("next", "predicted", "std") for name in state),
-        "place_after",
+        "yaw_after",
         "status",
     ]
 
@@ -75,7 +76,7 @@ def _values(logged: LoggedStep) -> list[int | float | str]:
     before = (record.state, logged.target, record.command, record.applied)
     after = (record.next_state, logged.predicted, logged.std)
     numbers = np.concatenate(before + after).tolist()
-    return [logged.iteration, logged.step, *numbers, float(record.place_after), record.status.label]
+    return [logged.iteration, logged.step, *numbers, float(record.yaw_after), record.status.label]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -88,14 +89,14 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
     n, m = len(space.state), len(space.command)
     numbers = np.array([float(cell) for cell in cells[2:-1]])
     parts = np.split(numbers, np.cumsum([n, n, m, m, n, n, n]))
-    state, target, command, applied, next_state, predicted, std, (place,) = parts
+    state, target, command, applied, next_state, predicted, std, (yaw,) = parts
     status = StepStatus[cells[-1].upper()]
     known = [state, target, command, applied, std]
     if status == StepStatus.OK:
         known.append(next_state)
     if not np.isfinite(np.concatenate(known)).all():
         raise ValueError("a number is not finite")
-    record = StepRecord(state, command, applied, next_state, status, float(place))
+    record = StepRecord(state, command, applied, next_state, status, float(yaw))
     return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
 
 
@@ -112,16 +113,16 @@ def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
 
 
 class StepLog:
-    """Steps in the order in which they were executed.
+    """Steps in the order in which they were executed; immutable, `log + steps` is a longer one.
 
     Args:
         space: Names of their state and command.
-        steps: What is known already.
+        steps: Those in it.
     """
 
     def __init__(self, space: StepSpace, steps: Iterable[LoggedStep] = ()):
         self.space = space
-        self._steps = list(steps)
+        self._steps = tuple(steps)
 
     def __len__(self) -> int:
         return len(self._steps)
@@ -129,9 +130,14 @@ class StepLog:
     def __iter__(self) -> Iterator[LoggedStep]:
         return iter(self._steps)
 
-    def append(self, logged: LoggedStep) -> None:
-        """Adds a step."""
-        self._steps.append(logged)
+    def __add__(self, steps: Iterable[LoggedStep]) -> "StepLog":
+        """These steps, then others."""
+        return StepLog(self.space, (*self._steps, *steps))
+
+    @property
+    def last(self) -> LoggedStep | None:
+        """The latest step; None if there is none."""
+        return self._steps[-1] if self._steps else None
 
     def of_iteration(self, iteration: int) -> "StepLog":
         """The steps of one deployment."""
@@ -156,9 +162,9 @@ class StepLog:
         return sum(logged.record.status != StepStatus.OK for logged in self._steps)
 
     @property
-    def place(self) -> Array:
-        """Places at the start of each step [rad], NaN where they are not known; shape (N,)."""
-        before = np.roll([logged.record.place_after for logged in self._steps], 1)
+    def yaw(self) -> Array:
+        """Yaw at the start of each step [rad], NaN where it is not known; shape (N,)."""
+        before = np.roll([logged.record.yaw_after for logged in self._steps], 1)
         return np.where(self.follows, before, np.nan)
 
     @property
@@ -213,9 +219,17 @@ def joined(logs: Sequence[StepLog]) -> StepLog:
     whole = StepLog(logs[0].space)
     for log in logs:
         first = max(whole.iterations, default=-1) + 1
-        for logged in log:
-            whole.append(replace(logged, iteration=logged.iteration + first))
+        whole += [replace(logged, iteration=logged.iteration + first) for logged in log]
     return whole
+
+
+def check_not_older(header: Sequence[str], path: Path) -> None:
+    """Raises RecordError if a header names a column as only earlier versions of StepGap did."""
+    if "place_after" in header:
+        raise RecordError(
+            f"{path}, line 1: recorded by an older version of StepGap, in which the column yaw_after was called "
+            "place_after; run its experiment.toml again, or read the steps alone after renaming the column"
+        )
 
 
 def text_of(log: StepLog) -> str:
@@ -250,18 +264,19 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_FILE + 1)
-    steps, readable = StepLog(space), _readable(content)
+    steps: list[LoggedStep] = []
+    readable = _readable(content)
     try:
         for logged in _steps_in(content[:readable], path, space):
             steps.append(logged)
     except RecordError as error:
-        if not len(steps):
+        if not steps:
             raise
-        return steps, str(error)
+        return StepLog(space, steps), str(error)
     if readable < len(content):
-        return steps, f"{path}: no text from byte {readable} on"
+        return StepLog(space, steps), f"{path}: no text from byte {readable} on"
     cut = content[content.rfind(b"\n") + 1 :]
-    return steps, f"{path}: the last line breaks off after {len(cut)} bytes" if cut else ""
+    return StepLog(space, steps), f"{path}: the last line breaks off after {len(cut)} bytes" if cut else ""
 
 
 def _readable(content: bytes) -> int:
@@ -289,6 +304,7 @@ def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedSt
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: not a text file in UTF-8 ({error.reason})") from None
     if lines[:1] != [header]:
+        check_not_older(lines[0].split(",") if lines else [], path)
         raise RecordError(f"{path}, line 1: the columns must be {header}")
     last = None
     for number, line in enumerate(lines[1:], start=2):
@@ -318,7 +334,7 @@ class StepWriter:
 
     def __init__(self, path: Path, space: StepSpace):
         self._header = ",".join(column_names(space))
-        self._file = path.open("a+b")
+        self._path, self._file = path, path.open("a+b")
         try:
             self._lock(path)
             self._file.seek(0)
@@ -340,18 +356,24 @@ class StepWriter:
                 raise
 
     def append(self, logged: LoggedStep) -> None:
-        """Writes one row, after the last whole one, and waits until the disk has it."""
+        """Writes one row, after the last whole one, and waits until the disk has it.
+
+        Raises:
+            OSError: The row cannot be written; the rows before it stay as they are.
+        """
         text = row_of(logged) if self._whole else f"{self._header}\n{row_of(logged)}"
         row = f"{text}\n".encode()
-        self._file.truncate(self._whole)
-        self._file.write(row)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        with naming(self._path):
+            self._file.truncate(self._whole)
+            self._file.write(row)
+            self._file.flush()
+            os.fsync(self._file.fileno())
         self._whole += len(row)
 
     def close(self) -> None:
         """Closes the file."""
-        self._file.close()
+        with naming(self._path):
+            self._file.close()
 
     def __enter__(self) -> "StepWriter":
         return self

@@ -3,17 +3,17 @@
 The folder may still be growing: `steps.csv` may hold steps of a deployment that `summary.json` does not know yet.
 """
 
-import tomllib
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.settings_file import parse_toml
 from stepgap.control.reference import paper_reference
-from stepgap.learning.step_log import StepLog, column_names, digest, read_step_log
+from stepgap.learning.step_log import StepLog, check_not_older, column_names, digest, read_step_log
 from stepgap.records.paper import STATE_NAMES, UNITS
-from stepgap.records.summary import LARGEST_NUMBER, FinishedDeployment, Summary, read_summary, read_text
+from stepgap.records.summary import LARGEST_NUMBER, Deployment, Summary, read_summary, read_text
 from stepgap.step import Array, Quantity, StepSpace
 
 LARGEST_SETTINGS = 2**18
@@ -45,7 +45,7 @@ class RunRecord:
     settings: str | None
 
     @property
-    def deployments(self) -> tuple[FinishedDeployment, ...]:
+    def deployments(self) -> tuple[Deployment, ...]:
         """The finished ones, rising."""
         return self.summary.deployments
 
@@ -117,6 +117,7 @@ def space_of_header(path: Path) -> StepSpace:
         header = file.readline(LONGEST_HEADER).decode(errors="replace").rstrip("\r\n").split(",")
     if header == [""]:
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
+    check_not_older(header, path)
     for n in range(1, min(MOST_COORDINATES, len(header) // 5) + 1):
         m = (len(header) - 4 - 5 * n) // 2
         state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
@@ -125,7 +126,7 @@ def space_of_header(path: Path) -> StepSpace:
             return space
     raise ValueError(
         f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
-        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, place_after, "
+        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, yaw_after, "
         "status"
     )
 
@@ -164,7 +165,7 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
 def _read_settings(path: Path) -> str | None:
     text = read_text(path, LARGEST_SETTINGS)
     try:
-        tomllib.loads(text or "")
-    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
+        parse_toml(text or "")
+    except ValueError as error:
         raise ValueError(f"{path}: not TOML ({error}); it must be the file that the run wrote") from None
     return text

@@ -13,8 +13,8 @@ import numpy as np
 
 from stepgap.base.files import write_whole
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.step import Array
 
 RATE: Final = 100
@@ -67,7 +67,7 @@ class Replay:
     pivot_height: float
 
 
-def sensed_motion(ticks: TickTable, layout: RigLayout) -> Motion:
+def sensed_motion(ticks: TickTable, layout: HopperSensorModel) -> Motion:
     """A motion as the sensors saw it.
 
     Args:

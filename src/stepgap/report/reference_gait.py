@@ -123,6 +123,6 @@ def _cells(point: FixedPoint | None, size: int) -> list[str]:
     """Command, multipliers and a word."""
     if point is None:
         return [*["–"] * (size + 1), "no step"]
-    multipliers = ", ".join(f"{abs(value):.3f}" for value in point.multipliers)
+    multipliers = ", ".join(f"{abs(value):.3f}" for value in point.floquet_multipliers)
     word = ("stable" if point.stable else "not stable") if point.held else "not held"
     return [*(f"{value:.2f}".replace("-", "−") for value in point.command), multipliers, word]

@@ -1,9 +1,9 @@
 """Settings that differ: from their defaults, or from run to run."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from stepgap.base.settings_file import parse_toml
 from stepgap.report.html import paragraph, table
 
 MISSING = "–"
@@ -23,7 +23,7 @@ def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, st
 
 def parsed(text: str | None) -> dict[str, Any]:
     """The tables of an `experiment.toml` that is known to be TOML; none without a text."""
-    return tomllib.loads(text or "")
+    return parse_toml(text or "")
 
 
 def differing(columns: Sequence[Mapping[str, str]]) -> list[list[str]]:

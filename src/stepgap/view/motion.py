@@ -6,9 +6,9 @@ from math import asin, tau
 import numpy as np
 
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.leg import knee_angle, leg_of
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.step import Array
 from stepgap.view.geometry import Pose
 
@@ -44,7 +44,7 @@ class Hop:
         return Pose(*self.poses[row].tolist()), float(self.ground[row])
 
 
-def true_hop(table: TickTable, layout: RigLayout) -> Hop | None:
+def true_hop(table: TickTable, layout: HopperSensorModel) -> Hop | None:
     """A hop of the twin made again, as it really was; None without a tick."""
     if not len(table):
         return None
@@ -56,7 +56,7 @@ def true_hop(table: TickTable, layout: RigLayout) -> Hop | None:
     return Hop(table["time"] - table["time"][0], poses, table["ground_height"])
 
 
-def sensed_hop(table: TickTable, layout: RigLayout) -> Hop | None:
+def sensed_hop(table: TickTable, layout: HopperSensorModel) -> Hop | None:
     """A hop as the sensors saw it, on level ground; None without a tick whose sensors were read."""
     table = TickTable(table.units, table.rows[np.isfinite(table.rows).all(axis=1)])
     if not len(table):

@@ -16,14 +16,14 @@ from stepgap.base.errors import InputError
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import layout_of, logged_ticks, replayed_hops
 from stepgap.experiment.settings import read_experiment
-from stepgap.learning.learner import next_context
+from stepgap.learning.observations import next_context
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep, StepLog, read_step_log
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.view.motion import EVERY, Hop, sensed_hop, still_hop, true_hop
 
@@ -55,7 +55,7 @@ class Source:
         self.settings = read_experiment(folder / "experiment.toml")
         self.nominal = ApexMap(self.settings.robot, self.settings.gains, self.settings.command)
         self.space = self.nominal.space
-        self.layout, self._words = self._find_layout(), ""
+        self.sensor_model, self._words = self._find_layout(), ""
         self._size, self._log = -1, StepLog(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
         self._motion: dict[int, list[Hop | None]] = {}
@@ -72,7 +72,7 @@ class Source:
     @property
     def pivot_height(self) -> float:
         """Of the boom [m]."""
-        return self.layout.pivot_height if self.layout else self.settings.gap.boom_pivot_height
+        return self.sensor_model.pivot_height if self.sensor_model else self.settings.gap.boom_pivot_height
 
     @property
     def words(self) -> str:
@@ -152,7 +152,7 @@ class Source:
             self._models[iteration] = model
         return self._models[iteration]
 
-    def _find_layout(self) -> RigLayout | None:
+    def _find_layout(self) -> HopperSensorModel | None:
         try:
             return layout_of(self.settings)
         except InputError:
@@ -188,7 +188,7 @@ class Source:
                 ticks = TickTable(TICK_UNITS, np.array(self._ticks.pop((iteration, number))))
                 hops = self._motion.setdefault(iteration, [])
                 hops.extend([None] * (number + 1 - len(hops)))
-                hops[number] = sensed_hop(ticks, self.layout) if self.layout else None
+                hops[number] = sensed_hop(ticks, self.sensor_model) if self.sensor_model else None
 
     def _is_sought(self, iteration: int) -> bool:
         return iteration in self._finders and self._finders[iteration].is_alive()
@@ -201,20 +201,20 @@ class Source:
             self._words = str(error)
 
     def _remake(self, iteration: int, hops: list[Hop | None]) -> None:
-        assert self.layout
+        assert self.sensor_model
         for table in replayed_hops(self.folder, iteration, EVERY):
-            hops.append(true_hop(table, self.layout))
+            hops.append(true_hop(table, self.sensor_model))
             if self._closed.is_set():
                 return
 
     def _load(self, iteration: int, hops: list[Hop | None]) -> None:
-        if self.layout is None:
+        if self.sensor_model is None:
             raise InputError(f"plant '{self.settings.plant}' is not known here, so its counts cannot be read")
         steps = self.steps(iteration)
         ticks = logged_ticks(self.folder, steps)
         for step in range(steps[0].step - 1, steps[-1].step + 1):
             rows = ticks.rows[ticks["step"] == step]
-            hops.append(sensed_hop(TickTable(ticks.units, rows[::EVERY]), self.layout))
+            hops.append(sensed_hop(TickTable(ticks.units, rows[::EVERY]), self.sensor_model))
 
 
 def _read_model(path: Path) -> Residual | None:
