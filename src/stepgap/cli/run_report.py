@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stepgap.base.output_files import check_new, words_of, writing
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.output_files import check_new, writing
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import layout_of, logged_ticks, replay
-from stepgap.experiment.settings import TWIN, Experiment, InputError, read_experiment
+from stepgap.experiment.settings import TWIN, Experiment, read_experiment
 from stepgap.learning.step_log import RecordError, digest
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.report import Background, RunRecord, comparison_html, read_run_folder, write_report
@@ -61,7 +62,7 @@ def report_run(
         background = _background(record, tell, recorded or {})
         return Report(write_report(folder, background=background), tuple(_left_out(record, background)))
     except (ValueError, OSError) as error:
-        raise InputError(words_of(error)) from None
+        raise InputError(message_of(error)) from None
 
 
 def _left_out(record: RunRecord, background: Background) -> list[str]:
@@ -98,7 +99,7 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
     try:
         text = comparison_html([read_run_folder(folder) for folder in folders])
     except (ValueError, OSError) as error:
-        raise InputError(words_of(error)) from None
+        raise InputError(message_of(error)) from None
     with writing(page, "--out"), page.open("x", encoding="utf-8") as file:
         file.write(text)
 

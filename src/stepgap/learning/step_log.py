@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import naming
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
@@ -18,7 +19,7 @@ LARGEST_FILE = 256 * 2**20
 """Largest `steps.csv` that is read [bytes]."""
 
 
-class RecordError(ValueError):
+class RecordError(InputError):
     """A step log cannot be used; the message is one line that names the file and what is wrong with it."""
 
 

@@ -12,9 +12,10 @@ from threading import Event, Thread
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import layout_of, logged_ticks, replayed_hops
-from stepgap.experiment.settings import InputError, read_experiment
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.learning.step_log import column_names, values_of
 from stepgap.records.run_folder import RunRecord
 from stepgap.robots.hopper.parameters import CommandBounds
