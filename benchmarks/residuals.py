@@ -16,7 +16,8 @@ from stepgap.experiment.settings import read_experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.residual_fit import CANDIDATES
 from stepgap.learning.settings import Features, LearningSettings, ResidualKind
-from stepgap.learning.step_log import StepLog, read_step_log
+from stepgap.learning.step_log import StepLog
+from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array
 
 

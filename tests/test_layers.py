@@ -1,5 +1,6 @@
-"""The import layers of pyproject.toml hold."""
+"""The import layers of pyproject.toml hold, and learning reads and writes no file."""
 
+import ast
 from pathlib import Path
 
 import importlinter.api  # noqa: F401  (configures import-linter on import)
@@ -11,3 +12,15 @@ PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 def test_imports_point_down() -> None:
     kept = use_cases.lint_imports(config_filename=str(PYPROJECT), cache_dir=None, no_logo=True)
     assert kept, "an import points up or across; `./go lint-imports` shows it"
+
+
+def test_learning_reads_and_writes_no_file() -> None:
+    for path in sorted((PYPROJECT.parent / "src/stepgap/learning").glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        imported |= {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
+        called = {
+            node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        }
+        assert not imported & {"os", "io", "pathlib", "shutil", "tempfile", "stepgap.base.files"}, path.name
+        assert "open" not in names, path.name

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.learning.step_log import RecordError
 from stepgap.learning.step_table import StepTable
 from stepgap.records import foreign_log
 from stepgap.records.columns import Columns, read_columns
 from stepgap.records.foreign_log import read_foreign_logs
+from stepgap.records.steps_csv import RecordError
 
 NUMBERS = st.floats(-1e12, 1e12) | st.just(float("nan"))
 WHOLE = Columns(state=("v", "y"), next=("v2", "y2"), command=("f",))

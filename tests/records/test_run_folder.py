@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stepgap.learning.step_log import StepWriter, column_names, digest
-from stepgap.records import run_folder
-from stepgap.records.run_folder import read_run_folder, space_of_header
+from stepgap.records import steps_csv
+from stepgap.records.run_folder import read_run_folder
+from stepgap.records.steps_csv import StepWriter, column_names, digest, space_of_header
 from stepgap.records.summary import parse_summary
 from stepgap.step import Quantity, StepSpace, StepStatus
 from tests.report.runs import logged, write_run, write_summary
@@ -226,7 +226,7 @@ def test_steps_changed_after_the_summary(folder: Path) -> None:
 
 
 def test_too_many_coordinates(tmp_path: Path) -> None:
-    names = tuple(f"x{number}" for number in range(run_folder.MOST_COORDINATES + 1))
+    names = tuple(f"x{number}" for number in range(steps_csv.MOST_COORDINATES + 1))
     assert "at most 12" in complaint(write_run(tmp_path / "run", names, steps=1))
 
 

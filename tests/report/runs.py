@@ -9,8 +9,9 @@ import numpy as np
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import run
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, column_names, row_of
+from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.model_plant import ModelPlant
+from stepgap.records.steps_csv import column_names, row_of
 from stepgap.report.motion import RATE, Motion
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper

@@ -8,13 +8,13 @@ import pytest
 
 from stepgap.experiment.replay import replay
 from stepgap.experiment.settings import InputError
-from stepgap.learning.step_log import RecordError, read_step_log
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.view.geometry import Pose, joints_at
 from stepgap.view.motion import STILL, Hop, true_hop
 from stepgap.view.source import RING_FIELDS, Source

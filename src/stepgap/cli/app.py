@@ -76,7 +76,7 @@ def say(message: str) -> None:
 def _is_bad_input(error: Exception) -> bool:
     if isinstance(error, cyclopts.CycloptsError) or _is_forbidden(error):
         return True
-    from stepgap.learning.step_log import RecordError
+    from stepgap.records.steps_csv import RecordError
 
     return isinstance(error, InputError | RecordError)
 

@@ -12,7 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, Tim
 from rich.progress import Progress as Bars
 
 from stepgap.experiment.loop import Deployment, Observer, summary_entry
-from stepgap.learning.step_log import LoggedStep, values_of
+from stepgap.learning.step_log import LoggedStep
+from stepgap.records.steps_csv import values_of
 from stepgap.step import StepSpace, StepStatus
 
 

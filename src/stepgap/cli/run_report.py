@@ -12,8 +12,8 @@ from stepgap.base.output_files import check_new, words_of, writing
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import layout_of, logged_ticks, replay
 from stepgap.experiment.settings import TWIN, Experiment, InputError, read_experiment
-from stepgap.learning.step_log import RecordError, digest
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.steps_csv import RecordError, digest
 from stepgap.report import Background, RunRecord, comparison_html, read_run_folder, write_report
 from stepgap.report.motion import RATE, Motion, Replay, read_motion, sensed_motion, write_motion
 from stepgap.rigs.rig import RigLayout

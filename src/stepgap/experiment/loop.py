@@ -23,8 +23,9 @@ from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import Deployment, Steps, deploy, summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
+from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
+from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.step import Array, StepMap
 
 SCHEMA = 1

@@ -9,12 +9,13 @@ import numpy as np
 from stepgap.experiment.loop import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
 from stepgap.experiment.settings import Experiment, InputError, read_experiment
-from stepgap.learning.step_log import LoggedStep, RecordError, read_step_log, row_of
+from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.phases import Phase
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick import TICK_UNITS, Tick
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.steps_csv import RecordError, read_step_log, row_of
 from stepgap.records.summary import read_summary
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from stepgap.learning.step_log import RecordError
+from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array, Quantity, StepSpace
 
 LARGEST_FILE = 2**16

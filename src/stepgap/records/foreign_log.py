@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.learning.step_log import RecordError
 from stepgap.learning.step_table import Indices, StepTable, describe_left_out
 from stepgap.records.columns import LARGEST_NUMBER, ROLES, Columns, column_of, unknown_column
+from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
 LARGEST_FILE = 64 * 2**20

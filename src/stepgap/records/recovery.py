@@ -5,9 +5,8 @@ from pathlib import Path
 from mcap.writer import MCAP0_MAGIC
 
 from stepgap.base.settings_file import InputError
-from stepgap.learning.step_log import recover_steps, text_of
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
-from stepgap.records.run_folder import space_of_header
+from stepgap.records.steps_csv import recover_steps, space_of_header, text_of
 
 
 def recover(path: Path, out: Path) -> list[str]:

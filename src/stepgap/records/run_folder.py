@@ -11,19 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.control.reference import paper_reference
-from stepgap.learning.step_log import StepLog, column_names, digest, read_step_log
-from stepgap.records.paper import STATE_NAMES, UNITS
+from stepgap.learning.step_log import StepLog
+from stepgap.records.paper import STATE_NAMES
+from stepgap.records.steps_csv import digest, read_step_log, space_of_header
 from stepgap.records.summary import LARGEST_NUMBER, FinishedDeployment, Summary, read_summary, read_text
-from stepgap.step import Array, Quantity, StepSpace
+from stepgap.step import Array, StepSpace
 
 LARGEST_SETTINGS = 2**18
 """Largest `experiment.toml` that is shown [bytes]."""
-
-LONGEST_HEADER = 2**14
-"""Longest first line of `steps.csv` [bytes]."""
-
-MOST_COORDINATES = 12
-"""State coordinates at most; each has a figure of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,37 +96,6 @@ def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
     steps = _read_steps(path, space)
     _check_same_run(summary, steps, folder / "summary.json")
     return RunRecord(folder, space, steps, summary, _read_settings(folder / "experiment.toml"))
-
-
-def space_of_header(path: Path) -> StepSpace:
-    """Names of state and command as the header of `steps.csv` gives them.
-
-    The file does not know bounds, so that they are −1 and 1, nor units, so that they are the paper's for the
-    coordinates that it has, and empty for others.
-
-    Raises:
-        ValueError: The first line is not a header of a step log.
-        OSError: The file cannot be read.
-    """
-    with path.open("rb") as file:
-        header = file.readline(LONGEST_HEADER).decode(errors="replace").rstrip("\r\n").split(",")
-    if header == [""]:
-        raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
-    for n in range(1, min(MOST_COORDINATES, len(header) // 5) + 1):
-        m = (len(header) - 4 - 5 * n) // 2
-        state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
-        space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)))
-        if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
-            return space
-    raise ValueError(
-        f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
-        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, place_after, "
-        "status"
-    )
-
-
-def _coordinate(name: str) -> Quantity:
-    return Quantity(name, UNITS.get(name, ""), -1.0, 1.0)
 
 
 def _read_steps(path: Path, space: StepSpace) -> StepLog:

@@ -18,10 +18,11 @@ from stepgap.experiment.settings import InputError, read_experiment
 from stepgap.learning.learner import next_context
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
-from stepgap.learning.step_log import LoggedStep, StepLog, read_step_log
+from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.steps_csv import read_step_log
 from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.view.motion import EVERY, Hop, sensed_hop, still_hop, true_hop
