@@ -19,8 +19,6 @@ def test_learning_reads_and_writes_no_file() -> None:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
         imported |= {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
-        called = {
-            node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-        }
+        names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
         assert not imported & {"os", "io", "pathlib", "shutil", "tempfile", "stepgap.base.files"}, path.name
         assert "open" not in names, path.name
