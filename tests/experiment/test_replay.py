@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from stepgap.cli.app import main
-from stepgap.cli.run_report import Report
 from stepgap.experiment.plants import plant_on, remade_rig
 from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
 from stepgap.experiment.settings import InputError, read_experiment
@@ -21,6 +20,7 @@ from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
+from stepgap.report import WrittenReport
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.leg import foot, four_bar
@@ -52,7 +52,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[
         patch.setattr(RigPlant, "start", watched_start)
         patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
         patch.setattr(
-            "stepgap.cli.run_report.report_run", lambda folder, *_: Report(folder, ())
+            "stepgap.cli.run_report.report_run", lambda folder, *_: WrittenReport(folder, ())
         )  # its figures take time
         return run_of(tmp_path_factory.mktemp("watched")), ticks
 

@@ -164,7 +164,7 @@ def test_what_is_no_text_or_too_large_is_refused(tmp_path: Path, monkeypatch: py
     with pytest.raises(RecordError, match=r"steps\.csv: not a text file in UTF-8"):
         read_step_log(path, SPACE)
     write(tmp_path / "large.csv", step())
-    monkeypatch.setattr(steps_csv, "LARGEST_FILE", 100)
+    monkeypatch.setattr(steps_csv, "LARGEST_STEPS_FILE", 100)
     with pytest.raises(RecordError, match=r"large\.csv: larger than 100 bytes"):
         read_step_log(tmp_path / "large.csv", SPACE)
     with pytest.raises(FileNotFoundError):

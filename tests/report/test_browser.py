@@ -4,13 +4,13 @@ from pathlib import Path
 
 from playwright.sync_api import expect
 
-from stepgap.report import Background, write_report
+from stepgap.report import RunContext
 from stepgap.report.motion import Replay
 from stepgap.robots.hopper.parameters import RobotParameters
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page
-from tests.report.runs import make_run, motion
+from tests.report.runs import make_run, motion, report_of
 from tests.view.conftest import run_folder as run_folder
 
 
@@ -40,7 +40,7 @@ def test_a_fall_reads_as_one(tmp_path: Path, watched_page: Watched) -> None:
     folder = make_run(tmp_path / "run", 0, lasts=(3,))
     replay = Replay({0: motion(400)}, RobotParameters(), 0.4)
     page = watched_page.page
-    page.goto(write_report(folder, background=Background(replay=replay)).resolve().as_uri())
+    page.goto(report_of(folder, RunContext(replay=replay)).resolve().as_uri())
     page.locator("#replay-slider").fill("399")
     words = page.locator("#replay-words")
     expect(words).to_contain_text("deployment 0, 3.99 s of 3.99 s: step 4 of 4.")

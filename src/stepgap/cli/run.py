@@ -15,8 +15,8 @@ from stepgap.base.settings_file import InputError
 from stepgap.cli.app import Overrides, say, says_if_it_compiles
 
 if TYPE_CHECKING:
-    from stepgap.cli.run_report import Report
     from stepgap.plants.tick import Tick
+    from stepgap.report import WrittenReport
     from stepgap.view.live import LiveView
 
 
@@ -66,7 +66,7 @@ def run(
     """
     from stepgap.base.signals import terminated_as_interrupted
     from stepgap.cli.progress import Progress, shown_count, telling_events
-    from stepgap.cli.run_report import EVERY, report_run
+    from stepgap.cli.run_report import TICKS_PER_FRAME, report_run
     from stepgap.experiment.loop import run as run_experiment
     from stepgap.experiment.plants import choose_plants
     from stepgap.experiment.run_start import check_reach, dated_folder, folder_to_resume, start_folder
@@ -95,7 +95,7 @@ def run(
     check_reach(nominal, targets, settings.reference)
     known = load_known(settings, nominal.space)
     live = LiveView(folder, host or "127.0.0.1", port) if view else None
-    recorder = TickRecorder(EVERY)
+    recorder = TickRecorder(TICKS_PER_FRAME)
 
     def on_tick(tick: "Tick") -> None:
         recorder.on_tick(tick)
@@ -130,7 +130,7 @@ def run(
         raise KeyboardInterrupt(f"; go on with: {again}") from None
 
 
-def _tell_and_stay(report: "Report", json: bool, quiet: bool, live: "LiveView | None") -> None:
+def _tell_and_stay(report: "WrittenReport", json: bool, quiet: bool, live: "LiveView | None") -> None:
     """Says where the report is, and keeps the live page until Ctrl-C, which by now can only end that."""
     from stepgap.cli.progress import tell_event
 
@@ -139,8 +139,8 @@ def _tell_and_stay(report: "Report", json: bool, quiet: bool, live: "LiveView | 
             tell_event("report", path=str(report.path))
         else:
             print(report.path, flush=True)
-        if report.left_out and not quiet:
-            _say_left_out(report.left_out)
+        if report.missing and not quiet:
+            _warn_of_missing(report.missing)
         if live:
             live.stay()
     except KeyboardInterrupt:
@@ -164,14 +164,14 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
         raise InputError("--out: goes with several runs; the report of one lies in its folder")
     else:
         with shown_count("replay") as tell:
-            page, left_out = report_run(folders[0], tell)
-        if left_out:
-            _say_left_out(left_out)
+            page, missing = report_run(folders[0], tell)
+        if missing:
+            _warn_of_missing(missing)
     print(page)
 
 
-def _say_left_out(parts: Sequence[str]) -> None:
-    """Says what a report does without."""
+def _warn_of_missing(parts: Sequence[str]) -> None:
+    """Lists on stderr what a report does without."""
     say(f"left out of the report: {'; '.join(parts)}")
 
 

@@ -25,6 +25,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
+from stepgap.records.model_files import write_model
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.step import Array, StepMap
 
@@ -135,7 +136,7 @@ def run(
         for iteration in range(learning.iterations + 1):
             learner = Learner(nominal, StepLog(nominal.space, [*past, *log]), learning, iteration)
             if iteration > 0 or len(past):
-                write_whole(folder / "models" / f"iteration_{iteration}.json", json.dumps(learner.residual.to_dict()))
+                write_model(folder, iteration, learner.residual)
             kept, plant = not replays and bool(recorded) and recorded[0].iteration == iteration, None
             if iteration < vouched or kept:
                 steps = _taken_as_recorded(recorded, iteration)

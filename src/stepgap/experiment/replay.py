@@ -20,6 +20,7 @@ from stepgap.records.summary import read_summary
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout
 from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.twin.sensors import sensor_layout
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array
 
@@ -74,13 +75,13 @@ def replayed_hops(folder: Path, iteration: int, every: int = 1) -> Iterator[Tick
 
 
 def layout_of(settings: Experiment) -> RigLayout:
-    """How to read the counts of an experiment's ticks.
+    """How to read the counts of an experiment's ticks; builds no twin.
 
     Raises:
         InputError: The rig, or the file that describes it, is not there.
     """
     if settings.plant in SIMULATED:
-        return remade_rig(settings, 0)[0].layout
+        return sensor_layout(settings.robot, settings.gap)
     return load_rig(settings.plant, Path(settings.rig), settings.robot).layout
 
 

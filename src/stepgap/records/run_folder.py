@@ -3,41 +3,55 @@
 The folder may still be growing: `steps.csv` may hold steps of a deployment that `summary.json` does not know yet.
 """
 
-import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from stepgap.base.settings_file import read_toml_text
 from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
 from stepgap.records.paper import STATE_NAMES
-from stepgap.records.steps_csv import digest, read_step_log, space_of_header
-from stepgap.records.summary import LARGEST_NUMBER, FinishedDeployment, Summary, read_summary, read_text
+from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
+from stepgap.records.summary import LARGEST_NUMBER, FinishedDeployment, Summary, read_summary
 from stepgap.step import Array, StepSpace
 
-LARGEST_SETTINGS = 2**18
-"""Largest `experiment.toml` that is shown [bytes]."""
+
+@dataclass(frozen=True)
+class SettingsFile:
+    """An `experiment.toml`, whether or not its settings are known here.
+
+    Attributes:
+        text: Its text.
+        table: What it says as TOML.
+    """
+
+    text: str
+    table: Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """What a run folder says.
+    """The content of a run folder.
 
     Attributes:
         folder: Where it was read.
         space: Names and units of state and command; a unit may be empty, the bounds mean nothing.
         steps: Every step recorded; at least one.
         summary: Errors of the deployments that are finished.
-        settings: Text of `experiment.toml`; None if there is none.
+        settings: `experiment.toml`; None if there is none.
+        cut_off: Whether the last row of `steps.csv` was cut off in the middle of writing; it is not in `steps`.
     """
 
     folder: Path
     space: StepSpace
     steps: StepLog
     summary: Summary
-    settings: str | None
+    settings: SettingsFile | None
+    cut_off: bool = False
 
     @property
     def deployments(self) -> tuple[FinishedDeployment, ...]:
@@ -51,7 +65,7 @@ class RunRecord:
         return np.full(len(self.space.state), np.nan) if spread is None else spread
 
     @property
-    def shown(self) -> list[int]:
+    def shown_iterations(self) -> list[int]:
         """Iterations that figures show: the finished ones, or while there are none, those with steps."""
         return [deployment.iteration for deployment in self.deployments] or self.steps.iterations
 
@@ -95,7 +109,8 @@ def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
     summary = read_summary(folder / "summary.json", space.state_names)  # before the steps, which only grow meanwhile
     steps = _read_steps(path, space)
     _check_same_run(summary, steps, folder / "summary.json")
-    return RunRecord(folder, space, steps, summary, _read_settings(folder / "experiment.toml"))
+    settings = _read_settings(folder / "experiment.toml")
+    return RunRecord(folder, space, steps, summary, settings, not ends_with_whole_row(path))
 
 
 def _read_steps(path: Path, space: StepSpace) -> StepLog:
@@ -125,10 +140,9 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
         raise ValueError(f"{path}: steps.csv was changed after it was written; both must be of one run")
 
 
-def _read_settings(path: Path) -> str | None:
-    text = read_text(path, LARGEST_SETTINGS)
-    try:
-        tomllib.loads(text or "")
-    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
-        raise ValueError(f"{path}: not TOML ({error}); it must be the file that the run wrote") from None
-    return text
+def _read_settings(path: Path) -> SettingsFile | None:
+    if not path.exists():
+        return None
+    if not path.is_file():
+        raise ValueError(f"{path}: not a file; it must be a text file that the run wrote")
+    return SettingsFile(*read_toml_text(path, "the file that the run wrote"))

@@ -13,7 +13,7 @@ from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.paper import UNITS
 from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
 
-LARGEST_FILE = 256 * 2**20
+LARGEST_STEPS_FILE = 256 * 2**20
 """Largest `steps.csv` that is read [bytes]."""
 
 LONGEST_HEADER = 2**14
@@ -146,6 +146,17 @@ def read_step_log(path: Path, space: StepSpace) -> StepLog:
     return StepLog(space, _steps_in(_read_content(path), path, space))
 
 
+def ends_with_whole_row(path: Path) -> bool:
+    """Whether the last row of a file was written to its end.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
+        return file.read() == b"\n"
+
+
 def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
     """The steps of a broken `steps.csv` up to the first that is not whole, and what is wrong there; empty: nothing.
 
@@ -171,7 +182,7 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
 def _read_content(path: Path) -> bytes:
     """The bytes of a file, and one more than allowed of one that is too large."""
     with path.open("rb") as file:
-        return file.read(LARGEST_FILE + 1)
+        return file.read(LARGEST_STEPS_FILE + 1)
 
 
 def _readable(content: bytes) -> int:
@@ -185,8 +196,8 @@ def _readable(content: bytes) -> int:
 
 def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedStep]:
     """The steps of the whole lines, up to the first that holds none, which raises RecordError."""
-    if len(content) > LARGEST_FILE:
-        raise RecordError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not read")
+    if len(content) > LARGEST_STEPS_FILE:
+        raise RecordError(f"{path}: larger than {LARGEST_STEPS_FILE} bytes, so it is not read")
     header = ",".join(column_names(space))
     if header.encode().startswith(content):
         return  # broken off before the first line was whole
@@ -228,7 +239,7 @@ class StepWriter:
         try:
             self._lock(path)
             self._file.seek(0)
-            content = self._file.read(LARGEST_FILE + 1)
+            content = self._file.read(LARGEST_STEPS_FILE + 1)
             self.recorded = StepLog(space, _steps_in(content, path, space))
         except BaseException:
             self._file.close()

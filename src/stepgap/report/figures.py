@@ -44,7 +44,7 @@ LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.1
 
 def tracking_figure(record: RunRecord) -> Figure:
     """Every state coordinate against the step number, first and last deployment, with the reference (Fig. 4)."""
-    first, last = record.shown[0], record.shown[-1]
+    first, last = record.shown_iterations[0], record.shown_iterations[-1]
     figure, panels = _panels(len(record.space.state))
     longest = max((record.steps.of_iteration(number) for number in record.steps.iterations), key=len)
     panels[0].set_xlim(0, 1.02 * len(longest) + 1)
@@ -119,11 +119,11 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     """
     figure, (upper, lower) = _panels(2)
     quantity = record.space.state[index]
-    last = record.steps.of_iteration(record.shown[-1])
+    last = record.steps.of_iteration(record.shown_iterations[-1])
     _draw_prediction(upper, last, index)
     upper.set_ylabel(axis_label(quantity))
-    upper.set_title(f"(a) {_name(record, record.shown[-1])}", loc="left", fontsize="medium")
-    learnt = [number for number in record.shown if record.steps.of_iteration(number).std[:, index].any()]
+    upper.set_title(f"(a) {_name(record, record.shown_iterations[-1])}", loc="left", fontsize="medium")
+    learnt = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, index].any()]
     redeployed = list(dict.fromkeys(learnt[:1] + learnt[-1:]))
     shown = [record.steps.of_iteration(number) for number in redeployed]
     upper.set_xlim(0, 1.02 * max(map(len, [last, *shown])) + 1)

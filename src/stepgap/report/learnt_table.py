@@ -7,13 +7,13 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.report.bands import INTERVAL, coverage
 from stepgap.report.html import table, with_unit
 from stepgap.report.learnt import Learnt, input_quantities, surprise
-from stepgap.report.words import decimal
+from stepgap.report.sentences import decimal
 
 
 def learnt_sentences(record: RunRecord, learnt: Learnt | None) -> list[str]:
     """What models the error, and what the tables mean."""
     if learnt is None:
-        last = record.shown[-1]
+        last = record.shown_iterations[-1]
         why = "deployment 0 began with the map as it is" if last == 0 else f"there is no models/iteration_{last}.json"
         return [f"Nothing is said of the model: {why}."]
     said = f"Deployment {learnt.iteration} began with the residual '{learnt.residual.name}'"

@@ -2,16 +2,16 @@
 
 import json
 from base64 import b64encode
-from dataclasses import fields
 from importlib.resources import files
 from typing import Any, Final
 
 import numpy as np
 
 from stepgap.learning.step_log import StepLog
+from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.html import paragraph, safe
-from stepgap.report.motion import RATE, Motion, Replay
+from stepgap.report.html import absence, safe
+from stepgap.report.motion import RATE, DeploymentMotion, Replay
 from stepgap.step import Array
 
 REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(encoding="utf-8")
@@ -36,10 +36,10 @@ CONTROLS: Final = """<div id="replay-view">
 </div>"""
 
 
-def replay_view(record: RunRecord, replay: Replay | str) -> str:
+def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
     """Canvas, controls and data, or why there are none."""
-    if isinstance(replay, str):
-        return paragraph(replay)
+    if isinstance(replay, Missing):
+        return absence("replay", replay)
     robot = replay.robot
     data = {
         "levels": LEVELS,
@@ -62,10 +62,10 @@ def _legend() -> str:
     )
 
 
-def _motion(number: int, motion: Motion, log: StepLog) -> dict[str, Any]:
-    """A motion as JSON: its channels as whole numbers of two bytes, one after the other, and its steps."""
+def _motion(number: int, motion: DeploymentMotion, log: StepLog) -> dict[str, Any]:
+    """A motion as JSON: its channels as integers of two bytes, one after the other, and its steps."""
     every = -(-len(motion.step) // MOST_FRAMES)
-    channels = [getattr(motion, field.name)[::every] for field in fields(motion)]
+    channels = [channel[::every] for channel in motion.channels.values()]
     ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
     packed = b"".join(_levels(channel).astype("<u2").tobytes() for channel in channels)
     steps = [
@@ -76,7 +76,7 @@ def _motion(number: int, motion: Motion, log: StepLog) -> dict[str, Any]:
         "deployment": number,
         "rate": RATE / every,
         "frames": len(channels[0]),
-        "channels": [field.name for field in fields(motion)],
+        "channels": list(motion.channels),
         "ranges": ranges,
         "packed": b64encode(packed).decode(),
         "steps": steps,

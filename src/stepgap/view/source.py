@@ -4,7 +4,6 @@ Steps and models are read from the run folder. Motion comes from a ring of ticks
 tick logs of a rig, and else from making the deployment again.
 """
 
-import json
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
@@ -12,16 +11,17 @@ from threading import Event, Thread
 
 import numpy as np
 
+from stepgap.base.output_files import words_of
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import layout_of, logged_ticks, replayed_hops
 from stepgap.experiment.settings import InputError, read_experiment
 from stepgap.learning.learner import next_context
 from stepgap.learning.residual import Residual
-from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.model_files import read_model
 from stepgap.records.steps_csv import read_step_log
 from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
@@ -145,11 +145,10 @@ class Source:
 
     def _model(self, iteration: int) -> Residual | None:
         if iteration not in self._models:
-            path = self.folder / "models" / f"iteration_{iteration}.json"
-            model, sizes = _read_model(path), (len(self.space.state), len(self.space.command))
-            if model and model.sizes != sizes:
-                raise InputError(f"{path}: a model of {model.sizes} coordinates, but the run's steps have {sizes}")
-            self._models[iteration] = model
+            try:
+                self._models[iteration] = read_model(self.folder, iteration, self.space)
+            except (OSError, ValueError) as error:
+                raise InputError(words_of(error)) from None
         return self._models[iteration]
 
     def _find_layout(self) -> RigLayout | None:
@@ -215,12 +214,3 @@ class Source:
         for step in range(steps[0].step - 1, steps[-1].step + 1):
             rows = ticks.rows[ticks["step"] == step]
             hops.append(sensed_hop(TickTable(ticks.units, rows[::EVERY]), self.layout))
-
-
-def _read_model(path: Path) -> Residual | None:
-    try:
-        return residual_from_dict(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not a model of a run ({error})") from None

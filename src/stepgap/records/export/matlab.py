@@ -1,7 +1,6 @@
 """A run as a MAT-file (version 5), which MATLAB and Octave load: structs of columns."""
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from typing import Any
@@ -28,7 +27,7 @@ def matlab_file(record: RunRecord, columns: Sequence[Column]) -> bytes:
         "steps": {column.name: _column(column.values) for column in columns},
         "units": {column.name: column.unit for column in columns},
         "meanings": {column.name: column.meaning for column in columns},
-        "settings": _struct(tomllib.loads(record.settings or "")),
+        "settings": _struct(record.settings.table if record.settings else {}),
         "summary": _summary(record.summary, record.space.state_names),
     }
     _check_names(variables)

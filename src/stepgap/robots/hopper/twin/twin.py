@@ -17,9 +17,7 @@ from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
 from stepgap.robots.hopper.parameters import Gains, RobotParameters, require
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
-
-EXACT_COUNTS = 16384
-"""Counts a turn by which an exact sensor reports; it does not round them."""
+from stepgap.robots.hopper.twin.sensors import sensor_layout
 
 LONGEST_STEP = 2.5e-4
 """Longest physics step [s]."""
@@ -112,16 +110,7 @@ class Twin(Rig):
         self._hold_ticks = round(hold / tick)
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
-        self._layout = RigLayout(
-            tick=tick,
-            boom_length=robot.boom_length,
-            pivot_height=gap.boom_pivot_height,
-            motor_counts=_finite(gap.motor_counts),
-            boom_counts_horizontal=_finite(gap.boom_counts_horizontal),
-            boom_counts_vertical=_finite(gap.boom_counts_vertical),
-            touchdown_force=gap.touchdown_force,
-            takeoff_length=gap.takeoff_length,
-        )
+        self._layout = sensor_layout(robot, gap, tick)
         self._limit = min(robot.torque_limit, gap.torque_limit)
         self._motor_scale, self._yaw_scale, self._pitch_scale = (
             counts / (2 * pi)
@@ -352,11 +341,6 @@ class Twin(Rig):
 
 def _view(array: NDArray[np.float64]) -> MutableSequence[float]:
     return cast("MutableSequence[float]", memoryview(cast("Any", array)))
-
-
-def _finite(counts: float) -> float:
-    """Counts a turn as the layout gives them."""
-    return counts if counts < inf else EXACT_COUNTS
 
 
 def _leg_triangle(robot: RobotParameters, length: float) -> tuple[float, float]:
