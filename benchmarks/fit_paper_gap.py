@@ -37,6 +37,7 @@ from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.paper import NO_GP
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -103,7 +104,7 @@ def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) 
     turn = rng.uniform(0, tau)
     twin = Twin(robot, gap, rng, ground=ground, turn=turn)
     uncorrected = Learner(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
-    steps = deploy(uncorrected, RigPlant(twin, robot, gains, bounds), reference, iteration=0)
+    steps = deploy(uncorrected, RigPlant(twin, HopperControl(robot, gains, bounds)), reference, iteration=0)
     with threadpool_limits(limits=1, user_api="blas"), closing(steps):
         log = StepLog(nominal.space, islice(steps, most_steps))
     return log, summarise(log, reference, "none")

@@ -25,6 +25,7 @@ from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.rig import Reading
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.ring_rig import emulated_settings
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -65,7 +66,9 @@ def kill_once(interface: str, folder: Path) -> float:
     here.recv()
     layout = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).layout
     settings = replace(emulated_settings(layout, ROBOT, RING, interface), watchdog=0.05)
-    with RealtimePlant(RealtimeSetup(partial(EthercatRig, settings, ROBOT), ROBOT, GAINS, BOUNDS), folder) as plant:
+    with RealtimePlant(
+        RealtimeSetup(partial(EthercatRig, settings, ROBOT), HopperControl(ROBOT, GAINS, BOUNDS)), folder
+    ) as plant:
         plant.start()
         plant.take_step(COMMAND)
         assert plant._session is not None

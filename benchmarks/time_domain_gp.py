@@ -17,9 +17,10 @@ from threadpoolctl import threadpool_limits
 from stepgap.control.step_controller import StepController
 from stepgap.learning.gaussian_process_fit import fit_gaussian_process
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.plants.tick import Tick
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array
@@ -47,7 +48,7 @@ def record(steps: int, trajectory_hops: int, seed: int) -> tuple[Array, Array, A
             ticks.append([true.hip[1], *true.hip_rate, *true.leg, *true.leg_rate, *tick.applied])
 
     started = False
-    with RigPlant(twin, robot, gains, bounds, on_tick) as plant:
+    with RigPlant(twin, HopperControl(robot, gains, bounds), on_tick) as plant:
         state = plant.start()
         started = True
         for _ in range(steps):

@@ -15,6 +15,7 @@ from stepgap.control.step_controller import StepController
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.sampled_map import SampledApexMap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
@@ -28,7 +29,7 @@ def errors_at(tick: float, steps: int, seed: int) -> np.ndarray:
     sampled = SampledApexMap(tick=tick)
     rng, errors = np.random.default_rng(seed), []
     controller = StepController(nominal)
-    with RigPlant(Twin(robot, RealityGap.none(), rng, tick=tick), robot, gains, bounds) as plant:
+    with RigPlant(Twin(robot, RealityGap.none(), rng, tick=tick), HopperControl(robot, gains, bounds)) as plant:
         state = plant.start()
         for _ in range(steps):
             command = controller(state, rng.uniform([0.0, 0.53], [0.4, 0.64])).command

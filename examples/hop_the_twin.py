@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from stepgap import CommandBounds, Gains, RealityGap, RigPlant, RobotParameters, Twin
+from stepgap import CommandBounds, Gains, HopperControl, RealityGap, RigPlant, RobotParameters, Twin
 
 robot, ticks = RobotParameters(), []
 twin = Twin(robot, RealityGap(), np.random.default_rng(0))
-with RigPlant(twin, robot, Gains(), CommandBounds(), on_tick=ticks.append) as plant:
+with RigPlant(twin, HopperControl(robot, Gains(), CommandBounds()), on_tick=ticks.append) as plant:
     state = plant.start()
     print("first apex: {:.3f} m/s, {:.3f} m".format(*state))
     for _ in range(3):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stepgap.experiment.replay import REPLAY_UNITS
-from stepgap.plants.tick import TICK_UNITS
+from stepgap.robots.hopper.tick import TICK_UNITS
 from tests.cli.command_line import Command
 
 PAGE = (Path(__file__).parent.parent / "docs" / "data.md").read_text("utf-8")

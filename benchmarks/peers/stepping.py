@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.model import build_model
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -33,7 +34,7 @@ def measure_twin(nominal: StepMap, robot: RobotParameters, gains: Gains, hops: i
     def count(_: object) -> None:
         ticks[-1] += 1
 
-    with RigPlant(twin, robot, gains, bounds, on_tick=count) as plant:
+    with RigPlant(twin, HopperControl(robot, gains, bounds), on_tick=count) as plant:
         state = plant.start()
         for _ in range(hops):
             ticks.append(0)

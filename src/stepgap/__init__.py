@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from stepgap.plants.rig_plant import RigPlant as RigPlant
     from stepgap.rigs.rig import Rig as Rig
     from stepgap.robots.hopper.apex_map import ApexMap as ApexMap
+    from stepgap.robots.hopper.hop_control import HopperControl as HopperControl
     from stepgap.robots.hopper.parameters import CommandBounds as CommandBounds
     from stepgap.robots.hopper.parameters import Gains as Gains
     from stepgap.robots.hopper.parameters import RobotParameters as RobotParameters
@@ -46,6 +47,7 @@ _HOMES = {
     "CommandTable": "control.command_table",
     "CorrectedMap": "learning.corrected_map",
     "Gains": "robots.hopper.parameters",
+    "HopperControl": "robots.hopper.hop_control",
     "ModelPlant": "plants.model_plant",
     "Observations": "learning.observations",
     "Plant": "plants.plant",

@@ -25,6 +25,7 @@ from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
@@ -170,7 +171,7 @@ def hopper_env(
         gap = PRESETS[gap]()
 
     def make_plant(rng: np.random.Generator) -> Plant:
-        return RigPlant(Twin(robot, gap, rng, turn=rng.uniform(0, tau)), robot, gains, bounds)
+        return RigPlant(Twin(robot, gap, rng, turn=rng.uniform(0, tau)), HopperControl(robot, gains, bounds))
 
     make_plant(np.random.default_rng(0))  # whatever is wrong with the twin is said now
     return StepEnv(make_plant, nominal, reference)

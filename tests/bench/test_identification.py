@@ -9,9 +9,11 @@ import pytest
 from stepgap.bench import identification as sysid
 from stepgap.bench.baselines import PhysicalError, erring_robot, with_error
 from stepgap.bench.identification import BEFORE, HIP_FIT, MISFIT, SPREADS, errors, fit, physical_error, record_windows
-from stepgap.plants.rig_plant import RigPlant, Tick
+from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import TrueState, Twin
 
@@ -36,7 +38,7 @@ def recorded() -> tuple[list[Tick], list[TrueState]]:
 
     gap = replace(RealityGap.none(), body_mass_scale=1 + HEAVIER, boom_friction=FRICTION)
     twin = Twin(ROBOT, gap, np.random.default_rng(0))
-    plant = RigPlant(twin, ROBOT, NOMINAL.gains, NOMINAL.bounds, on_tick=record)
+    plant = RigPlant(twin, HopperControl(ROBOT, NOMINAL.gains, NOMINAL.bounds), on_tick=record)
     plant.start()
     for command in COMMANDS:
         plant.take_step(np.array(command))

@@ -12,8 +12,8 @@ from stepgap.bench.learning import METHODS, SKIPPED, Trial, coverage, hopping_ga
 from stepgap.control import reference
 from stepgap.control.reference import Reference
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.plants.rig_plant import Tick
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.family import DRAWN, random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import StepRecord, StepStatus

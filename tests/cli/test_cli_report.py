@@ -10,10 +10,9 @@ import pytest
 from stepgap.cli.app import main
 from stepgap.experiment.replay import layout_of, replay
 from stepgap.experiment.settings import Experiment
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_log import TickLog
+from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from tests.cli.command_line import Command, Said, refused
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -66,7 +65,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     for iteration in (0, 1):
         ticks = replay(finished, iteration)
         rows = np.column_stack([ticks.rows[:, : len(TICK_UNITS)], np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
-        with TickLog(Path(f"run/ticks/ticks-{iteration}.mcap"), LOOP_UNITS) as log:
+        with TickLog(Path(f"run/ticks/ticks-{iteration}.mcap"), LOG_UNITS) as log:
             log.append(rows)
     settings = Path("run/experiment.toml")
     settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))

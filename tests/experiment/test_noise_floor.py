@@ -9,6 +9,7 @@ from stepgap.control.reference import Reference
 from stepgap.experiment.noise_floor import measure_repeatability
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
@@ -22,7 +23,7 @@ SILENT = replace(RealityGap(), torque_noise=0.0, ground_roughness=0.0, ground_sl
 
 def measured(gap: RealityGap, seed: int = 1) -> Array:
     twin = Twin(ROBOT, gap, np.random.default_rng(0))
-    plant = RigPlant(twin, ROBOT, Gains(), CommandBounds())
+    plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds()))
     return measure_repeatability(plant, twin, NOMINAL, REFERENCE, np.random.default_rng(seed))
 
 
@@ -45,5 +46,5 @@ def test_more_noise_spreads_in_proportion() -> None:
 
 def test_a_robot_that_cannot_hop_on_has_none() -> None:
     twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
-    plant = RigPlant(twin, ROBOT, Gains(), CommandBounds(fy_lower=-200, fy_upper=-190))
+    plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds(fy_lower=-200, fy_upper=-190)))
     assert np.isnan(measure_repeatability(plant, twin, NeverWorks(), REFERENCE, np.random.default_rng(0))).all()

@@ -13,10 +13,8 @@ from stepgap.experiment.plants import plant_on, remade_rig
 from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
 from stepgap.experiment.settings import InputError, read_experiment
 from stepgap.learning.step_log import LoggedStep
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
@@ -25,6 +23,7 @@ from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
+from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.step import StepStatus
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
@@ -124,12 +123,12 @@ def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
     rig, _ = remade_rig(settings, 0)
     with StepWriter(tmp_path / "steps.csv", settings.command.space()) as writer, plant_on(settings, rig) as plant:
         plant.start()
-        status, step = StepStatus.OK, 0
-        while status == StepStatus.OK and step < 20:
+        reason, step = StepStatus.OK, 0
+        while reason == StepStatus.OK and step < 20:
             record, step = plant.take_step(np.array([30.0, -20.0])), step + 1
             writer.append(LoggedStep(0, step, none, none, none, record))
-            status = record.status
-    assert status != StepStatus.OK
+            reason = record.status
+    assert reason != StepStatus.OK
     assert np.isfinite(replay(tmp_path, 0, every=10).rows).all()
 
 
@@ -151,7 +150,7 @@ def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
     rows = [np.column_stack([part, np.full(len(part), state), np.zeros(len(part))]) for part, state in parts]
     path = run / "ticks" / f"ticks-{iteration}.mcap"
     path.unlink(missing_ok=True)
-    with TickLog(path, LOOP_UNITS) as log:
+    with TickLog(path, LOG_UNITS) as log:
         log.append(np.concatenate(rows))
 
 
@@ -162,7 +161,7 @@ def steps_of(run: Path, iteration: int) -> list[LoggedStep]:
 def test_ticks_of_a_rigs_log_are_parted_at_apexes(copy: Path, replayed: TickTable) -> None:
     write_log(copy, replayed, 1)
     ticks = logged_ticks(copy, steps_of(copy, 1))
-    assert list(ticks.units) == [*LOOP_UNITS, "step"]
+    assert list(ticks.units) == [*LOG_UNITS, "step"]
     held = ticks["state"] == RigState.STAND
     assert np.count_nonzero(held) == 20
     assert not ticks["step"][held].any()

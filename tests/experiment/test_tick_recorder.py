@@ -9,10 +9,10 @@ from stepgap.experiment.plants import plant_on, remade_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.experiment.tick_recorder import HopCount, TickRecorder
 from stepgap.learning.step_log import LoggedStep
-from stepgap.plants.phases import Phase
-from stepgap.plants.safety import Limited
-from stepgap.plants.tick import TICK_UNITS, Tick
 from stepgap.rigs.rig import Reading
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.safety import Limited
+from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 from stepgap.step import StepRecord, StepStatus
 
 NONE = np.zeros(2)
@@ -33,8 +33,8 @@ def tick(time: float, phase: Phase) -> Tick:
 def hop(recorder: TickRecorder, ticks: int = 10) -> None:
     """Falls, pushes, rises, and falls in the last tick."""
     for row in range(ticks - 1):
-        recorder.on_tick(tick(0.001 * row, Phase(1 + row) if row < 3 else Phase.RISING))
-    recorder.on_tick(tick(1.0, Phase.FALLING))
+        recorder.on_tick(tick(0.001 * row, Phase(1 + row) if row < 3 else Phase.ASCENT))
+    recorder.on_tick(tick(1.0, Phase.DESCENT))
 
 
 def test_a_tick_counts_for_the_hop_it_happens_in(tmp_path: Path) -> None:

@@ -8,12 +8,14 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.rig import Reading, RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepFailed, StepStatus
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 COMMAND = np.array([-4.0, -3.0])
+CONTROL = HopperControl(ROBOT, GAINS, BOUNDS)
 
 
 def model_plant(seed):
@@ -21,7 +23,7 @@ def model_plant(seed):
 
 
 def twin_plant(seed, gap=RealityGap(), tick=1e-3, **start):  # noqa: B008  (frozen)
-    return RigPlant(Twin(ROBOT, gap, np.random.default_rng(seed), tick=tick, **start), ROBOT, GAINS, BOUNDS)
+    return RigPlant(Twin(ROBOT, gap, np.random.default_rng(seed), tick=tick, **start), CONTROL)
 
 
 @pytest.fixture(params=[model_plant, twin_plant])
@@ -45,7 +47,7 @@ def test_steps_are_chained_and_record_what_was_asked_and_applied(make_plant):
 
 def test_the_place_of_a_step_is_the_boom_at_its_end():
     twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0), start_speed=0.3)
-    with RigPlant(twin, ROBOT, GAINS, BOUNDS) as plant:
+    with RigPlant(twin, CONTROL) as plant:
         plant.start()
         for _ in range(3):
             place = plant.take_step(COMMAND).place_after
@@ -126,7 +128,7 @@ def test_a_fall_is_a_record_with_its_reason_and_the_next_deployment_works():
     ticks = []
     bounds = CommandBounds(fx_lower=-80.0, fx_upper=80.0, fy_lower=-90.0, fy_upper=20.0)
     rig = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
-    with RigPlant(rig, ROBOT, GAINS, bounds, on_tick=ticks.append) as plant:
+    with RigPlant(rig, HopperControl(ROBOT, GAINS, bounds), on_tick=ticks.append) as plant:
         plant.start()
         records = [plant.take_step(np.array([70.0, -60.0]))]
         while records[-1].status == StepStatus.OK and len(records) < 10:
@@ -155,7 +157,7 @@ def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
     twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
     read, broken = twin.read, False
     twin.read = lambda: read()._replace(**{sensor: bad} if broken else {})
-    with RigPlant(twin, ROBOT, GAINS, BOUNDS) as plant:
+    with RigPlant(twin, CONTROL) as plant:
         plant.start()
         broken = True
         record = plant.take_step(COMMAND)
@@ -167,14 +169,14 @@ def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
 def test_every_tick_is_reported_with_torques_within_the_limit():
     ticks = []
     rig = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
-    with RigPlant(rig, ROBOT, GAINS, BOUNDS, on_tick=ticks.append) as plant:
+    with RigPlant(rig, CONTROL, on_tick=ticks.append) as plant:
         plant.start()
         plant.take_step(COMMAND)
     times = np.array([tick.time for tick in ticks])
     np.testing.assert_allclose(np.diff(times), 1e-3)
     applied = np.array([tick.applied for tick in ticks])
     assert np.abs(applied).max() <= min(ROBOT.torque_limit, RealityGap().torque_limit)
-    assert {tick.phase.name for tick in ticks} == {"RISING", "FALLING", "LOADING", "PUSHING"}
+    assert {tick.phase.name for tick in ticks} == {"ASCENT", "DESCENT", "COMPRESSION", "THRUST"}
 
 
 def test_a_constant_command_without_noise_stays_on_its_limit_cycle():

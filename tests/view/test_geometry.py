@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -81,7 +82,7 @@ def test_every_joint_is_where_mujoco_has_it(stiffness: float) -> None:
         np.testing.assert_allclose(joints.foot, true.foot, **near)
         compared += 1
 
-    with RigPlant(twin, ROBOT, Gains(), CommandBounds(), compare) as plant:
+    with RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds()), compare) as plant:
         plant.start()
         plant.take_step(np.array([2.0, -5.0]))
     assert compared > 500

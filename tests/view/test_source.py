@@ -8,13 +8,12 @@ import pytest
 
 from stepgap.experiment.replay import replay
 from stepgap.experiment.settings import InputError
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, read_step_log
+from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.view.geometry import Pose, joints_at
 from stepgap.view.motion import STILL, Hop, true_hop
 from stepgap.view.source import RING_FIELDS, Source
@@ -74,7 +73,7 @@ def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
     source = Source(copy)
     assert source.layout
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
-    with TickLog(copy / "ticks" / "ticks-0.mcap", LOOP_UNITS) as log:
+    with TickLog(copy / "ticks" / "ticks-0.mcap", LOG_UNITS) as log:
         state = [np.full(len(table), RigState.HOP), np.zeros(len(table))]
         log.append(np.column_stack([table.rows[:, : len(TICK_UNITS)], *state]))
     hops = found(source, 0)

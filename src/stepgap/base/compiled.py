@@ -28,6 +28,9 @@ OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp
 Sums are not regrouped: Numba tests whether x is finite by x − x, which would always be 0 then.
 """
 
+AS_WRITTEN = {"nogil": True, "error_model": "numpy"}
+"""As `OPTIONS`, but every product, quotient and sum is rounded by itself, as Python and NumPy do."""
+
 
 @lru_cache
 def _digest(package: Path) -> str:
@@ -83,27 +86,36 @@ def generic(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(**OPTIONS)(function)
 
 
-def compiled(function: Callable[..., Any], *, forceinline: bool = False) -> Callable[..., Any]:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles `function` with Numba under `OPTIONS`, cached on disk.
 
     Functions compiled with it may call each other and take each other as arguments.
     """
+    return _cached(function, OPTIONS)
+
+
+def as_written(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `compiled`, but under `AS_WRITTEN`: the answers are to the last bit those of the same lines in Python."""
+    return _cached(function, AS_WRITTEN)
+
+
+def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     file, cache = Path(function.__code__.co_filename).resolve(), cache_folder()
     if cache is None or not file.is_file():
-        return generic(function)
+        return numba.njit(**options)(function)
     previous = config.CACHE_DIR
     here = _digest(_package_folder(Path(__file__).resolve()))
     there = _digest(_package_folder(file))
     config.CACHE_DIR = str(cache / f"{here}-{there}")
     try:
-        return numba.njit(cache=True, forceinline=forceinline, **OPTIONS)(function)
+        return numba.njit(cache=True, **options)(function)
     finally:
         config.CACHE_DIR = previous
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `compiled`, but put into every caller, which then computes no more of the answer than it uses."""
-    return compiled(function, forceinline=True)
+    return _cached(function, {**OPTIONS, "forceinline": True})
 
 
 def implements(operation: Callable[..., Any], system_type: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -22,11 +22,11 @@ from mujoco import sysid
 from numpy.typing import NDArray
 
 from stepgap.bench.baselines import SPREAD, AdjustedMap, PhysicalError, erring_robot, with_error
-from stepgap.plants.rig_plant import Tick
 from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.leg import foot, four_bar, knee_angle, leg_of
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.model import build_model
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array

@@ -31,11 +31,13 @@ from stepgap.experiment.deployment import deploy, summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings, ResidualKind
 from stepgap.learning.step_log import StepLog
-from stepgap.plants.rig_plant import RigPlant, Tick
+from stepgap.plants.rig_plant import RigPlant
 from stepgap.report.bands import hops_to_band
 from stepgap.report.learning import UNCORRECTED, Row
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -94,7 +96,7 @@ class Trial:
     ) -> StepLog:
         """The steps of a deployment; none where not even the hop before them was made."""
         nominal, log = self.nominal, StepLog(self.nominal.space)
-        plant = RigPlant(self.meet(iteration), nominal.robot, nominal.gains, nominal.bounds, on_tick)
+        plant = RigPlant(self.meet(iteration), HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_tick)
         with closing(deploy(learner, plant, self.reference, iteration, calibration)) as steps:
             try:
                 for logged in islice(steps, most_steps):

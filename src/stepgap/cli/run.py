@@ -15,8 +15,8 @@ from stepgap.base.settings_file import InputError
 from stepgap.cli.app import Overrides, say, says_if_it_compiles
 
 if TYPE_CHECKING:
-    from stepgap.plants.tick import Tick
     from stepgap.report import WrittenReport
+    from stepgap.robots.hopper.tick import Tick
     from stepgap.view.live import LiveView
 
 

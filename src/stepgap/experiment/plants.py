@@ -20,14 +20,15 @@ from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.plants.tick import Tick
 from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.ethercat.emulator.ring import RingSettings
 from stepgap.rigs.ethercat.rig_settings import RigSettings
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.robots.hopper.direct_ring import DirectRing
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
+from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepMap
@@ -123,7 +124,7 @@ def _twin(settings: Experiment, ground: GroundProfile, rng: np.random.Generator)
 
 def plant_on(settings: Experiment, rig: Rig, on_tick: Callable[[Tick], None] | None = None) -> RigPlant:
     """What hops a simulated rig."""
-    return RigPlant(rig, settings.robot, settings.gains, settings.command, on_tick)
+    return RigPlant(rig, HopperControl(settings.robot, settings.gains, settings.command), on_tick)
 
 
 def _machine(settings: Experiment, rng: np.random.Generator) -> TwinMachine:
@@ -151,7 +152,7 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
         raise InputError(
             f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` does everything but torque"
         )
-    setup = RealtimeSetup(make_rig, settings.robot, settings.gains, settings.command)
+    setup = RealtimeSetup(make_rig, HopperControl(settings.robot, settings.gains, settings.command))
 
     def make(_: np.random.Generator) -> Plant:
         checked(Path(settings.rig))  # before each: every deployment reads the file anew

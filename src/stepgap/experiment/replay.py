@@ -10,9 +10,7 @@ from stepgap.experiment.loop import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
 from stepgap.experiment.settings import Experiment, InputError, read_experiment
 from stepgap.learning.step_log import LoggedStep
-from stepgap.plants.phases import Phase
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.tick import TICK_UNITS, Tick
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, read_step_log, row_of
@@ -20,6 +18,8 @@ from stepgap.records.summary import read_summary
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout
 from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 from stepgap.robots.hopper.twin.sensors import sensor_layout
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array
@@ -105,7 +105,7 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
         phase, hopping = ticks["phase"], ticks["state"] == RigState.HOP
     except (TickLogError, ValueError) as error:
         raise InputError(str(error)) from None
-    passed = np.flatnonzero((phase[:-1] == Phase.RISING) & (phase[1:] == Phase.FALLING) & hopping[1:]) + 1
+    passed = np.flatnonzero((phase[:-1] == Phase.ASCENT) & (phase[1:] == Phase.DESCENT) & hopping[1:]) + 1
     hop = np.searchsorted(passed, np.arange(len(ticks)))  # the tick just past an apex ends its hop
     if len(passed) < len(steps):
         number = steps[0].iteration

@@ -7,9 +7,9 @@ import numpy as np
 
 from stepgap.experiment.loop import Deployment, Observer
 from stepgap.learning.step_log import LoggedStep
-from stepgap.plants.phases import Phase
-from stepgap.plants.tick import TICK_UNITS, Tick
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 
 
 class HopCount:
@@ -21,11 +21,11 @@ class HopCount:
     """
 
     def __init__(self) -> None:
-        self.iteration, self.hop, self._phase = 0, 0, Phase.FALLING
+        self.iteration, self.hop, self._phase = 0, 0, Phase.DESCENT
 
     def on_tick(self, tick: Tick) -> None:
         """The tick is over; no step is recorded of the first hop, which ends with the first apex."""
-        if self.hop == 0 and tick.phase == Phase.FALLING != self._phase:
+        if self.hop == 0 and tick.phase == Phase.DESCENT != self._phase:
             self.hop = 1
         self._phase = tick.phase
 
@@ -38,7 +38,7 @@ class HopCount:
 
         def on_deployment(deployment: Deployment) -> None:
             observer.on_deployment(deployment)
-            self.iteration, self.hop, self._phase = deployment.iteration + 1, 0, Phase.FALLING
+            self.iteration, self.hop, self._phase = deployment.iteration + 1, 0, Phase.DESCENT
 
         return replace(observer, on_step=on_step, on_deployment=on_deployment)
 

@@ -1,54 +1,47 @@
-"""Hops a rig in the calling process: read → estimate → phase → torque → limit → write, as fast as the rig goes."""
+"""Steps a rig in the calling process: read, compute the tick, write, as fast as the rig can."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from stepgap.plants.hop_control import FinishedHop, HopControl
 from stepgap.plants.plant import Plant
-from stepgap.plants.tick import Tick
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag, Torques
 from stepgap.rigs.rig import Rig, RigFault
-from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
+
+STEP_ENDED, FAILED, UNREADABLE = (
+    int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE)
+)  # fmt: skip
 
 
 class RigPlant(Plant):
-    """Hops a rig with the joint control of Sec. 4.1; time must be able to stand still between its ticks.
+    """Steps a rig with the control of its robot; time must be able to stand still between its ticks.
 
-    A step ends, and the next command is due, when the apex has just been passed; the command acts
-    after the following mid-stance. The applied command is the one within bounds, less what the
-    drives and the safety limits took from the torques while it acted.
+    A step ends, and the next command is due, when the robot's control says so; for a hopper that is when the apex has
+    just been passed, and the command acts after the following mid-stance. The applied command is the one within bounds,
+    less what the drives and the safety limits took from the torques while it acted.
 
     Args:
         rig: What moves.
-        robot: The robot the rig is taken to be.
-        gains: Joint controller.
-        bounds: Range of the command.
-        on_tick: Called with every `Tick`, for logs.
-        limits: What the safety function allows; without, what the rig says, or what this robot may in simulation.
+        robot_control: How its robot is controlled.
+        on_tick: Called with every tick as the control records it, for logs.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        robot: RobotParameters,
-        gains: Gains,
-        bounds: CommandBounds,
-        on_tick: Callable[[Tick], None] | None = None,
-        limits: SafetyLimits | None = None,
-    ):
-        self._rig, self._space, self._on_tick = rig, bounds.space(), on_tick
-        self._robot, self._gains, self._limits = robot, gains, limits or rig.limits or SafetyLimits.of(robot)
-        self._control = self._new_control()
-        self._state, self._reason, self._fault = np.full(2, np.nan), StepStatus.OK, ""
+    def __init__(self, rig: Rig, robot_control: RobotControl, on_tick: Callable[[Any], None] | None = None):
+        self._rig, self._robot_control, self._space, self._on_tick = rig, robot_control, robot_control.space, on_tick
+        self._tick_time = rig.layout.tick
+        self._state = np.full(len(self._space.state), np.nan)
+        self._begin()
 
-    def _new_control(self) -> HopControl:
-        return HopControl(self._rig.layout, self._robot, self._gains, self._limits)
+    def _begin(self) -> None:
+        """A new deployment, nothing remembered."""
+        self._control = self._robot_control.control(self._rig)
+        self._time, self._applied, self._status, self._fault = 0.0, (0.0, 0.0), StepStatus.OK, ""
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], command [fx, fy]."""
+        """That of its robot."""
         return self._space
 
     @property
@@ -63,12 +56,12 @@ class RigPlant(Plant):
             RigFault: The rig cannot be had, or the first hop failed.
         """
         self._rig.connect()
-        self._control, self._reason, self._fault = self._new_control(), StepStatus.OK, ""
-        self._state = self._hop((0.0, 0.0)).state
-        if self._reason != StepStatus.OK:
+        self._begin()
+        self._state = self._step((0.0,) * len(self._space.command)).state
+        if self._status != StepStatus.OK:
             said = f" ({self._fault})" if self._fault else ""
             raise RigFault(
-                f"the first hop failed: {self._reason.status}{said}: {ADVICE[self._reason]}; "
+                f"the first hop failed: {self._status.label}{said}: {ADVICE[self._status]}; "
                 "on the twin, see whether the differences in [gap] leave a robot that can hop"
             )
         return self._state
@@ -79,36 +72,39 @@ class RigPlant(Plant):
         within = np.clip(asked, self._space.command_lower, self._space.command_upper)
         state = self._state
         if np.isnan(within).any():
-            self._reason = StepStatus.INVALID
-        self._state, lost, place = self._hop((float(within[0]), float(within[1])))
-        return StepRecord(state, asked, within - lost, self._state, self._reason, place)
+            self._status = StepStatus.INVALID
+        self._state, _, lost, place = self._step(tuple(within.tolist()))
+        return StepRecord(state, asked, within - lost, self._state, self._status, place)
 
     def stop(self) -> None:
         """Torque off."""
         self._rig.close()
 
-    def _hop(self, command: tuple[float, float]) -> FinishedHop:
+    def _step(self, command: tuple[float, ...]) -> FinishedStep:
         """Ticks from just after an apex to just after the next; NaN where there is none."""
-        control = self._control
-        while self._reason == StepStatus.OK:
-            try:
-                self._tick(command)
-            except RigFault as fault:
-                self._reason, self._fault = StepStatus.STOPPED, str(fault)
-                break
-            if finished := control.finished_hop():
-                return finished
-            self._reason = control.status
+        order, applied = Order(Mode.STEP, 1.0, command), self._applied
+        try:
+            while self._status == StepStatus.OK:
+                applied, flags = self._tick(order, applied)
+                if flags & STEP_ENDED:
+                    self._applied = applied
+                    return self._control.finished_step()
+                if flags & FAILED:
+                    self._status = self._control.status
+        except RigFault as fault:
+            self._status, self._fault, applied = StepStatus.STOPPED, str(fault), None
         self._rig.close()
-        return FinishedHop(np.full(2, np.nan), control.lost_command(), np.nan)
+        return self._control.failed_step(applied)
 
-    def _tick(self, command: tuple[float, float]) -> None:
-        control, rig = self._control, self._rig
-        control.begin_tick()
-        control.sense(rig.read(), stale=rig.health.stale)
-        asked = control.hop_torque(command)
-        checked = control.check(asked, rig.health)
-        applied = rig.write(checked.torque_1, checked.torque_2)
-        tick = control.close_tick(asked, applied, checked)
+    def _tick(self, order: Order, applied: Torques) -> tuple[Torques, int]:
+        """One tick; the torques that were applied [N·m], and the flags."""
+        rig, control = self._rig, self._control
+        reading = rig.read()
+        torques, flags = control.tick(self._time, reading, order, applied, rig.health)
+        if flags & UNREADABLE:
+            raise RigFault(f"the sensors tell what is no number: {reading}")
+        applied = rig.write(*torques)
+        self._time += self._tick_time
         if self._on_tick:
-            self._on_tick(tick)
+            self._on_tick(control.record(applied))
+        return applied, flags

@@ -7,8 +7,8 @@ from typing import Self
 
 from stepgap.experiment.loop import Observer
 from stepgap.experiment.tick_recorder import HopCount
-from stepgap.plants.tick import TICK_UNITS, Tick
 from stepgap.plants.ticks.tick_ring import TickRing
+from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 from stepgap.view.motion import EVERY
 
 ROWS = 2**16

@@ -18,13 +18,13 @@ from stepgap.experiment.settings import InputError, read_experiment
 from stepgap.learning.learner import next_context
 from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.plants.tick import TICK_UNITS
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.model_files import read_model
 from stepgap.records.steps_csv import read_step_log
 from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.view.motion import EVERY, Hop, sensed_hop, still_hop, true_hop
 
 RING_FIELDS = 2 + len(TICK_UNITS)

@@ -21,12 +21,12 @@ from stepgap.plants.commissioning.calibrate import (
     write_calibrated,
 )
 from stepgap.plants.commissioning.limp import Ticks
-from stepgap.plants.hop_control import HopControl
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
 from stepgap.rigs.rig import Reading, RigFault
+from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.tick import LOG_UNITS
 
 ROBOT = RobotParameters()
 EXAMPLE = Path(__file__).parents[3] / "examples" / "rig.toml"
@@ -80,7 +80,7 @@ def test_the_pose_reads_right_afterwards(before: RigSettings, pose: Pose, data: 
     after = with_zeros(before, found_zeros)
     layout = EthercatRig(after, ROBOT).layout
     found = reading_of(after, counts)
-    motion = HopControl(layout, ROBOT, Gains(), after.limits).sense(found)
+    motion = HopControl(layout, ROBOT, Gains(), after.limits).look(found).motion
     count = tau / layout.motor_counts
     assert motion.alpha_1 == pytest.approx(pose.alpha_1, abs=count)
     assert motion.leg_length == pytest.approx(pose.leg_length, abs=0.25 * count)
@@ -105,9 +105,9 @@ def test_a_pose_that_cannot_be_is_refused(pose: Pose, says: str) -> None:
 
 
 def ticks_with(**columns: list[float]) -> Ticks:
-    rows = np.zeros((4, len(LOOP_UNITS)))
+    rows = np.zeros((4, len(LOG_UNITS)))
     for name, values in columns.items():
-        rows[:, list(LOOP_UNITS).index(name)] = values
+        rows[:, list(LOG_UNITS).index(name)] = values
     return Ticks(rows, "", "")
 
 

@@ -7,9 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from stepgap.plants.hop_control import HopControl
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
+from stepgap.plants.realtime.loop import ControlLoop
 from stepgap.plants.realtime.states import RigState
 from stepgap.rigs.ethercat.emulator.faults import (
     DriveFault,
@@ -27,8 +26,10 @@ from stepgap.rigs.ethercat.emulator.ring import RingSettings
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepStatus
@@ -46,7 +47,7 @@ SETTINGS = replace(
     watchdog=WATCHDOG,
     reply_timeout=0.045,  # a busy machine may keep the ring waiting, whose time stands still meanwhile
 )
-COLUMN = {name: place for place, name in enumerate(LOOP_UNITS)}
+COLUMN = {name: place for place, name in enumerate(LOG_UNITS)}
 COMMAND = (-4.0, -3.0)
 HOPPING = 1600
 """Ticks after which the robot pushes itself off the ground for the first time, about."""
@@ -58,7 +59,7 @@ class Deployment:
     def __init__(self, rig):
         self.rig, self.board, self.rows, self.ticks = rig, Board.create(), [], 0
         control = HopControl(rig.layout, ROBOT, GAINS, rig.limits)
-        self.loop = ControlLoop(rig, control, BOUNDS, self.board, self.rows.append)
+        self.loop = ControlLoop(rig, control, BOUNDS.space(), self.board, self.rows.append)
         self.board.request = Request.HOP
         self.hops = []
 

@@ -3,19 +3,20 @@
 import numpy as np
 import pytest
 
-from stepgap.plants.hop_control import HopControl
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
+from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
 from stepgap.plants.realtime.states import RigState
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepStatus
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=38.0, torque_step=20.0, joint_speed=80.0, fold_angle=2.6, lowest_hip=0.1, highest_hip=0.9)
-COLUMN = {name: place for place, name in enumerate(LOOP_UNITS)}
+COLUMN = {name: place for place, name in enumerate(LOG_UNITS)}
 COMMAND = (-4.0, -3.0)
 
 
@@ -28,7 +29,7 @@ class Deployment:
         self.twin.connect()
         control = HopControl(self.twin.layout, ROBOT, GAINS, limits)
         settings = LoopSettings()
-        self.loop = ControlLoop(self.twin, control, BOUNDS, self.board, self.rows.append, settings, alive)
+        self.loop = ControlLoop(self.twin, control, BOUNDS.space(), self.board, self.rows.append, settings, alive)
 
     def __enter__(self):
         return self

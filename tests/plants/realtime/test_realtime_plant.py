@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from stepgap.plants.realtime.board import Request
-from stepgap.plants.realtime.loop import LOOP_UNITS, LoopSettings
+from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.realtime.states import RigState
@@ -22,6 +22,8 @@ from stepgap.plants.ticks.tick_log import read_ticks
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.step import StepStatus
 from tests.plants.realtime.test_faults import LIMITS, SETTINGS, WATCHDOG
 from tests.rigs.ethercat.ring_process import RecordedTwin, live_ring
@@ -30,7 +32,7 @@ pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 COMMAND = np.array([-4.0, -3.0])
-COLUMN = {name: place for place, name in enumerate(LOOP_UNITS)}
+COLUMN = {name: place for place, name in enumerate(LOG_UNITS)}
 
 
 def almost_at_once():
@@ -44,7 +46,10 @@ def almost_at_once():
 
 
 SETUP = RealtimeSetup(
-    partial(EthercatRig, SETTINGS, ROBOT), ROBOT, GAINS, BOUNDS, LoopSettings(missed_commands=5), almost_at_once
+    partial(EthercatRig, SETTINGS, ROBOT),
+    HopperControl(ROBOT, GAINS, BOUNDS),
+    LoopSettings(missed_commands=5),
+    almost_at_once,
 )
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
@@ -21,6 +20,8 @@ from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import Reading, RigFault, RigLayout
 from stepgap.rigs.still_rig import StillRig
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.tick import LOG_UNITS
 
 SHARED = Path("/dev/shm")
 
@@ -29,7 +30,7 @@ def still_rig():
     return StillRig(RigLayout(0.01, 1.85, 0.4, 16384, 5000, 16384, 5.0, 0.273), Reading(2048, -2048, 0, 400, 0.0))
 
 
-SETUP = RealtimeSetup(still_rig, RobotParameters(), Gains(), CommandBounds())
+SETUP = RealtimeSetup(still_rig, HopperControl(RobotParameters(), Gains(), CommandBounds()))
 
 
 class Sink:
@@ -78,7 +79,9 @@ def test_what_fails_on_the_way_leaves_nothing_behind(stage, monkeypatch, made):
 
     setup, sink = SETUP, Sink()
     if stage == "process":
-        setup = RealtimeSetup(lambda: still_rig(), RobotParameters(), Gains(), CommandBounds())  # cannot be pickled
+        setup = RealtimeSetup(
+            lambda: still_rig(), HopperControl(RobotParameters(), Gains(), CommandBounds())
+        )  # cannot be pickled
     else:
         monkeypatch.setattr(*((Board, "create") if stage == "board" else (TickRing, "create")), full)
     with pytest.raises(
@@ -143,14 +146,14 @@ def test_ctrl_c_while_it_lands_takes_the_torque_off_and_keeps_every_tick(made):
     assert "emergency stop" in session.words()
     assert sink.closed
     rows = np.array(sink.rows)
-    assert rows[-1, list(LOOP_UNITS).index("state")] in (RigState.READY, RigState.FAULT)
+    assert rows[-1, list(LOG_UNITS).index("state")] in (RigState.READY, RigState.FAULT)
     assert len(made) == 2
     assert not any(path.exists() for path in made)
 
 
 def test_a_parent_that_died_before_the_process_had_begun_is_missed():
     """Its number is told; who asks only when it runs would take the reaper of orphans for its parent."""
-    board, ring = Board.create(), TickRing.create(len(LOOP_UNITS), 10)
+    board, ring = Board.create(), TickRing.create(len(LOG_UNITS), 10)
     process = get_context("spawn").Process(target=run_realtime, args=(SETUP, board.name, ring.name, 2**22))
     try:
         process.start()

@@ -5,12 +5,13 @@ from math import sin, tau
 import numpy as np
 import pytest
 
-from stepgap.plants.hop_control import HopControl
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
+from stepgap.plants.realtime.loop import ControlLoop
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, RigLayout
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.tick import LOG_UNITS
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=38.0, late_ticks=50)
@@ -19,7 +20,7 @@ SWING, FREQUENCY = 0.3, 20.0
 """Amplitude [rad] and angular frequency [rad/s] of both angles; as fast as a hop's."""
 FASTEST, HARDEST = SWING * FREQUENCY, SWING * FREQUENCY**2
 """Largest rate [rad/s] and its largest change [rad/s²]."""
-COLUMN = {name: place for place, name in enumerate(LOOP_UNITS)}
+COLUMN = {name: place for place, name in enumerate(LOG_UNITS)}
 
 
 class SwingingRig(Rig):
@@ -69,17 +70,18 @@ class WatchedControl(HopControl):
 
     sensed: list
 
-    def sense(self, reading, **more):
-        motion = super().sense(reading, **more)
-        self.sensed.append((self.time, motion.rate_1, motion.rate_2))
-        return motion
+    def tick(self, time, reading, order, applied, health=HEALTHY, age=0.0):
+        computed = super().tick(time, reading, order, applied, health, age)
+        motion = self.state.motion
+        self.sensed.append((time, motion.rate_1, motion.rate_2))
+        return computed
 
 
 def swing(rig, ticks, late=lambda: 0.0):
     """Ticks a limp rig; the board's counts of ticks and missed ones, what was sensed, and the log."""
     control, board, rows = WatchedControl(rig.layout, ROBOT, GAINS, LIMITS), Board.create(), []
     control.sensed = []
-    loop = ControlLoop(rig, control, BOUNDS, board, rows.append)
+    loop = ControlLoop(rig, control, BOUNDS.space(), board, rows.append)
 
     def pace(due):
         rig.now = max(rig.now, due) + late()

@@ -11,15 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.plants.rig_plant import RigPlant, Tick
+from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.moteus.can_bus import _registers
 from stepgap.rigs.moteus.joint import JointCommand, Scale
 from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
 from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor
 from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.rigs.ethercat.ring_process import Recorder
@@ -369,7 +371,7 @@ class Counted(Rig):
 
 def hops(rig: Rig) -> tuple[list[np.ndarray], list[Tick]]:
     ticks: list[Tick] = []
-    with RigPlant(rig, ROBOT, Gains(), CommandBounds(), on_tick=ticks.append, limits=HOPPER.limits) as plant:
+    with RigPlant(rig, HopperControl(ROBOT, Gains(), CommandBounds(), HOPPER.limits), on_tick=ticks.append) as plant:
         states = [plant.start()]
         states += [plant.take_step(np.array([-5.0, -5.0])).next_state for _ in range(1)]
     return states, ticks

@@ -9,6 +9,7 @@ from stepgap.rigs.ethercat.emulator.ring import RingSettings
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.direct_ring import DirectRing
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
@@ -35,7 +36,7 @@ SETTINGS = emulated_settings(twin().layout, ROBOT, RING, INTERFACE)
 
 def hop(rig: Rig):
     ticks, states = [], []
-    with RigPlant(rig, ROBOT, GAINS, BOUNDS, on_tick=lambda tick: ticks.append(tick.row())) as plant:
+    with RigPlant(rig, HopperControl(ROBOT, GAINS, BOUNDS), on_tick=lambda tick: ticks.append(tick.row())) as plant:
         try:
             states.append(plant.start())
         except RigFault as fault:

@@ -7,6 +7,7 @@ from stepgap.control.step_controller import StepController
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.sampled_map import SampledApexMap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
@@ -33,7 +34,7 @@ def test_it_says_what_a_twin_without_gap_does_at_1_khz():
     """Held torques are nearly all that then parts the twin from the continuous map."""
     robot, gains, bounds, rng = RobotParameters(), Gains(), CommandBounds(), np.random.default_rng(2)
     sampled, controller, seen, continuous, held = SampledApexMap(), StepController(CONTINUOUS), [], [], []
-    with RigPlant(Twin(robot, RealityGap.none(), rng), robot, gains, bounds) as plant:
+    with RigPlant(Twin(robot, RealityGap.none(), rng), HopperControl(robot, gains, bounds)) as plant:
         state = plant.start()
         for _ in range(25):
             record = plant.take_step(controller(state, rng.uniform([0.0, 0.54], [0.4, 0.63])).command)

@@ -13,17 +13,17 @@ from rich.table import Table
 from stepgap.base.settings_file import InputError
 from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.commissioning.limp import ended, limp_setup
-from stepgap.plants.hop_control import HopControl
-from stepgap.plants.phases import Phase
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.safety import Watch, check_torque
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.limp_rig import FrameCount
-from stepgap.rigs.rig import HEALTHY, Reading, Rig, RigFault
+from stepgap.rigs.rig import Reading, Rig, RigFault
+from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.safety import Limited
+from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.step import Array
 
 FOLDER = Path("dry-run")
@@ -55,7 +55,7 @@ class WatchedLog:
         self.count += len(rows)
         for row in rows[::-1].tolist():
             if all(map(isfinite, row)):
-                self.last = dict(zip(LOOP_UNITS, row, strict=True))
+                self.last = dict(zip(LOG_UNITS, row, strict=True))
                 break
         self.worst = max([self.worst, *rows[:, -1].tolist()])
 
@@ -83,7 +83,7 @@ def dry_run(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains, s
     """
     path, frames, rig = next_path(FOLDER), FrameCount(), make_rig()
     try:
-        log = WatchedLog(TickLog(path, LOOP_UNITS))
+        log = WatchedLog(TickLog(path, LOG_UNITS))
     except TickLogError as error:
         raise InputError(str(error)) from None
     wanted, fault = float("inf") if seconds is None else seconds / rig.layout.tick, ""
@@ -116,8 +116,8 @@ def _describer(
         if not tick:
             return {"state": session.board.state.name}
         reading = Reading(*(tick[name] for name in Reading._fields))
-        motion = HopControl(layout, robot, gains, limits).sense(reading)
-        beyond = check_torque(limits, Watch(), motion, HEALTHY, 0.0, 0.0).limited
+        seen = HopControl(layout, robot, gains, limits).look(reading)
+        motion, beyond = seen.motion, Limited(seen.watch.stopped)
         return {
             "state": RigState(int(tick["state"])).name,
             "phase": Phase(int(tick["phase"])).name,

@@ -8,15 +8,16 @@ from time import sleep
 import numpy as np
 
 from stepgap.base.signals import terminated_as_interrupted
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
 from stepgap.rigs.limp_rig import FrameCount, LimpRig
 from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
 from stepgap.rigs.still_rig import StillRig
+from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.step import Array
 
 LOOK_EVERY = 0.05
@@ -28,7 +29,7 @@ class Ticks:
     """Ticks of a rig, from the first one on.
 
     Attributes:
-        rows: A tick a row, fields as in `LOOP_UNITS`; shape (k, fields), k at least 1.
+        rows: A tick a row, fields as in `LOG_UNITS`; shape (k, fields), k at least 1.
         refused: What of its requests the kernel refused.
         fault: Why there are not as many as were asked for.
     """
@@ -39,7 +40,7 @@ class Ticks:
 
     def column(self, name: str) -> Array:
         """A field of all ticks; shape (k,)."""
-        return self.rows[:, list(LOOP_UNITS).index(name)]
+        return self.rows[:, list(LOG_UNITS).index(name)]
 
 
 def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
@@ -96,12 +97,12 @@ def limp_setup(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains
         gains: Of the law whose torques are computed, and not written.
         frames: Counts those that are lost.
     """
-    return RealtimeSetup(partial(_limp_robot, make_rig, robot, frames), robot, gains, CommandBounds())
+    return RealtimeSetup(partial(_limp_robot, make_rig, robot, frames), HopperControl(robot, gains, CommandBounds()))
 
 
 def still_setup(tick: float) -> RealtimeSetup:
     """No robot and no bus, but all else of a tick [s]: the same sensor values always."""
-    return RealtimeSetup(partial(_still_robot, tick), RobotParameters(), Gains(), CommandBounds())
+    return RealtimeSetup(partial(_still_robot, tick), HopperControl(RobotParameters(), Gains(), CommandBounds()))
 
 
 def _limp_robot(make_rig: Callable[[], Rig], robot: RobotParameters, frames: FrameCount) -> LimpRig:

@@ -34,7 +34,7 @@ class RealtimePlant(Plant):
 
     def __init__(self, setup: RealtimeSetup, logs: Path, on_ready: Callable[[], None] = lambda: None):
         self._setup, self._logs, self._on_ready = setup, logs, on_ready
-        self._space, self._session = setup.bounds.space(), None
+        self._space, self._session = setup.robot_control.space, None
         self._state, self._hop, self._fault = np.full(2, np.nan), 0, ""
 
     @property
@@ -56,7 +56,7 @@ class RealtimePlant(Plant):
         self.stop()
         self._hop, self._fault = 0, ""
         try:
-            log = TickLog(next_path(self._logs), LOOP_UNITS)
+            log = TickLog(next_path(self._logs), {**self._setup.robot_control.units, **LOOP_UNITS})
         except TickLogError as error:
             raise RigFault(str(error)) from None
         self._session = session = Session(self._setup, log)

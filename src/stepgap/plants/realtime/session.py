@@ -33,7 +33,7 @@ class TickSink(Protocol):
     """Where ticks go, such as a `TickLog`."""
 
     def append(self, rows: Array) -> None:
-        """Takes ticks, fields as in `LOOP_UNITS`; shape (k, fields)."""
+        """Takes ticks, fields of the robot's control and `LOOP_UNITS`; shape (k, fields)."""
 
     def flush(self) -> None:
         """Makes sure of what it took."""
@@ -65,7 +65,9 @@ class Session:
                 self.board = Board.create()
                 stack.callback(self.board.unlink)
                 stack.callback(self.board.close)
-                self._ring = stack.enter_context(TickRing.create(len(LOOP_UNITS), KEPT_ROWS))
+                self._ring = stack.enter_context(
+                    TickRing.create(len(setup.robot_control.units) + len(LOOP_UNITS), KEPT_ROWS)
+                )
             except OSError as error:
                 raise RigFault(f"no shared memory for the ticks: {error.strerror}; make room in /dev/shm") from None
             arguments = setup, self.board.name, self._ring.name, os.getpid()

@@ -1,4 +1,4 @@
-"""What a rig's motors and joints may do; `plants/safety.py` holds every torque against it."""
+"""What a rig's motors and joints may do; `robots/hopper/safety.py` holds every torque against it."""
 
 from dataclasses import dataclass, fields
 from math import inf, isnan, pi

@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.plants.safety import BRAKED, Limited, Motion, Watch, check_torque
+from stepgap.base.compiled_record import as_record
 from stepgap.rigs.rig import HEALTHY, Health
 from stepgap.robots.hopper import RobotParameters
 from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.safety import BRAKED, Limited, Motion, Watch, check_torque
 
 LIMITS = SafetyLimits.of(RobotParameters())
 TIGHT = SafetyLimits(
@@ -28,13 +29,19 @@ ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)
 MOTIONS = st.builds(Motion, ANY, ANY, ANY, ANY, ANY, ANY)
 
 
+def checked_torque(limits, watch, motion, health, torque_1, torque_2):
+    """The compiled check, its reason as a `Limited`."""
+    checked = check_torque(as_record(limits)[0], watch, motion, health, float(torque_1), float(torque_2))
+    return checked._replace(limited=Limited(checked.limited))
+
+
 def check(torque_1, torque_2, limits=LIMITS, watch=None, health=HEALTHY, **motion):
-    return check_torque(limits, watch or Watch(), STANDING._replace(**motion), health, torque_1, torque_2)
+    return checked_torque(limits, watch or Watch(), STANDING._replace(**motion), health, torque_1, torque_2)
 
 
 @given(ANY, ANY, MOTIONS)
 def test_whatever_comes_in_the_torque_is_finite_and_within_limits(torque_1, torque_2, motion):
-    checked = check_torque(LIMITS, Watch(), motion, HEALTHY, torque_1, torque_2)
+    checked = checked_torque(LIMITS, Watch(), motion, HEALTHY, torque_1, torque_2)
     assert abs(checked.torque_1) <= LIMITS.torque
     assert abs(checked.torque_2) <= LIMITS.torque
     if not all(map(math.isfinite, (torque_1, torque_2, *motion))):
@@ -54,7 +61,7 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_for_good():
     late = rng.integers(1, 4, ticks).tolist()
     for torque, motion, well, ticks_late in zip(torques.tolist(), motions.tolist(), health.tolist(), late, strict=True):
         well[2] *= ticks_late
-        checked = check_torque(TIGHT, watch, Motion(*motion), Health(*well), *torque)
+        checked = checked_torque(TIGHT, watch, Motion(*motion), Health(*well), *torque)
         applied, before, limited = checked[:2], watch[:2], checked.limited
         seen.update(reason for reason in Limited if reason & limited)
         assert all(abs(value) <= TIGHT.torque for value in applied)  # false for NaN
@@ -72,7 +79,7 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_for_good():
         else:
             limits = TIGHT.torque_step * (1 + 1e-12)
             assert all(abs(now - then) <= limits for now, then in zip(applied, before, strict=True))
-        after = check_torque(TIGHT, checked.watch, STANDING, HEALTHY, 1.0, 1.0)
+        after = checked_torque(TIGHT, checked.watch, STANDING, HEALTHY, 1.0, 1.0)
         assert after.limited.stops == limited.stops, "a stop lasts, nothing else does"
         watch = Watch() if limited.stops else checked.watch
     assert seen == set(Limited) - {Limited.NOTHING}, "every reason occurred"

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from stepgap.plants.phases import Phase
-from stepgap.plants.safety import Limited
+from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.rigs.rig import Reading
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.safety import Limited
 
 TICK_UNITS: Mapping[str, str] = MappingProxyType(
     {
@@ -27,6 +28,10 @@ TICK_UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Fields of a tick as `Tick.row` gives them, with their units; `phase` and `limited` are the numbers of the enums."""
+
+
+LOG_UNITS: Mapping[str, str] = MappingProxyType({**TICK_UNITS, **LOOP_UNITS})
+"""Fields of a row of a real-time process's tick log, with their units."""
 
 
 class Tick(NamedTuple):

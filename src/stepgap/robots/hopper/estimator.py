@@ -1,0 +1,177 @@
+"""Speed and height at the apex from quantised encoders.
+
+One count of the yaw encoder is 2.3 mm of travel, so differencing it at 1 kHz would give speeds in multiples of 2.3 m/s.
+In flight, though, the motion is known up to few numbers: the centre of mass moves on a straight line in x and on a
+parabola in y. These are fitted by least squares to the whole flight so far. Sums of powers hold all that the fits need,
+so a sample is added in the same time however long the flight is.
+"""
+
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from stepgap.base.compiled import as_written
+
+APEX_DROP = 0.004
+"""How far below its highest point the hip is when the apex counts as passed [m]."""
+
+SPEED_DELAY = 0.05
+"""Flight time from which on the fitted speed is used [s]."""
+
+CENTRE = 0.15
+"""Time after take-off from which the times in the sums count, about the middle of an ascent [s].
+
+Counted from take-off, the fourth powers would cancel each other: the height would lose two more digits.
+"""
+
+LEVEL = 0.4
+"""Height from which the heights in the sums count [m]."""
+
+
+class FlightFit(NamedTuple):
+    """Sums over the samples of one flight; with u = time − CENTRE and v = y − LEVEL.
+
+    Samples are of the hip with the leg's motion taken out: x + S sin α₁ / m_x and y − S cos α₁ / m_y move as a free
+    body does.
+
+    Attributes:
+        samples: Their number.
+        latest: Time of the latest sample since take-off [s].
+        height: y of the latest sample [m].
+        highest: Largest y of all samples [m].
+        u: Σ u.
+        u2: Σ u².
+        u3: Σ u³.
+        u4: Σ u⁴.
+        x: Σ x.
+        ux: Σ u x.
+        v: Σ v.
+        uv: Σ u v.
+        u2v: Σ u² v.
+    """
+
+    samples: int = 0
+    latest: float = 0.0
+    height: float = 0.0
+    highest: float = -inf
+    u: float = 0.0
+    u2: float = 0.0
+    u3: float = 0.0
+    u4: float = 0.0
+    x: float = 0.0
+    ux: float = 0.0
+    v: float = 0.0
+    uv: float = 0.0
+    u2v: float = 0.0
+
+
+@as_written
+def no_samples():
+    """`FlightFit` at take-off."""
+    return FlightFit(0, 0.0, 0.0, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@as_written
+def with_sample(fit, time, x, y):
+    """`FlightFit` with one more sample: time since take-off [s], x relative to take-off [m], y [m]."""
+    u, v = time - CENTRE, y - LEVEL
+    u2 = u * u
+    return FlightFit(
+        fit.samples + 1,
+        time,
+        y,
+        max(fit.highest, y),
+        fit.u + u,
+        fit.u2 + u2,
+        fit.u3 + u2 * u,
+        fit.u4 + u2 * u2,
+        fit.x + x,
+        fit.ux + u * x,
+        fit.v + v,
+        fit.uv + u * v,
+        fit.u2v + u2 * v,
+    )
+
+
+@as_written
+def apex_passed(fit):
+    """Whether the hip has come down again by APEX_DROP."""
+    return fit.height < fit.highest - APEX_DROP
+
+
+@as_written
+def fitted_speed(fit):
+    """Forward speed of the free body [m/s]; NaN before SPEED_DELAY, or of fewer samples than a parabola needs."""
+    if fit.samples < 3 or fit.latest < SPEED_DELAY:
+        return np.nan
+    return (fit.samples * fit.ux - fit.u * fit.x) / (fit.samples * fit.u2 - fit.u * fit.u)
+
+
+@as_written
+def apex_height(fit):
+    """Highest point of the parabola fitted by least squares [m]; NaN where it has none.
+
+    With w = u − mean(u) and W_k = Σ w^k the polynomials 1, w and w² − (W₃/W₂) w − W₂/n are orthogonal over the samples,
+    so that their coefficients follow one by one.
+    """
+    n = fit.samples
+    if n < 3:
+        return np.nan
+    m = fit.u / n
+    w2 = fit.u2 - m * fit.u
+    w3 = fit.u3 - m * (3.0 * fit.u2 - 2.0 * m * fit.u)
+    w4 = fit.u4 - m * (4.0 * fit.u3 - m * (6.0 * fit.u2 - 3.0 * m * fit.u))
+    wv = fit.uv - m * fit.v
+    w2v = fit.u2v - m * (2.0 * fit.uv - m * fit.v)
+    skew = w3 / w2
+    curvature = (w2v - skew * wv - w2 / n * fit.v) / (w4 - skew * w3 - w2 * w2 / n)
+    if not curvature < 0.0:
+        return np.nan
+    slope = wv / w2 - curvature * skew
+    return LEVEL + (fit.v - curvature * w2) / n - slope * slope / (4.0 * curvature)
+
+
+class JointRates(NamedTuple):
+    """Rates of the leg angles from motor counts, over the last two intervals between readings and the time they took.
+
+    Without a new reading they stay. Of a motion whose acceleration is at most a, they are wrong by no more than a times
+    the age of the oldest of those readings, beside what the counts round.
+
+    Attributes:
+        readings: Number of readings, counted up to 2.
+        time: Of the latest reading [s].
+        alpha_1: α₁ of the latest reading [rad].
+        alpha_2: α₂ of the latest reading [rad].
+        time_before: Of the reading before [s].
+        alpha_1_before: α₁ of the reading before [rad].
+        alpha_2_before: α₂ of the reading before [rad].
+        rate_1: α̇₁ [rad/s], zero until there are three readings.
+        rate_2: α̇₂ [rad/s].
+    """
+
+    readings: int = 0
+    time: float = 0.0
+    alpha_1: float = 0.0
+    alpha_2: float = 0.0
+    time_before: float = 0.0
+    alpha_1_before: float = 0.0
+    alpha_2_before: float = 0.0
+    rate_1: float = 0.0
+    rate_2: float = 0.0
+
+
+@as_written
+def with_reading(rates, time, alpha_1, alpha_2):
+    """`JointRates` with the angles [rad] of a reading taken at a time [s]; one that is not new changes nothing."""
+    rate_1, rate_2, before = rates.rate_1, rates.rate_2, rates.time_before
+    readings, latest, old_1, old_2 = rates.readings, rates.time, rates.alpha_1, rates.alpha_2
+    past_1, past_2 = rates.alpha_1_before, rates.alpha_2_before
+    if readings == 0 or time > latest:
+        if readings == 2:
+            # to the picosecond, or the time since the start would show in the last digits
+            took = np.rint(1e12 * (time - before)) / 1e12
+            rate_1, rate_2 = (alpha_1 - past_1) / took, (alpha_2 - past_2) / took
+        before, past_1, past_2 = latest, old_1, old_2
+        readings, latest, old_1, old_2 = min(readings + 1, 2), time, alpha_1, alpha_2
+    return JointRates(readings, latest, old_1, old_2, before, past_1, past_2, rate_1, rate_2)

@@ -1,0 +1,215 @@
+"""A tick of hopping as one compiled function: (settings, state, inputs) → (state, torques, flags).
+
+`hop_tick` is pure, allocates no memory, needs no interpreter lock and reads no clock. The state is one named tuple,
+`HopState`. `tick` is its entrance from Python: it keeps the state in a record (`base.compiled_record`), because a call
+that takes and returns fifty Python numbers costs ten times the tick.
+"""
+
+import numpy as np
+
+from stepgap.base.compiled import as_written
+from stepgap.base.compiled_record import assign, loaded
+from stepgap.plants.tick_control import Mode, TickFlag
+from stepgap.robots.hopper.estimator import apex_height, fitted_speed
+from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, Flight, Hop, HopState, TickInputs
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.reduced import uprightness
+from stepgap.robots.hopper.safety import STOPS, brakes, check_torque
+from stepgap.robots.hopper.sensing import follow_flight, sense
+from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
+from stepgap.step import StepStatus
+
+# Numba compiles no flags, so compiled code has their numbers.
+_STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
+    int(flag)
+    for flag in (
+        TickFlag.STEP_ENDED,
+        TickFlag.FAILED,
+        TickFlag.STOPPED,
+        TickFlag.BRAKES,
+        TickFlag.TAKES_COMMAND,
+        TickFlag.UNREADABLE,
+    )
+)
+
+
+@as_written
+def hop_tick(settings, state, inputs):
+    """(`HopState`, torques that may be written [N·m], flags) of `TickSettings`, `HopState` and `TickInputs`."""
+    hop = _count_loss(settings.law, state, inputs.applied_1, inputs.applied_2)
+    sampled = state.sampled if inputs.stale else inputs.time - inputs.age
+    rates, motion, body = sense(settings, state.rates, sampled, inputs)
+    flight, phase = follow_flight(settings.layout, state, sampled, motion, body, inputs)
+    hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
+    asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
+    wanted = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked
+    checked = check_torque(settings.limits, state.watch, motion, inputs, wanted[0], wanted[1])
+    hop = _judge(settings.law.leg, hop, motion, checked.limited)
+    flags, apex = 0, state.apex
+    if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
+        flags, hop, flight, apex = _end_hop(hop, flight, apex, phase, body, inputs.time)
+    flags |= _flags(settings.limits, hop, phase, checked)
+    after = HopState(
+        inputs.mode, phase, sampled, motion, rates, flight, hop, apex, checked.watch, asked[0], asked[1],
+        checked.limited,
+    )  # fmt: skip
+    return after, (checked.torque_1, checked.torque_2), flags
+
+
+@as_written
+def _count_loss(law, state, applied_1, applied_2):
+    """`Hop` with the command force that limits took away in the last tick, if the command acted in it."""
+    hop = state.hop
+    if state.phase != Phase.THRUST:
+        return hop
+    lost_x, lost_y = hop.lost_x, hop.lost_y
+    lost_1, lost_2 = state.asked_1 - applied_1, state.asked_2 - applied_2
+    if lost_1 != 0.0 or lost_2 != 0.0:
+        force_x, force_y = lost_force(law, state.motion.alpha_1, state.motion.alpha_2, lost_1, lost_2)
+        lost_x, lost_y = lost_x + force_x, lost_y + force_y
+    return Hop(
+        hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks + 1, lost_x, lost_y, hop.status
+    )  # fmt: skip
+
+
+@as_written
+def _update_hop(hop, before, phase, mode_before, inputs):
+    """`Hop` and the phase of this tick, with take-off, deadline, release and command taken into account."""
+    deadline, left_ground, force_x, force_y = hop.deadline, hop.left_ground, hop.force_x, hop.force_y
+    thrust_ticks, lost_x, lost_y = hop.thrust_ticks, hop.lost_x, hop.lost_y
+    if phase == Phase.COMPRESSION and before != Phase.COMPRESSION:
+        deadline = min(deadline, inputs.time + STEP_TIMEOUT)
+    if before == Phase.THRUST and phase != Phase.THRUST:
+        left_ground = 1
+    if inputs.mode == Mode.STEP and mode_before != Mode.STEP:
+        # the robot is held in the air, and may be for as long as it takes
+        phase = Phase.DESCENT.value
+        deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
+    if inputs.mode == Mode.STEP and np.isnan(force_x) and _takes_command(phase, left_ground):
+        force_x, force_y = inputs.force_x, inputs.force_y
+    return Hop(deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, hop.status), phase
+
+
+@as_written
+def _new_hop(deadline, status):
+    """`Hop` at its begin."""
+    return Hop(deadline, 0, np.nan, np.nan, 0, 0.0, 0.0, status)
+
+
+@as_written
+def _takes_command(phase, left_ground):
+    """Whether a command can still act in full: mid-stance is ahead."""
+    return (phase == Phase.DESCENT or phase == Phase.COMPRESSION) and left_ground == 0
+
+
+@as_written
+def _judge(leg, hop, motion, limited):
+    """`Hop` with the status of a step that ends without an apex: the safety function stopped the robot, or it fell."""
+    status = hop.status
+    if limited & STOPS:
+        status = StepStatus.STOPPED.value
+    elif uprightness(leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0.0:
+        status = StepStatus.FELL.value
+    return _with_status(hop, status)
+
+
+@as_written
+def _with_status(hop, status):
+    return Hop(
+        hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks, hop.lost_x, hop.lost_y, status
+    )  # fmt: skip
+
+
+@as_written
+def _end_hop(hop, flight, apex, phase, body, time):
+    """(flags, `Hop`, `Flight`, `Apex`) where the hop may have ended.
+
+    A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
+    """
+    if hop.status == StepStatus.OK and hop.left_ground and phase == Phase.DESCENT:
+        speed = fitted_speed(flight.fit)
+        height = apex_height(flight.fit) - body.shift_y
+        if not np.isnan(speed):
+            flight = Flight(flight.start, flight.x, flight.fit, speed)
+        if np.isfinite(speed + height):
+            lost_x, lost_y = _mean_loss(hop)
+            ended = Apex(speed, height, body.yaw, lost_x, lost_y, hop.force_x, hop.force_y)
+            return _STEP_ENDED, _new_hop(time + STEP_TIMEOUT, hop.status), flight, ended
+    if time > hop.deadline:
+        hop = _with_status(hop, StepStatus.NO_APEX.value if hop.left_ground else StepStatus.NO_TAKE_OFF.value)
+    return 0, hop, flight, apex
+
+
+@as_written
+def _mean_loss(hop):
+    """Mean command force that limits took away while the command acted [N]."""
+    ticks = max(1, hop.thrust_ticks)
+    return hop.lost_x / ticks, hop.lost_y / ticks
+
+
+@as_written
+def _flags(limits, hop, phase, checked):
+    """Sum of the flags, but for the end of a step."""
+    flags = 0
+    if hop.status != StepStatus.OK:
+        flags |= _FAILED
+    if checked.limited & STOPS:
+        flags |= _STOPPED
+        if brakes(limits, checked.watch):
+            flags |= _BRAKES
+    if _takes_command(phase, hop.left_ground):
+        flags |= _TAKES_COMMAND
+    return flags
+
+
+@as_written
+def tick(
+    settings, memory, row, time, age, motor_1, motor_2, boom_horizontal, boom_vertical, contact_force, frame_lost,
+    stale, late, emergency_stop, mode, share, force_x, force_y, applied_1, applied_2,
+):  # fmt: skip
+    """`hop_tick` on a state in memory; a reading that is not finite changes nothing.
+
+    Args:
+        settings: Record of `TickSettings`.
+        memory: Record of `HopState`; that of the tick before, afterwards that of this tick.
+        row: Takes the fields of `TICK_UNITS`, but for the torques that will be applied; shape (14,).
+        time: As the other arguments, a field of `TickInputs`.
+
+    Returns:
+        Torques that may be written [N·m], and the sum of the flags.
+    """
+    if not np.isfinite(motor_1 + motor_2 + boom_horizontal + boom_vertical + contact_force):
+        return (0.0, 0.0), UNREADABLE
+    inputs = TickInputs(
+        time, age, motor_1, motor_2, boom_horizontal, boom_vertical, contact_force, int(frame_lost), int(stale),
+        int(late), int(emergency_stop), int(mode), share, force_x, force_y, applied_1, applied_2,
+    )  # fmt: skip
+    state, torques, flags = hop_tick(settings[0], loaded(memory[0], HopState), inputs)  # pyright: ignore[reportCallIssue]
+    assign(memory[0], state)
+    row[0], row[1], row[2], row[3], row[4], row[5] = (
+        time,
+        motor_1,
+        motor_2,
+        boom_horizontal,
+        boom_vertical,
+        contact_force,
+    )
+    row[6], row[7], row[8] = state.phase, state.motion.alpha_1, state.motion.alpha_2
+    row[9], row[10], row[13] = state.asked_1, state.asked_2, state.limited
+    return torques, flags
+
+
+@as_written
+def broken_off(settings, memory, applied_1, applied_2):
+    """(fx, fy, lost fx, lost fy) of the hop so far [N]: what acted, and what limits took away from it.
+
+    Args:
+        settings: Record of `TickSettings`.
+        memory: Record of `HopState`.
+        applied_1: Torque that was applied after the last tick [N·m]; NaN where none was.
+        applied_2: Torque that was applied after the last tick [N·m].
+    """
+    state = loaded(memory[0], HopState)  # pyright: ignore[reportCallIssue]
+    hop = state.hop if np.isnan(applied_1) else _count_loss(settings[0].law, state, applied_1, applied_2)
+    lost_x, lost_y = _mean_loss(hop)
+    return hop.force_x, hop.force_y, lost_x, lost_y

@@ -1,0 +1,41 @@
+"""Flight or stance, from what hardware senses (Secs. 3.3, 3.4)."""
+
+from enum import IntEnum
+
+from stepgap.base.compiled import as_written
+
+
+class Phase(IntEnum):
+    """Where in the hop the leg is; the command acts during THRUST, that is after mid-stance."""
+
+    ASCENT = 0
+    DESCENT = 1
+    COMPRESSION = 2
+    THRUST = 3
+
+
+@as_written
+def next_phase(phase, apex_passed, contact_force, touchdown_force, leg_length, takeoff_length, hip_rate):
+    """The number of the phase that follows at this tick.
+
+    A body that comes down with the foot still on the ground has not flown: the leg goes on with its thrust.
+
+    Args:
+        phase: Number of the present phase.
+        apex_passed: The apex of the present flight is behind.
+        contact_force: Ground force on the foot [N].
+        touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
+        leg_length: ℓ [m].
+        takeoff_length: ℓ at which the leg leaves the ground [m] (Sec. 3.4).
+        hip_rate: ẏ [m/s].
+    """
+    grounded = contact_force > touchdown_force
+    if phase == Phase.ASCENT and apex_passed:
+        return Phase.THRUST.value if grounded else Phase.DESCENT.value
+    if phase == Phase.DESCENT and grounded:
+        return Phase.COMPRESSION.value
+    if phase == Phase.COMPRESSION and hip_rate > 0:
+        return Phase.THRUST.value
+    if phase == Phase.THRUST and (leg_length >= takeoff_length or contact_force <= 0):
+        return Phase.ASCENT.value
+    return phase

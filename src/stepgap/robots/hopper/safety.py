@@ -1,0 +1,220 @@
+"""What may be written to the motors: one pure function between the controller and every rig.
+
+This is software: it cannot help when the computer hangs. What must stop a motor then is the drives' watchdog, and for
+people's safety a contactor or the drives' STO input.
+"""
+
+from enum import IntFlag
+from math import isfinite
+from typing import NamedTuple
+
+from stepgap.base.compiled import as_written
+
+
+class Limited(IntFlag):
+    """Why a torque was not written as asked."""
+
+    NOTHING = 0
+    NOT_FINITE = 1
+    TORQUE = 2
+    JOINT_SPEED = 4
+    STRETCH = 8
+    TORQUE_STEP = 16
+    JOINT_ANGLE = 32
+    LEG_LENGTH = 64
+    HIP_HEIGHT = 128
+    LOST_FRAMES = 256
+    STALE = 512
+    LATE = 1024
+    EMERGENCY_STOP = 4096
+
+    @property
+    def stops(self) -> bool:
+        """The deployment must end."""
+        return bool(self & ~KEEPS_ON)
+
+
+KEEPS_ON = Limited.TORQUE | Limited.TORQUE_STEP | Limited.STRETCH
+"""What only changes the torques; all else stops."""
+
+BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited.LATE
+"""Stops at which sensors and drives can still be relied on, so that the motors brake before torque goes off.
+
+A joint that is too fast is not among them: its encoder may have the wrong sign, and braking by it would accelerate.
+"""
+
+# Numba compiles no flags, so compiled code has their numbers.
+_NOT_FINITE = int(Limited.NOT_FINITE)
+_TORQUE = int(Limited.TORQUE)
+_JOINT_SPEED = int(Limited.JOINT_SPEED)
+_STRETCH = int(Limited.STRETCH)
+_TORQUE_STEP = int(Limited.TORQUE_STEP)
+_JOINT_ANGLE = int(Limited.JOINT_ANGLE)
+_LEG_LENGTH = int(Limited.LEG_LENGTH)
+_HIP_HEIGHT = int(Limited.HIP_HEIGHT)
+_LOST_FRAMES = int(Limited.LOST_FRAMES)
+_STALE = int(Limited.STALE)
+_LATE = int(Limited.LATE)
+_EMERGENCY_STOP = int(Limited.EMERGENCY_STOP)
+_BRAKED = int(BRAKED)
+STOPS = int(Limited(sum(Limited)) & ~KEEPS_ON)
+"""Bits of all reasons that stop."""
+
+
+class Motion(NamedTuple):
+    """What the sensors say of the robot.
+
+    Attributes:
+        alpha_1: Mean angle of the top links α₁ [rad].
+        alpha_2: Half the angle between the top links α₂ [rad].
+        rate_1: α̇₁ [rad/s].
+        rate_2: α̇₂ [rad/s].
+        leg_length: ℓ [m].
+        hip_height: y [m].
+    """
+
+    alpha_1: float
+    alpha_2: float
+    rate_1: float
+    rate_2: float
+    leg_length: float
+    hip_height: float
+
+
+class Watch(NamedTuple):
+    """What the check remembers from tick to tick; a new one starts with motors limp.
+
+    Attributes:
+        torque_1: Last torque of motor 1 [N·m].
+        torque_2: Last torque of motor 2 [N·m].
+        lost: Frames lost in a row.
+        stale: Stale readings in a row.
+        late: Ticks missed in a row.
+        stopped: Why the motors brake or are off for good; the number of a `Limited`.
+        braked: Ticks since then.
+    """
+
+    torque_1: float = 0.0
+    torque_2: float = 0.0
+    lost: int = 0
+    stale: int = 0
+    late: int = 0
+    stopped: int = 0
+    braked: int = 0
+
+
+class Checked(NamedTuple):
+    """Torques that may be written [N·m], why they differ from those asked, and the watch for the next tick.
+
+    The reason is the number of a `Limited`.
+    """
+
+    torque_1: float
+    torque_2: float
+    limited: int
+    watch: Watch
+
+
+@as_written
+def check_torque(limits, watch, motion, health, torque_1, torque_2):
+    """Limits the torques. Where something is wrong, and from then on, they brake for a while or are zero.
+
+    Args:
+        limits: What is allowed; fields as in `SafetyLimits`.
+        watch: Of the tick before; fields as in `Watch`.
+        motion: Of this tick; fields as in `Motion`.
+        health: Of this tick; fields as in `Health`.
+        torque_1: Torque asked of motor 1 [N·m].
+        torque_2: Torque asked of motor 2 [N·m].
+
+    Returns:
+        `Checked`.
+    """
+    lost = watch.lost + 1 if health.frame_lost else 0
+    stale = watch.stale + 1 if health.stale else 0
+    late = watch.late + health.late if health.late else 0
+    stopped = watch.stopped | _unhealthy(limits, health.emergency_stop, lost, stale, late)
+    stopped |= _out_of_range(limits, motion, torque_1 + torque_2)
+    if stopped:
+        braked = watch.braked + 1
+        torque_1 = torque_2 = 0.0
+        if _brakes(limits, stopped, braked):
+            torque_1 = _brake(limits, watch.torque_1, motion.rate_1 + motion.rate_2)
+            torque_2 = _brake(limits, watch.torque_2, motion.rate_1 - motion.rate_2)
+        return Checked(torque_1, torque_2, stopped, Watch(torque_1, torque_2, lost, stale, late, stopped, braked))
+    torque_1, torque_2, limited = _within_limits(limits, watch, motion.alpha_2, torque_1, torque_2)
+    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late, 0, 0))
+
+
+@as_written
+def brakes(limits, watch):
+    """Whether a stopped robot's motors still brake."""
+    return _brakes(limits, watch.stopped, watch.braked)
+
+
+@as_written
+def _brakes(limits, stopped, braked):
+    return stopped != 0 and stopped & ~_BRAKED == 0 and braked <= limits.brake_ticks
+
+
+@as_written
+def _brake(limits, before, speed):
+    """Torque against a motor's turning, within limits [N·m]: what drives it on goes at once, a brake grows."""
+    brake = _within(limits.torque, -limits.brake_damping * speed, 0.0)
+    start = before if before * brake > 0 else 0.0
+    return _within(abs(brake), _within(limits.torque_step, brake, start), 0.0)
+
+
+@as_written
+def _within_limits(limits, watch, alpha_2, torque_1, torque_2):
+    """The torques within what is allowed [N·m], and why they differ from those asked."""
+    limited, most, step = 0, limits.torque, limits.torque_step
+    if alpha_2 < limits.stretch_angle and torque_1 < torque_2:
+        torque_1 = torque_2 = 0.5 * (torque_1 + torque_2)
+        limited |= _STRETCH
+    if abs(torque_1) > most or abs(torque_2) > most:
+        torque_1, torque_2 = _within(most, torque_1, 0.0), _within(most, torque_2, 0.0)
+        limited |= _TORQUE
+    if abs(torque_1 - watch.torque_1) > step or abs(torque_2 - watch.torque_2) > step:
+        torque_1, torque_2 = _within(step, torque_1, watch.torque_1), _within(step, torque_2, watch.torque_2)
+        limited |= _TORQUE_STEP
+    return torque_1, torque_2, limited
+
+
+@as_written
+def _within(most, value, centre):
+    """The value, or what is nearest to it no farther than `most` from the centre."""
+    return min(centre + most, max(centre - most, value))
+
+
+@as_written
+def _out_of_range(limits, motion, torques):
+    """Why the motion or the torques, given as their sum, cannot be allowed."""
+    angles, rates = motion.alpha_1 + motion.alpha_2, motion.rate_1 + motion.rate_2
+    if not isfinite(torques + angles + rates + motion.leg_length + motion.hip_height):
+        return _NOT_FINITE
+    reason = 0
+    if abs(motion.rate_1) + abs(motion.rate_2) > limits.joint_speed:
+        reason |= _JOINT_SPEED
+    if abs(motion.alpha_1) > limits.lean_angle or motion.alpha_2 > limits.fold_angle:
+        reason |= _JOINT_ANGLE
+    if not limits.shortest_leg <= motion.leg_length <= limits.longest_leg:
+        reason |= _LEG_LENGTH
+    if not limits.lowest_hip <= motion.hip_height <= limits.highest_hip:
+        reason |= _HIP_HEIGHT
+    return reason
+
+
+@as_written
+def _unhealthy(limits, emergency_stop, lost, stale, late):
+    """Why the tick's health, its bad ticks in a row counted, cannot be allowed."""
+    reason = 0
+    if lost > limits.lost_frames:
+        reason |= _LOST_FRAMES
+    if stale > limits.stale_ticks:
+        reason |= _STALE
+    if late > limits.late_ticks:
+        reason |= _LATE
+    if emergency_stop:
+        reason |= _EMERGENCY_STOP
+    return reason
