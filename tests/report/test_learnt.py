@@ -104,4 +104,4 @@ def test_a_run_that_still_calibrates_has_no_gait(folder: Path, tmp_path: Path) -
     (tmp_path / "steps.csv").write_text(header + first.replace("0,1,", "0,0,", 1))
     page = Page(report_of(tmp_path, RunContext("map", {}, LossyHopper())))
     check_alone(page)
-    assert "No target was tracked yet" in page.text
+    assert "There is no gait: no target was tracked yet." in page.text
