@@ -177,7 +177,7 @@ def test_run_under_way(tmp_path: Path) -> None:
     write_summary(folder, ("x",), 3, 1)
     with (folder / "steps.csv").open("a") as file:
         file.write("1,4,0.")
-    assert "Deployment 1 is under way or was broken off: its 3 steps so far" in Page(report_of(folder)).text
+    assert "Deployment 1 is running or was interrupted: its 3 steps so far" in Page(report_of(folder)).text
     (folder / "summary.json").unlink()
     page = Page(report_of(folder))
     check_alone(page)

@@ -75,8 +75,8 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
         chosen = record.steps.iterations[-1] if iteration is None else iteration
         if out:
             check_new(out, "--out")
-        with shown_count("steps") as tell:
-            ticks = replay(folder, chosen, tell=tell)
+        with shown_count("steps") as progress:
+            ticks = replay(folder, chosen, progress=progress)
         target = _target(folder, f"ticks{_suffix(chosen)}.mcap", out)
         write_ticks(ticks, target)
         print(target)

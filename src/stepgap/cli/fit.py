@@ -57,7 +57,7 @@ def fit(
     from stepgap.learning.residual_fit import KINDS
     from stepgap.learning.validation import validate
     from stepgap.records.columns import read_columns
-    from stepgap.report.fit import FORMATS, fit_picture
+    from stepgap.report.fit import PICTURE_FORMATS, fit_picture
 
     if not log:
         raise InputError("LOG: none given; give folders of runs, or CSV files and what their columns hold")
@@ -65,8 +65,8 @@ def fit(
         if file:
             check_new(file, option)
     form = plot.suffix[1:].lower() if plot else ""
-    if plot and form not in FORMATS:
-        raise InputError(f"{plot}: the name must end with one of .{', .'.join(FORMATS)}")
+    if plot and form not in PICTURE_FORMATS:
+        raise InputError(f"{plot}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
     given = {"state": state, "next": next_state, "command": command, "target": target, "predicted": predicted}
     given |= {"deployment": deployment, "step": step}
     mapping = read_columns(columns, {name: text for name, text in given.items() if text is not None})

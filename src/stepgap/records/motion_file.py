@@ -64,5 +64,5 @@ def read_motion(path: Path, names: Collection[str], origin: str) -> dict[str, Ar
             channels = {name: kept[name].astype(float) for name in names}
         check_channels(channels)
         return channels
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError):
-        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError):
+        return None  # RuntimeError: a damaged header may call an entry encrypted, or compressed in an unknown way

@@ -1,4 +1,4 @@
-"""What is left of records that were cut off or damaged: `steps.csv`, and logs of ticks."""
+"""Recovers the intact part of truncated or damaged files: `steps.csv`, and logs of ticks."""
 
 from pathlib import Path
 
@@ -10,7 +10,10 @@ from stepgap.records.steps_csv import recover_steps, space_of_header, text_of
 
 
 def recover(path: Path, out: Path) -> list[str]:
-    """Writes what is whole of a file into a new one, and says what that is; the file itself stays as it is.
+    """Writes the intact part of a file into a new one; the file itself is not changed.
+
+    Returns:
+        Messages: what is wrong with the file, and how much was recovered.
 
     Raises:
         InputError: Nothing can be recovered, or `out` exists or cannot be written.

@@ -1,4 +1,4 @@
-"""A run folder read strictly: what was executed, how well it tracked, and with which settings.
+"""A run folder, read strictly: the steps executed, how well they tracked, and with which settings.
 
 The folder may still be growing: `steps.csv` may hold steps of a deployment that `summary.json` does not know yet.
 """
@@ -26,7 +26,7 @@ class SettingsFile:
 
     Attributes:
         text: Its text.
-        table: What it says as TOML.
+        table: Its content as TOML.
     """
 
     text: str

@@ -44,7 +44,7 @@ def column_names(space: StepSpace) -> list[str]:
 
 
 def values_of(logged: LoggedStep, space: StepSpace) -> dict[str, int | float | str]:
-    """What a row of `steps.csv` holds, by column."""
+    """The entries of a row of `steps.csv`, by column."""
     return dict(zip(column_names(space), _values(logged), strict=True))
 
 

@@ -15,9 +15,9 @@ from stepgap.report.sentences import decimal, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
 
 MOST_RUNS: Final = 12
-"""Runs on one page, so that they can be told apart."""
+"""Runs on one page, so that they can be distinguished."""
 
-SHOWN: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
+COMPARED: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
 """Errors that are compared."""
 
 CAPTION: Final = (
@@ -93,7 +93,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     numbers = sorted({entry.iteration for record in records for entry in record.deployments})
     entries = [{entry.iteration: entry for entry in record.deployments} for record in records]
     found = []
-    for measure, words in SHOWN.items():
+    for measure, words in COMPARED.items():
         for index, quantity in enumerate(records[0].space.state):
             rows = [
                 [

@@ -31,15 +31,15 @@ MOST_CHANGES: Final = 60
 """Changes of the target up to which each is marked."""
 
 LONGEST_NAME: Final = 26
-"""Characters of a name that are shown."""
+"""Characters of a name that are drawn at most."""
 
-# Colours after Okabe and Ito, told apart by colour-blind readers; dark ones in front of light ones.
+# Colours after Okabe and Ito, distinguished by colour-blind readers; dark ones in front of light ones.
 BLACK, BLUE, VERMILLION, SKY, GREY, LIGHT = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676", "#b8b8b8"
 RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
 RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
 RUN_LINES: Final = ("-", "--", "-.", ":")
-FIRST: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.1}
-LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.1, "marker": ".", "markersize": 3}
+FIRST_LOOK: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.1}
+LAST_LOOK: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.1, "marker": ".", "markersize": 3}
 
 
 def tracking_figure(record: RunRecord) -> Figure:
@@ -52,10 +52,10 @@ def tracking_figure(record: RunRecord) -> Figure:
         reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
         panel.plot(_numbers(longest), longest.target[:, index], **reference, **_pixels(longest))
         steps = record.steps.of_iteration(first)
-        _draw_tracking(panel, steps, index, _name(record, first), {**FIRST, **_pixels(steps)})
+        _draw_tracking(panel, steps, index, _name(record, first), {**FIRST_LOOK, **_pixels(steps)})
         if last != first:
             steps = record.steps.of_iteration(last)
-            _draw_tracking(panel, steps, index, _name(record, last), {**LAST, **_pixels(steps)})
+            _draw_tracking(panel, steps, index, _name(record, last), {**LAST_LOOK, **_pixels(steps)})
         panel.set_ylabel(axis_label(quantity))
     _finish(figure, panels, "Step")
     return figure
@@ -127,7 +127,7 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     redeployed = list(dict.fromkeys(learnt[:1] + learnt[-1:]))
     shown = [record.steps.of_iteration(number) for number in redeployed]
     upper.set_xlim(0, 1.02 * max(map(len, [last, *shown])) + 1)
-    for number, steps, style in zip(redeployed, shown, (FIRST, LAST)[-len(shown) :], strict=False):
+    for number, steps, style in zip(redeployed, shown, (FIRST_LOOK, LAST_LOOK)[-len(shown) :], strict=False):
         lower.plot(_numbers(steps), steps.std[:, index], label=_name(record, number), **style, **_pixels(steps))
     if learnt:
         lower.set_ylim(0, 1.08 * max(float(np.max(steps.std[:, index])) for steps in shown))
@@ -161,7 +161,7 @@ def _name(record: RunRecord, iteration: int) -> str:
     """What legends call a deployment."""
     kind = next((entry.residual for entry in record.deployments if entry.iteration == iteration), None)
     kind = "none" if iteration == 0 and kind is None else kind
-    words = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "under way"}
+    words = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "unfinished"}
     return f"deployment {iteration}, {words.get(kind) or 'residual: ' + plain(str(kind))}"
 
 
@@ -211,7 +211,7 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
 
 
 def _note(panel: Axes, text: str) -> None:
-    """Says why a panel is empty."""
+    """Writes into an empty panel why it is empty."""
     panel.set_yticks([])
     panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", color=GREY)
 

@@ -50,11 +50,11 @@ def section(name: str, title: str, *parts: str) -> str:
 
 
 def safe(text: str) -> str:
-    """Text that HTML takes for text, without control characters."""
-    shown = "".join(
+    """Escaped text without control characters."""
+    printable = "".join(
         letter if letter.isprintable() or letter in "\n\t" else "\N{REPLACEMENT CHARACTER}" for letter in text
     )
-    return escape(shown)
+    return escape(printable)
 
 
 def inline_svg(drawing: Drawing, prefix: str) -> str:

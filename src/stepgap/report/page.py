@@ -1,4 +1,4 @@
-"""`report.html`: what a run did, learnt and was, on one page."""
+"""`report.html`: results, model and settings of a run on one page."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -62,7 +62,7 @@ def report_html(
     title = f"StepGap report: {record.folder.resolve().name}"
     links = "".join(f'<a href="#{name}">{words}</a>' for name, words in CONTENTS.items())
     plant = context.plant
-    shown = {
+    parts_by_name = {
         "figures": [picture(drawings[name], f"{name}-", text) for name, text in captions(record).items()],
         "numbers": [
             paragraph(_what_is_compared(record, plant)),
@@ -87,7 +87,7 @@ def report_html(
         f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(record))}</p>\n'
         f"{bullets(sentences(record, plant))}"
     )
-    parts = [section(name, CONTENTS[name], *parts) for name, parts in shown.items()]
+    parts = [section(name, CONTENTS[name], *parts) for name, parts in parts_by_name.items()]
     return page(title, [top, *parts], REPLAY_SCRIPT if not isinstance(context.replay, Missing) else "")
 
 

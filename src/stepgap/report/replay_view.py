@@ -21,7 +21,7 @@ LEVELS: Final = 65535
 """Steps into which the range of a channel is divided."""
 
 MOST_FRAMES: Final = 60_000
-"""Of one motion on the page; of a longer one, frames are left out."""
+"""Frames of one motion on the page at most; a longer one is thinned."""
 
 CONTROLS: Final = """<div id="replay-view">
 <canvas id="replay-canvas" tabindex="0" role="img" aria-label="The hopper on its boom; drag to turn the view"></canvas>
@@ -55,10 +55,10 @@ def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
 
 def _legend() -> str:
     return (
-        "Drag to turn; the keys ← and → go on by a frame. The leg is drawn as the closed chain it is; the foot is "
+        "Drag to turn; the keys ← and → move by one frame. The leg is drawn as the closed chain it is; the foot is "
         "full while it bears load. Dashed: the height wanted at the next apex. Circles: apexes reached; bars: their "
-        "targets. The motion is what the sensors of boom and motors said; what they do not see, such as the boom's "
-        f"bending, is not in it. Of a second, {RATE} moments are kept."
+        "targets. The motion is what the sensors of boom and motors measured; what they do not measure, such as "
+        f"the boom's bending, is not in it. There are {RATE} frames per second."
     )
 
 

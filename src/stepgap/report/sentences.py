@@ -1,4 +1,4 @@
-"""What a run shows, in plain sentences."""
+"""The results of a run in plain sentences."""
 
 import numpy as np
 
@@ -49,7 +49,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
         f"on the {plant}, {_count(record.steps.falls, 'fall')}."
     )
     found += [
-        f"Deployment {iteration} is under way or was broken off: "
+        f"Deployment {iteration} is running or was interrupted: "
         f"its {_count(steps, 'step')} so far are in none of the errors."
         for iteration, steps in record.unfinished.items()
     ]
@@ -71,8 +71,8 @@ def decimal(value: float, digits: int = 3) -> str:
     if value == 0:
         return "0"
     if 1e-6 < abs(value) < 1e6:
-        places = digits - 1 - int(np.floor(np.log10(abs(value))))
-        return f"{value:.{max(places, 0)}f}".replace("-", "−")
+        decimals = digits - 1 - int(np.floor(np.log10(abs(value))))
+        return f"{value:.{max(decimals, 0)}f}".replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")
 
 
@@ -130,7 +130,7 @@ def _count(number: int, noun: str) -> str:
 
 
 def _ended(record: RunRecord, deployment: FinishedDeployment) -> str:
-    """How a deployment ended before its time."""
+    """How a deployment was aborted."""
     status = list(record.steps.of_iteration(deployment.iteration))[-1].record.status
     how = "fell" if status == StepStatus.FELL else f"ended without an apex ({status.label})"
     return f"deployment {deployment.iteration} {how} at step {deployment.steps}"

@@ -1,7 +1,7 @@
-"""What there is to show of a run, whether it is over or goes on: steps, motion, what was learnt.
+"""All data of a run, finished or being executed: steps, motion, what was learnt.
 
-Steps and models are read from the run folder. Motion comes from a ring of ticks while the run goes on beside, from the
-tick logs of a rig, and else from making the deployment again.
+Steps and models are read from the run folder. Motion comes from a ring of ticks while the run is being executed, from
+the tick logs of a rig, and else from simulating the deployment again.
 """
 
 from collections import defaultdict
@@ -20,12 +20,13 @@ from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.missing import Missing
 from stepgap.records.model_files import read_model
 from stepgap.records.steps_csv import read_step_log
 from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.tick import TICK_UNITS
-from stepgap.view.motion import EVERY, Hop, sensed_hop, still_hop, true_hop
+from stepgap.view.motion import TICK_STRIDE, HopMotion, sensed_hop, still_hop, true_hop
 
 RING_FIELDS = 2 + len(TICK_UNITS)
 """Of a row of the ring: deployment, hop, tick."""
@@ -36,7 +37,7 @@ class Source:
 
     Args:
         folder: The run folder.
-        ring: Ticks as they happen; without one, the motion is made again.
+        ring: Ticks as they happen; without one, the motion is found or simulated again.
 
     Attributes:
         settings: Of the experiment.
@@ -44,7 +45,7 @@ class Source:
         layout: How to read the rig's counts; None where the rig is not known here.
 
     Raises:
-        InputError: It is no run folder, a model in it is none, or it has no step yet and nobody is making one.
+        InputError: It is no run folder, a model in it is not valid, or it has no step yet and no run is adding one.
         RecordError: Its steps cannot be read.
     """
 
@@ -55,10 +56,11 @@ class Source:
         self.settings = read_experiment(folder / "experiment.toml")
         self.nominal = ApexMap(self.settings.robot, self.settings.gains, self.settings.command)
         self.space = self.nominal.space
-        self.layout, self._words = self._find_layout(), ""
+        self.layout = self._find_layout()
+        self._missing: Missing | None = None
         self._size, self._log = -1, StepLog(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
-        self._motion: dict[int, list[Hop | None]] = {}
+        self._motion: dict[int, list[HopMotion | None]] = {}
         self._finders: dict[int, Thread] = {}
         self._closed = Event()
         self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
@@ -75,9 +77,9 @@ class Source:
         return self.layout.pivot_height if self.layout else self.settings.gap.boom_pivot_height
 
     @property
-    def words(self) -> str:
-        """Why there is no motion where there is none; empty while there is."""
-        return self._words
+    def missing_motion(self) -> Missing | None:
+        """Why some motion cannot be found; None while all can."""
+        return self._missing
 
     @property
     def iterations(self) -> list[int]:
@@ -89,10 +91,10 @@ class Source:
         return self._steps.get(iteration, [])
 
     def hop_count(self, iteration: int) -> int:
-        """Hops of a deployment: that after the release, and its steps."""
+        """Number of hops of a deployment: the one after the release, and its steps."""
         return 1 + len(self.steps(iteration))
 
-    def hop(self, iteration: int, number: int) -> Hop | None:
+    def hop(self, iteration: int, number: int) -> HopMotion | None:
         """A hop's motion; None while it is still being made. Without known motion, the robot stands at the apex."""
         hops, steps = self._motion.get(iteration, []), self.steps(iteration)
         if number < len(hops) and (hop := hops[number]):
@@ -137,7 +139,7 @@ class Source:
         return residual.given(next_context(StepLog(self.space, before), self.nominal, iteration))
 
     def poll(self) -> bool:
-        """Takes in what is new; says whether there were steps."""
+        """Reads what is new; gives whether there were new steps."""
         grown = self._read_steps()
         if self._ring:
             self._drain(self._ring)
@@ -192,25 +194,25 @@ class Source:
     def _is_sought(self, iteration: int) -> bool:
         return iteration in self._finders and self._finders[iteration].is_alive()
 
-    def _find(self, iteration: int, find: Callable[[int, list[Hop | None]], None]) -> None:
-        """Fills in the motion, hop by hop; whatever goes wrong is said on the page."""
+    def _find(self, iteration: int, find: Callable[[int, list[HopMotion | None]], None]) -> None:
+        """Fills in the motion, hop by hop; the page shows what goes wrong."""
         try:
             find(iteration, self._motion[iteration])
         except (ValueError, OSError) as error:
-            self._words = str(error)
+            self._missing = Missing(str(error))
 
-    def _remake(self, iteration: int, hops: list[Hop | None]) -> None:
+    def _remake(self, iteration: int, hops: list[HopMotion | None]) -> None:
         assert self.layout
-        for table in replayed_hops(self.folder, iteration, EVERY):
+        for table in replayed_hops(self.folder, iteration, TICK_STRIDE):
             hops.append(true_hop(table, self.layout))
             if self._closed.is_set():
                 return
 
-    def _load(self, iteration: int, hops: list[Hop | None]) -> None:
+    def _load(self, iteration: int, hops: list[HopMotion | None]) -> None:
         if self.layout is None:
             raise InputError(f"plant '{self.settings.plant}' is not known here, so its counts cannot be read")
         steps = self.steps(iteration)
         ticks = logged_ticks(self.folder, steps)
         for step in range(steps[0].step - 1, steps[-1].step + 1):
             rows = ticks.rows[ticks["step"] == step]
-            hops.append(sensed_hop(TickTable(ticks.units, rows[::EVERY]), self.layout))
+            hops.append(sensed_hop(TickTable(ticks.units, rows[::TICK_STRIDE]), self.layout))
