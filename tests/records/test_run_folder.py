@@ -46,7 +46,7 @@ def test_record_is_what_was_written(folder: Path) -> None:
     assert [quantity.unit for quantity in record.space.state] == ["m/s", ""]
     assert [len(record.steps.of_iteration(number)) for number in record.shown_iterations] == [5, 5]
     np.testing.assert_array_equal(record.deployments[1].errors["rmse"], [np.nan, 0.25])
-    np.testing.assert_array_equal(record.repeatability, [np.nan, np.nan])
+    np.testing.assert_array_equal(record.noise_floor, [np.nan, np.nan])
     assert record.summary.versions == (("mujoco", "3.17"), ("cores", "2"))
     assert record.settings == SettingsFile("seed = 0\n", {"seed": 0})
     assert record.unfinished == {}

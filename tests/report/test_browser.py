@@ -42,7 +42,7 @@ def test_a_fall_reads_as_one(tmp_path: Path, watched_page: Watched) -> None:
     page = watched_page.page
     page.goto(report_of(folder, RunContext(replay=replay)).resolve().as_uri())
     page.locator("#replay-slider").fill("399")
-    words = page.locator("#replay-words")
+    words = page.locator("#replay-moment")
     expect(words).to_contain_text("deployment 0, 3.99 s of 3.99 s: step 4 of 4.")
     expect(words).to_contain_text("; reached no apex; command")
     watched_page.keep_screenshot("report_fall")

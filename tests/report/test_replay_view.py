@@ -49,7 +49,7 @@ def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
     page = Page(report_of(folder, RunContext(replay=replay)))
     check_alone(page)
     names = {given.get("id") for _, given in page.tags}
-    assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-words"} <= names
+    assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-moment"} <= names
 
 
 def test_a_sensed_motion_is_read_from_counts() -> None:

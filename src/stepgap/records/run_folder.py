@@ -59,8 +59,8 @@ class RunRecord:
         return self.summary.deployments
 
     @property
-    def repeatability(self) -> Array:
-        """Spread of the next state at equal state and command, NaN where unknown; shape (n,)."""
+    def noise_floor(self) -> Array:
+        """Standard deviation of the next state at equal state and command, NaN where unknown; shape (n,)."""
         spread = self.summary.repeatability
         return np.full(len(self.space.state), np.nan) if spread is None else spread
 

@@ -25,7 +25,7 @@ MOST_VECTORS: Final = 2000
 """Steps beyond which curves are drawn as pixels inside the vector graphic, so that it stays small."""
 
 LEAST_FLOOR: Final = 1e-2
-"""Of the least error: a repeatability below that is not drawn, since it would leave no room for the errors."""
+"""Share of the least error below which the noise floor is not drawn: it would leave no room for the errors."""
 
 MOST_CHANGES: Final = 60
 """Changes of the target up to which each is marked."""
@@ -72,10 +72,10 @@ def error_figure(record: RunRecord) -> Figure:
             values = [deployment.errors[measure][index] for deployment in record.deployments]
             if np.isfinite(values).any():
                 panel.plot(numbers, values, look, color=BLUE, label=f"{measure.upper()}, this run")
-        floor = record.repeatability[index]
+        floor = record.noise_floor[index]
         drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
         if floor > LEAST_FLOOR * np.min(drawn, where=drawn > 0, initial=np.inf):
-            panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="repeatability, this run")
+            panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="noise floor, this run")
         if hardware:
             values = paper.MAE_BY_ITERATION[quantity.name]
             panel.plot(range(len(values)), values, "^:", color=VERMILLION, label="MAE, the paper's hardware")

@@ -36,10 +36,10 @@ LEFT_OUT_CAPTION: Final = (
 )
 
 GAIT_CAPTION: Final = (
-    "(a) What one step can reach within the command bounds from the target in the middle. (b) Sizes of the multipliers "
-    "of the limit cycle at each target: below 1, an error dies out while the command stays the same; the step "
-    "controller does not rely on that. The slopes of the corrected map are the learnt model's, which knows them less "
-    "well than its values."
+    "(a) The one-step reachable set within the command bounds, from the target in the middle. (b) Magnitudes of the "
+    "Floquet multipliers (eigenvalues of the Jacobian of the Poincaré map) of the limit cycle at each target: below 1, "
+    "an error dies out while the command stays the same; the step controller does not rely on that. The Jacobian of "
+    "the corrected map is that of the learnt model, which is less accurate than the model's values."
 )
 
 

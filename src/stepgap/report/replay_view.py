@@ -25,7 +25,7 @@ MOST_FRAMES: Final = 60_000
 
 CONTROLS: Final = """<div id="replay-view">
 <canvas id="replay-canvas" tabindex="0" role="img" aria-label="The hopper on its boom; drag to turn the view"></canvas>
-<p id="replay-words" aria-live="off">The replay needs JavaScript, which does not run here.</p>
+<p id="replay-moment" aria-live="off">The replay needs JavaScript, which does not run here.</p>
 <input id="replay-slider" type="range" min="0" max="0" value="0" aria-label="Time">
 <p class="controls"><button id="replay-play" type="button">Play</button>
 <label>deployment <select id="replay-deployment"></select></label>
