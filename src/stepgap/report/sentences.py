@@ -108,8 +108,8 @@ def _floor(record: RunRecord) -> list[str]:
         "angles and with other noise). A controller that knows neither cannot do better on average; one that estimates "
         "the yaw-dependent disturbance (learning.drift) can"
         if record.summary.measured
-        else f"is at most about {spreads} (the residual error of a linear fit to the steady steps of the last deployment; "
-        "the true one may be smaller)"
+        else f"is at most about {spreads} (the residual error of a linear fit to the steady steps of the last "
+        "deployment; the true one may be smaller)"
     )
     compared = f" The last steady RMSE is {ratios}." if np.isfinite([errors[row] for row in known]).all() else ""
     return [f"The noise floor, the standard deviation of the next state at equal state and command, {how}.{compared}"]
