@@ -17,14 +17,14 @@ from tests.view.conftest import run_folder as run_folder
 def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) -> None:
     page = watched_page.page
     page.goto((run_folder / "report.html").resolve().as_uri())
-    slider, canvas, words = (page.locator(f"#replay-{name}") for name in ("slider", "canvas", "words"))
+    slider, canvas, moment = (page.locator(f"#replay-{name}") for name in ("slider", "canvas", "moment"))
     slider.scroll_into_view_if_needed()
-    expect(words).to_contain_text("deployment")
+    expect(moment).to_contain_text("deployment")
     last = int(slider.get_attribute("max") or 0)
     assert last > 0
-    before, said = canvas.screenshot(), words.inner_text()
+    before, text = canvas.screenshot(), moment.inner_text()
     slider.fill(str(last // 2))
-    expect(words).not_to_have_text(said)
+    expect(moment).not_to_have_text(text)
     assert canvas.screenshot() != before
     watched_page.keep_screenshot("report_replay")
 
@@ -42,7 +42,7 @@ def test_a_fall_reads_as_one(tmp_path: Path, watched_page: Watched) -> None:
     page = watched_page.page
     page.goto(report_of(folder, RunContext(replay=replay)).resolve().as_uri())
     page.locator("#replay-slider").fill("399")
-    words = page.locator("#replay-moment")
-    expect(words).to_contain_text("deployment 0, 3.99 s of 3.99 s: step 4 of 4.")
-    expect(words).to_contain_text("; reached no apex; command")
+    moment = page.locator("#replay-moment")
+    expect(moment).to_contain_text("deployment 0, 3.99 s of 3.99 s: step 4 of 4.")
+    expect(moment).to_contain_text("; reached no apex; command")
     watched_page.keep_screenshot("report_fall")
