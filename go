@@ -21,6 +21,11 @@ fail() {
     exit 1
 }
 
+fail_usage() {
+    say "$1" "$usage"
+    exit 2
+}
+
 is_made_here() { # a finished environment, in the place where it was made, whose Python is still there
     [ -x "$venv/bin/python" ] && [ -f "$venv/made-from/root" ] && [ "$(cat "$venv/made-from/root")" = "$root" ]
 }
@@ -132,15 +137,27 @@ set_up() { # python is the interpreter to make it with
     mv made-from.new made-from
 }
 
+usage='usage: ./go COMMAND…   for example: ./go pytest'
 case ${1-} in
+-h | --help)
+    cat <<END
+$usage
+
+Runs COMMAND in the environment .venv, which it makes on the first run and keeps as requirements.lock says.
+CONTRIBUTING.md lists useful commands.
+END
+    exit
+    ;;
 '')
-    say "usage: ./go COMMAND…   for example: ./go pytest" "runs COMMAND in .venv, which it keeps as requirements.lock says"
-    exit 2
+    fail_usage "a command is missing"
     ;;
 --set-up)
     python=$2
     set_up
     exit
+    ;;
+-*)
+    fail_usage "there is no option $1"
     ;;
 esac
 

@@ -21,15 +21,15 @@ import numpy as np
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.rigs.ethercat.emulator.emulator import run_emulator
-from stepgap.rigs.ethercat.emulator.machine import TwinMachine
-from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.rig import Reading
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
+from stepgap.robots.hopper.ethercat import hopper_on_ethercat
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin_machine import TwinMachine
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 RING = RingSettings(lock_step=False)
@@ -43,7 +43,7 @@ class Watched(TwinMachine):
         super().__init__(Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=3.0))
         self._felt = felt
 
-    def tick(self, torque_1: float, torque_2: float) -> Reading:
+    def tick(self, torque_1: float, torque_2: float) -> HopperReading:
         if torque_1 or torque_2:
             self._felt()
         return super().tick(torque_1, torque_2)
@@ -64,10 +64,10 @@ def kill_once(interface: str, folder: Path) -> float:
     ring = context.Process(target=serve, args=(interface, last, there), daemon=True)
     ring.start()
     here.recv()
-    layout = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).layout
+    layout = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).sensor_model
     settings = replace(emulated_settings(layout, ROBOT, RING, interface), watchdog=0.05)
     with RealtimePlant(
-        RealtimeSetup(partial(EthercatRig, settings, ROBOT), HopperControl(ROBOT, GAINS, BOUNDS)), folder
+        RealtimeSetup(partial(hopper_on_ethercat, settings, ROBOT), HopperControl(ROBOT, GAINS, BOUNDS)), folder
     ) as plant:
         plant.start()
         plant.take_step(COMMAND)

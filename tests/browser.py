@@ -2,15 +2,19 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from time import monotonic
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, expect, sync_playwright
 
 ARTEFACTS = "STEPGAP_TEST_ARTEFACTS"
 """Environment variable with the folder that keeps screenshots; without it, they go where the test's files are."""
+
+PATIENCE = 300_000
+"""Longest wait for the browser [ms]; it ends a test that hangs, since a busy machine draws a picture in seconds."""
 
 ROOT_NEEDS = ("--no-sandbox", "--disable-dev-shm-usage")
 SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -23,7 +27,9 @@ def chromium() -> Iterator[Browser]:
     if program is None:
         pytest.skip("no Chromium on this machine (Debian: apt install chromium), so pages are not looked at")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=[*ROOT_NEEDS, *SOFTWARE_WEBGL])
+        browser = playwright.chromium.launch(
+            executable_path=program, args=[*ROOT_NEEDS, *SOFTWARE_WEBGL], timeout=PATIENCE
+        )
         yield browser
         browser.close()
 
@@ -39,6 +45,8 @@ class Watched:
 
     def __init__(self, browser: Browser, folder: Path):
         self.page: Page = browser.new_page(viewport={"width": 1280, "height": 800})
+        self.page.set_default_timeout(PATIENCE)
+        expect.set_options(timeout=PATIENCE)
         self.complaints: list[str] = []
         self.foreign: list[str] = []
         self._folder = Path(os.environ.get(ARTEFACTS) or folder)
@@ -53,6 +61,19 @@ class Watched:
         path = self._folder / f"{name}.png"
         self.page.screenshot(path=path)
         return path
+
+    def picture_of(self, element: Locator) -> bytes:
+        """What is seen of an element, as PNG. A moving one need not come to rest, as for its own `screenshot`."""
+        element.wait_for(state="visible")
+        box = element.bounding_box()
+        assert box is not None
+        return self.page.screenshot(clip=box)
+
+    def wait_for_change(self, take_picture: Callable[[], bytes], before: bytes) -> None:
+        """Takes pictures until one differs from that of before."""
+        deadline = monotonic() + PATIENCE / 1000
+        while take_picture() == before:
+            assert monotonic() < deadline, "it looks the same as before"
 
     def close(self) -> None:
         """Closes it and asserts that it behaved."""

@@ -1,18 +1,75 @@
+import fcntl
+import os
 import re
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
+from stepgap.base.compiled import cache_folder
 from stepgap.cli.app import main
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, Said
+from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats, leave_out_report
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
 settings.load_profile("no deadline")
 
 # A shell that starts tests in the background has them ignore Ctrl-C, and so would every process that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+MOST_WORKERS = 8
+"""Processes that share the tests of `-n auto`, at most: each needs a few seconds and 300 MB for its imports."""
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """One process for each core that may be used; this one alone on a single core, or where files are named."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    names_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
+    return 0 if cores == 1 or names_files else min(cores, MOST_WORKERS)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Of several processes the first compiles what most tests need; the others wait, and find it in the cache."""
+    folder = cache_folder()
+    if hasattr(session.config, "workerinput") and folder is not None:
+        with (folder / "tests.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            compile_hops()
+
+
+def compile_hops() -> None:
+    """A hop of the map with its Jacobian, and one of the twin."""
+    robot, bounds, step_map = RobotParameters(), CommandBounds(), ApexMap()
+    centre = bounds.space().state_centre, bounds.space().command_centre
+    step_map.evaluate(*centre)
+    step_map.jacobian(*centre)
+    twin = Twin(robot, RealityGap(), np.random.default_rng(0))
+    with RigPlant(twin, HopperControl(robot, Gains(), bounds)) as plant:
+        plant.start()
+
+
+@pytest.fixture
+def no_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_out_repeats(monkeypatch)
+
+
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_out_report(monkeypatch)
+
+
+@pytest.fixture
+def svg_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_out_files_of_figures(monkeypatch)
 
 
 @pytest.fixture

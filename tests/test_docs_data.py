@@ -6,7 +6,6 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from stepgap.experiment.replay import REPLAY_UNITS
@@ -18,10 +17,8 @@ BLOCKS = re.findall(r"```(\w+)\n(.*?)```", PAGE, re.DOTALL)
 SHORT = ["--reference", "short.csv"]
 
 
-def test_the_page_of_data_runs(
-    stepgap: Command, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+@pytest.mark.usefixtures("no_repeats", "no_report")
+def test_the_page_of_data_runs(stepgap: Command, capfd: pytest.CaptureFixture[str]) -> None:
     Path("short.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
     assert stepgap("run", *SHORT, "--out", "runs/latest", "--iterations", 1, "--quiet").code == 0
     for language, block in BLOCKS:

@@ -9,6 +9,12 @@ from importlinter.application import use_cases
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
 
+def test_one_module_reads_toml() -> None:
+    source = PYPROJECT.parent / "src" / "stepgap"
+    readers = [path for path in source.rglob("*.py") if "tomllib" in path.read_text("utf-8")]
+    assert readers == [source / "base" / "settings_file.py"], "others must use its read_toml or parse_toml"
+
+
 def test_imports_point_down() -> None:
     kept = use_cases.lint_imports(config_filename=str(PYPROJECT), cache_dir=None, no_logo=True)
     assert kept, "an import points up or across; `./go lint-imports` shows it"

@@ -7,11 +7,14 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from inspect import signature
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from stepgap.base import compiled
 
 ROOT = Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -79,10 +82,28 @@ def test_lock_agrees_with_pyproject(wanted: str) -> None:
     assert requirement.specifier.contains(version, prereleases=True), f"{version} is locked; run .ci/lock"
 
 
-def test_go_without_a_command_says_how_to_use_it() -> None:
-    outcome = subprocess.run([ROOT / "go"], capture_output=True, text=True, check=False)
-    assert outcome.returncode == 2
+@pytest.mark.parametrize(("arguments", "reason"), [([], "a command is missing"), (["--hlep"], "no option --hlep")])
+def test_go_without_a_command_says_how_to_use_it(arguments: list[str], reason: str) -> None:
+    outcome = subprocess.run([ROOT / "go", *arguments], capture_output=True, text=True, check=False)
+    assert (outcome.returncode, outcome.stdout) == (2, "")
+    assert reason in outcome.stderr
     assert "usage: ./go COMMAND" in outcome.stderr
+
+
+@pytest.mark.parametrize("option", ["--help", "-h"])
+def test_go_has_help(option: str) -> None:
+    outcome = subprocess.run([ROOT / "go", option], capture_output=True, text=True, check=False)
+    assert (outcome.returncode, outcome.stderr) == (0, "")
+    assert outcome.stdout.startswith("usage: ./go COMMAND")
+
+
+def test_coverage_leaves_out_all_that_is_compiled_and_no_more() -> None:
+    """It cannot see machine code, so lines that run only there would count as lines that no test runs."""
+    patterns = PYPROJECT["tool"]["coverage"]["report"]["exclude_also"]
+    makers = [name for name, made in vars(compiled).items() if getattr(made, "__module__", "") == compiled.__name__]
+    decorators = {name for name in makers if "function" in signature(getattr(compiled, name)).parameters}
+    left_out = {name for name in makers if any(re.search(pattern, f"@{name}") for pattern in patterns)}
+    assert left_out == {name for name in decorators if not name.startswith("_")}
 
 
 def test_readme_commands_exist() -> None:

@@ -24,7 +24,7 @@ HEAVIER, FRICTION = 0.15, 0.4
 TRUE_VALUES = dict.fromkeys(SPREADS, 0.0) | {"body_mass": HEAVIER, "boom_friction": FRICTION, "torque_lag": 1e-5}
 needs_the_toolbox = pytest.mark.skipif(not hasattr(mujoco.sysid, "optimize"), reason="needs stepgap[sysid]")
 
-LAYOUT = Twin(ROBOT, RealityGap.none(), np.random.default_rng(0)).layout
+LAYOUT = Twin(ROBOT, RealityGap.none(), np.random.default_rng(0)).sensor_model
 
 
 @pytest.fixture(scope="module")

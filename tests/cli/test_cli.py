@@ -21,6 +21,7 @@ from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.step import Outcome, StepRecord
 from tests.cli.command_line import Command, Said, refused
+from tests.full_disk import SAYS, largest_file
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 SHORT = 'seed = 5\nreference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -68,6 +69,7 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
     assert (finished / "run" / "steps.csv").read_text().count("\n") == 7
 
 
+@pytest.mark.usefixtures("no_report")
 def test_its_settings_rerun_it(finished: Path, stepgap: Command) -> None:
     said = stepgap("run", finished / "run" / "experiment.toml", "--out", "again")
     assert (said.code, said.out) == (0, "again/report.html\n")
@@ -78,6 +80,7 @@ def test_its_settings_rerun_it(finished: Path, stepgap: Command) -> None:
     assert lines[1].startswith("deployment 1 of 1 (gp_on_linear): 3 steps, RMSE")
 
 
+@pytest.mark.usefixtures("no_report", "no_repeats")
 def test_without_out_a_run_gets_a_new_folder(finished: Path, stepgap: Command) -> None:
     arguments = ["run", "--reference", finished / "targets.csv", "--iterations", 0, "--quiet"]
     first, second = stepgap(*arguments), stepgap(*arguments, "--seed=6", "--gains.stiffness", "2400")
@@ -93,6 +96,7 @@ def test_without_out_a_run_gets_a_new_folder(finished: Path, stepgap: Command) -
     assert json.loads(Path("runs/latest/summary.json").read_text())["seed"] == 6
 
 
+@pytest.mark.usefixtures("no_report")
 @pytest.mark.parametrize("rows", [0, 2, 4])
 def test_a_run_that_was_broken_off_is_resumed(finished: Path, stepgap: Command, rows: int) -> None:
     folder = copied(finished / "run", Path("run"))
@@ -289,7 +293,7 @@ def _interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.usefixtures("_interruptible")
+@pytest.mark.usefixtures("_interruptible", "no_report")
 def test_ctrl_c_says_how_to_go_on(finished: Path, stepgap: Command, trouble: Callable) -> None:
     trouble(lambda: signal.raise_signal(signal.SIGINT))
     said = stepgap("run", finished / "short.toml", "--out", "my run", "--quiet")
@@ -326,7 +330,7 @@ def raising(error: Exception) -> Callable[[], None]:
         (ValueError("a fault\nof ours"), "stepgap: ValueError: a fault of ours\n"),
         (
             OSError(28, "No space left on device", "a.csv"),
-            "stepgap: OSError: [Errno 28] No space left on device: 'a.csv'\n",
+            "stepgap: a.csv: No space left on device\n",
         ),
     ],
 )
@@ -336,6 +340,31 @@ def test_a_failure_is_no_bad_input(
     trouble(raising(error))
     assert stepgap("run", finished / "short.toml", "--out", "run", "--quiet") == Said(1, "", line)
     assert Path("run/steps.csv").read_text().count("\n") == 5, "what was recorded stays, to be resumed"
+
+
+@pytest.mark.parametrize(("size", "file"), [(1000, "experiment.toml"), (1600, "steps.csv")])
+def test_a_full_disk_is_said_with_the_file(finished: Path, stepgap: Command, size: int, file: str) -> None:
+    with largest_file(size):
+        said = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
+    assert said.code in (1, 2)
+    assert re.fullmatch(rf"stepgap: run/{re.escape(file)}: [^\n]*{SAYS}[^\n]*\n", said.err)
+
+
+@pytest.mark.parametrize(("size", "file"), [(1000, "models/iteration_1.json"), (1400, "summary.json")])
+def test_a_disk_that_was_full_is_no_loss(finished: Path, stepgap: Command, size: int, file: str) -> None:
+    folder = copied(finished / "run", Path("run"))
+    (folder / file).unlink()
+    (folder / "summary.json").unlink(missing_ok=True)
+    with largest_file(size):
+        said = stepgap("run", "--resume", "--out", "run", "--quiet")
+    assert said == Said(1, "", f"stepgap: run/{file}: {SAYS}\n")
+
+
+def test_a_report_that_the_disk_does_not_take_is_said_with_the_file(finished: Path, stepgap: Command) -> None:
+    copied(finished / "run", Path("run"))
+    with largest_file(50_000):
+        said = stepgap("report", "run")
+    assert said == Said(2, "", f"stepgap: run/figures/tracking.png: {SAYS}\n")
 
 
 def test_what_may_not_be_read_or_written_is_bad_input(finished: Path, stepgap: Command, trouble: Callable) -> None:

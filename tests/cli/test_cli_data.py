@@ -28,6 +28,7 @@ from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.tick import TICK_UNITS
 from tests.cli.command_line import Command, Said, refused
+from tests.quick_runs import leave_out_report
 from tests.report.runs import make_run
 
 SPACE = CommandBounds().space()
@@ -39,6 +40,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n")
     with pytest.MonkeyPatch.context() as patch:
+        leave_out_report(patch)
         patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, np.nan]))
         paths = ["--reference", str(folder / "targets.csv"), "--out", str(folder / "run")]
         main(["run", *paths, "--iterations", "1", "--seed", "5", "--quiet"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.cli.app import main
-from stepgap.experiment.replay import layout_of, replay
+from stepgap.experiment.replay import replay, sensor_model_of
 from stepgap.experiment.settings import Experiment
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
@@ -74,12 +74,13 @@ def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
     assert stepgap("run", *settings, "--out", "run", "--quiet") == Said(0, "run/report.html\n", "")
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_a_rigs_motion_comes_from_its_tick_logs(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(finished, "run")
     shutil.rmtree("run/replay")
-    layout = layout_of(Experiment())
+    layout = sensor_model_of(Experiment())
     for iteration in (0, 1):
         ticks = replay(finished, iteration)
         rows = np.column_stack([ticks.rows[:, : len(TICK_UNITS)], np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
@@ -89,7 +90,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))
     said = stepgap("report", "run")
     assert said.err == "stepgap: left out of the report: replay (.: Is a directory; give an existing TOML file)\n"
-    monkeypatch.setattr("stepgap.cli.run_report.layout_of", lambda settings: layout)
+    monkeypatch.setattr("stepgap.cli.run_report.sensor_model_of", lambda settings: layout)
     assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
     for iteration in (0, 1):
         name = f"replay/deployment_{iteration}.npz"
@@ -104,6 +105,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     assert "left out of the report: replay (run/ticks/ticks-0.mcap: No such file" in said.err
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
     Path("run").mkdir()
     rows = (finished / "steps.csv").read_text()
@@ -117,6 +119,7 @@ def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
     )
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     settings = Path("run/experiment.toml")
@@ -129,6 +132,7 @@ def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap:
     assert "<script" not in text
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_settings_that_are_not_understood_are_named(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     Path("run/experiment.toml").write_text("unheard_of = 1\n")
@@ -157,6 +161,7 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "a", "--out", "other.html"), "--out: goes with several runs")
 
 
+@pytest.mark.usefixtures("svg_only")
 @pytest.mark.parametrize("name", ["steps.csv", "summary.json", "experiment.toml", "models/iteration_1.json"])
 def test_damaged_files_are_refused_and_nothing_is_written(finished: Path, stepgap: Command, name: str) -> None:
     shutil.copytree(finished, "run")

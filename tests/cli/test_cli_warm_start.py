@@ -9,13 +9,12 @@ import pytest
 from stepgap.cli.app import main
 from stepgap.robots.hopper.parameters import CommandBounds
 from tests.cli.command_line import Command, Said, refused
+from tests.quick_runs import leave_out_repeats, leave_out_report
 
 TARGETS = "speed,height\n" + 6 * "0.1,0.56\n" + 10 * "0.25,0.6\n"
 
 
-@pytest.fixture(autouse=True)
-def _no_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+pytestmark = pytest.mark.usefixtures("no_repeats", "no_report")
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +23,8 @@ def cold(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cold")
     (folder / "targets.csv").write_text(TARGETS)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        leave_out_repeats(patch)
+        leave_out_report(patch)
         reference = ["--reference", str(folder / "targets.csv")]
         main(["run", *reference, "--iterations", "1", "--out", str(folder / "run"), "--seed", "5", "--quiet"])
     return folder

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from io import StringIO
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
@@ -56,6 +57,7 @@ def run(folder: Path, *arguments: str) -> dict:
     return json.loads((out / "summary.json").read_text())
 
 
+@pytest.mark.usefixtures("no_report")
 def test_through_the_ring_a_run_has_the_figures_of_the_twin(tmp_path: Path, raw_ethernet: None) -> None:
     direct, ring = run(tmp_path), run(tmp_path, "--plant", "emulated-ring")
     for summary in (direct, ring):
@@ -66,6 +68,7 @@ def test_through_the_ring_a_run_has_the_figures_of_the_twin(tmp_path: Path, raw_
         assert biases[0] == pytest.approx(biases[1], abs=tolerance), "counts make a difference, a small one"
 
 
+@pytest.mark.usefixtures("no_report", "no_repeats")
 def test_a_run_through_the_ring_is_resumed_to_the_same_bytes(tmp_path: Path, raw_ethernet: None) -> None:
     run(tmp_path, "--plant", "emulated-ring")
     folder = tmp_path / "run_--plant_emulated-ring"
@@ -133,7 +136,7 @@ def test_sigterm_ends_a_run_as_ctrl_c_does(tmp_path: Path) -> None:
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     steps = tmp_path / "run" / "steps.csv"
     while process.poll() is None and not (steps.exists() and steps.read_bytes().count(b"\n") > 3):
-        os.sched_yield()
+        sleep(0.01)
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate()
     assert process.returncode == 130

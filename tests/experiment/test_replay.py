@@ -18,13 +18,13 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
-from stepgap.report import WrittenReport
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.step import StepStatus
+from tests.quick_runs import leave_out_repeats, leave_out_report
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
@@ -49,10 +49,8 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RigPlant, "start", watched_start)
-        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
-        patch.setattr(
-            "stepgap.cli.run_report.report_run", lambda folder, *_: WrittenReport(folder, ())
-        )  # its figures take time
+        leave_out_repeats(patch)
+        leave_out_report(patch)
         return run_of(tmp_path_factory.mktemp("watched")), ticks
 
 
@@ -132,6 +130,7 @@ def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
     assert np.isfinite(replay(tmp_path, 0, every=10).rows).all()
 
 
+@pytest.mark.usefixtures("no_repeats", "no_report")
 def test_a_run_on_the_ring_is_made_again_without_the_ring(tmp_path: Path) -> None:
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
     try:

@@ -9,9 +9,9 @@ from stepgap.experiment.plants import plant_on, remade_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.experiment.tick_recorder import HopCount, TickRecorder
 from stepgap.learning.step_log import LoggedStep
-from stepgap.rigs.rig import Reading
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
+from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 from stepgap.step import StepRecord, StepStatus
 
@@ -27,7 +27,7 @@ def deployment(iteration: int) -> Deployment:
 
 
 def tick(time: float, phase: Phase) -> Tick:
-    return Tick(time, Reading(1, 2, 3, 4, 5.0), phase, 0.1, 0.2, (0.0, 0.0), (0.0, 0.0), Limited(0))
+    return Tick(time, HopperReading(1, 2, 3, 4, 5.0), phase, 0.1, 0.2, (0.0, 0.0), (0.0, 0.0), Limited(0))
 
 
 def hop(recorder: TickRecorder, ticks: int = 10) -> None:

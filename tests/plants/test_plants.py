@@ -5,10 +5,11 @@ import pytest
 
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.rig import Reading, RigFault
+from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepFailed, StepStatus
@@ -150,7 +151,7 @@ def test_torque_that_the_drives_refuse_is_taken_off_the_applied_command():
     assert record.applied[1] < 14.0
 
 
-@pytest.mark.parametrize("sensor", Reading._fields)
+@pytest.mark.parametrize("sensor", HopperReading._fields)
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
     """Also the contact force, of which no torque is computed: without it no landing is seen."""
@@ -163,7 +164,7 @@ def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
         record = plant.take_step(COMMAND)
         assert (record.status, plant.fault[:36]) == (StepStatus.STOPPED, "the sensors tell what is no number: ")
         with pytest.raises(RigFault):
-            twin.write(0.0, 0.0)
+            twin.write((0.0, 0.0))
 
 
 def test_every_tick_is_reported_with_torques_within_the_limit():

@@ -1,4 +1,4 @@
-"""Reading any CSV log: that numbers arrive, that rows chain rightly, and that what is wrong is named."""
+"""HopperReading any CSV log: that numbers arrive, that rows chain rightly, and that what is wrong is named."""
 
 import re
 from collections.abc import Sequence
@@ -188,6 +188,12 @@ def test_columns_from_a_file_and_options(tmp_path: Path) -> None:
     assert read_columns(file, {"next": "a", "command": "f, g"}) == expected
 
 
+def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> None:
+    file = tmp_path / "columns.toml"
+    file.write_text('state = ["v"]\ncommand = ["f"]\n', encoding="utf-8-sig")
+    assert read_columns(file, {}) == Columns(("v",), command=("f",))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -199,8 +205,8 @@ def test_columns_from_a_file_and_options(tmp_path: Path) -> None:
         (b"[factors]\nv = true", "factors = {'v': True}, but it must be a table of numbers"),
         (b"state = ['v']", "command: no column"),
         (b"state = ", "not TOML"),
-        (b"\xff", "not TOML"),
-        (b"#" * 2**17, "larger than"),
+        (b"\xff", "this is not text; a file of columns is a TOML file in UTF-8"),
+        (b"#" * 2**21, "larger than"),
     ],
 )
 def test_what_is_wrong_with_a_file_of_columns_is_named(tmp_path: Path, text: bytes, words: str) -> None:

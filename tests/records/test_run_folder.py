@@ -205,6 +205,11 @@ def test_settings_that_are_none(folder: Path, content: bytes, message: str) -> N
     assert message in text
 
 
+def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
+    (folder / "experiment.toml").write_text("seed = 3\n", encoding="utf-8-sig")
+    assert read_run_folder(folder).settings == SettingsFile("seed = 3\n", {"seed": 3})
+
+
 def test_directories_in_place_of_files(folder: Path) -> None:
     (folder / "experiment.toml").mkdir()
     assert "RUN/experiment.toml: not a file" in complaint(folder)

@@ -15,6 +15,7 @@ from stepgap.learning.step_log import LoggedStep
 from stepgap.records import steps_csv
 from stepgap.records.steps_csv import RecordError, StepWriter, column_names, digest, read_step_log, row_of
 from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
+from tests.full_disk import SAYS, largest_file
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.5, 0.6)),
@@ -112,6 +113,18 @@ def test_wherever_a_file_is_cut_off_it_goes_on_from_the_last_whole_row(tmp_path:
             for number in range(kept + 1, 3):
                 writer.append(step(number=number))
         assert path.read_bytes() == whole or kept == 2
+
+
+def test_a_full_disk_is_said_with_the_file_and_spoils_no_row(tmp_path: Path) -> None:
+    path = tmp_path / "steps.csv"
+    write(path, step())
+    whole = path.read_bytes()
+    with largest_file(len(whole) + 20), pytest.raises(OSError, match=SAYS) as caught:
+        write(path, step(number=2))
+    assert caught.value.filename == str(path)
+    assert path.read_bytes()[: len(whole)] == whole
+    write(path, step(number=2))
+    assert len(read_step_log(path, SPACE)) == 2
 
 
 def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:

@@ -1,7 +1,9 @@
 """The report in a headless Chromium: it asks nobody for anything, complains of nothing, its replay scrubs."""
 
+from functools import partial
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import expect
 
 from stepgap.report import RunContext
@@ -22,10 +24,11 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
     expect(moment).to_contain_text("deployment")
     last = int(slider.get_attribute("max") or 0)
     assert last > 0
-    before, text = canvas.screenshot(), moment.inner_text()
+    take_picture = partial(watched_page.picture_of, canvas)
+    before, text = take_picture(), moment.inner_text()
     slider.fill(str(last // 2))
     expect(moment).not_to_have_text(text)
-    assert canvas.screenshot() != before
+    watched_page.wait_for_change(take_picture, before)
     watched_page.keep_screenshot("report_replay")
 
     slider.fill("0")
@@ -36,6 +39,7 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
     watched_page.keep_screenshot("report")
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_a_fall_reads_as_one(tmp_path: Path, watched_page: Watched) -> None:
     folder = make_run(tmp_path / "run", 0, lasts=(3,))
     replay = Replay({0: motion(400)}, RobotParameters(), 0.4)

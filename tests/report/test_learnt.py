@@ -42,6 +42,7 @@ def test_the_last_model_and_its_numbers(folder: Path) -> None:
     assert "of 40" in coverage_table(record)
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_without_a_model_it_is_said(folder: Path, tmp_path: Path) -> None:
     assert read_learnt(folder, 0, SPACE) is None
     shutil.copytree(folder, tmp_path / "run")
@@ -99,6 +100,7 @@ def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
     assert (tmp_path / "run" / "figures" / "gait.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_a_run_that_still_calibrates_has_no_gait(folder: Path, tmp_path: Path) -> None:
     header, first, *_ = (folder / "steps.csv").read_text().splitlines(keepends=True)
     (tmp_path / "steps.csv").write_text(header + first.replace("0,1,", "0,0,", 1))

@@ -13,8 +13,8 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.motion import RATE, DeploymentMotion, Replay, sensed_motion
 from stepgap.report.replay_view import LEVELS, MOST_FRAMES, replay_view
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from tests.report.pages import Page, check_alone
 from tests.report.runs import make_run, motion, report_of
 
@@ -44,6 +44,7 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
     assert [step[0] for step in entry["steps"]] == list(range(1, 41))
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
     replay = Replay({0: motion(300), 1: motion(200)}, RobotParameters(), 0.4)
     page = Page(report_of(folder, RunContext(replay=replay)))
@@ -53,7 +54,7 @@ def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
 
 
 def test_a_sensed_motion_is_read_from_counts() -> None:
-    layout = RigLayout(
+    layout = HopperSensorModel(
         tick=1e-3,
         boom_length=1.5,
         pivot_height=0.4,

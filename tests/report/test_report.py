@@ -147,6 +147,7 @@ def test_a_part_of_the_papers_reference_is_another_one(
     assert replace(record, summary=replace(record.summary, deployments=deployments)).like_paper == like
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_first_deployment_alone(tmp_path: Path) -> None:
     page = Page(report_of(make_run(tmp_path / "run", iterations=0)))
     check_alone(page)
@@ -156,6 +157,7 @@ def test_first_deployment_alone(tmp_path: Path) -> None:
     assert "The map gave no standard deviation" in page.text
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_falls(tmp_path: Path) -> None:
     page = Page(report_of(make_run(tmp_path / "run", iterations=1, lasts=(15, 0))))
     check_alone(page)
@@ -164,6 +166,7 @@ def test_falls(tmp_path: Path) -> None:
     assert "17 hops recorded in 2 deployments on the simulated twin, 2 falls." in page.text
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_a_stop_is_no_fall(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", iterations=0, lasts=(15,))
     for name, words in {"steps.csv": (",fell", ",stopped"), "summary.json": ("steps_sha256", "former_sha256")}.items():
@@ -172,6 +175,7 @@ def test_a_stop_is_no_fall(tmp_path: Path) -> None:
     assert "It did not track to the end: deployment 0 ended without an apex (stopped) at step 16." in text
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_run_under_way(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("x",), steps=3)
     write_summary(folder, ("x",), 3, 1)
@@ -185,6 +189,7 @@ def test_run_under_way(tmp_path: Path) -> None:
     assert "paper's hardware" not in page.text
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_hostile_words_stay_words(tmp_path: Path) -> None:
     names = (HOSTILE.replace(",", ""), "../../名\u202e", "AUX")
     folder = write_run(tmp_path / "run", names, residual=HOSTILE[:100])
@@ -203,12 +208,14 @@ def test_hostile_words_stay_words(tmp_path: Path) -> None:
         assert re.fullmatch(r"[a-z0-9_-]+\.(pdf|png)", path.name)
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_equal_file_names_are_kept_apart(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("a b", "A_b"), steps=2, iterations=1)
     report_of(folder)
     assert len(list((folder / "figures").glob("*.png"))) == 4
 
 
+@pytest.mark.usefixtures("svg_only")
 def test_units_of_a_given_space(tmp_path: Path) -> None:
     space = StepSpace((Quantity("tilt", "rad", -1, 1),), (Quantity("push", "N", -1, 1),))
     page = Page(report_of(write_run(tmp_path / "run", ("tilt",), steps=2), RunContext("hardware of ours"), space))

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.rig import Rig
+from stepgap.robots.hopper.moteus import hopper_on_moteus
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
@@ -57,6 +57,6 @@ class TestMoteus(RigContract):
         def make() -> Iterator[Rig]:
             settings = fresh()
             with emulated(settings, Recorder()):
-                yield MoteusRig(settings, ROBOT)
+                yield hopper_on_moteus(settings, ROBOT)
 
         return make

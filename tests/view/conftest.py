@@ -1,10 +1,10 @@
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from stepgap.cli.app import main
 from tests.browser import chromium as chromium  # a fixture
+from tests.quick_runs import leave_out_repeats
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n0.15,0.57\n"
 STEPS = 4
@@ -22,6 +22,6 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two deployments of four steps on the twin."""
     folder = tmp_path_factory.mktemp("viewed") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+        leave_out_repeats(patch)
         run_into(folder, "--quiet")
     return folder

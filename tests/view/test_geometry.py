@@ -69,7 +69,7 @@ def test_every_joint_is_where_mujoco_has_it(stiffness: float) -> None:
 
     def compare(_: object) -> None:
         nonlocal compared
-        true, layout = twin.true_state(), twin.layout
+        true, layout = twin.true_state(), twin.sensor_model
         front, rear = true.leg
         (yaw, pitch), (along, up) = true.boom, true.deflection
         pose = HopperPose(yaw, pitch, (front + rear) / 2, (front - rear) / 2, along, up)

@@ -71,14 +71,14 @@ def test_a_ring_gives_the_hops_that_are_over(run_folder: Path) -> None:
 def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
     table = replay(copy, 0)
     source = Source(copy)
-    assert source.layout
+    assert source.sensor_model
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
     with TickLog(copy / "ticks" / "ticks-0.mcap", LOG_UNITS) as log:
         state = [np.full(len(table), RigState.HOP), np.zeros(len(table))]
         log.append(np.column_stack([table.rows[:, : len(TICK_UNITS)], *state]))
     hops = found(source, 0)
     for step, hop in enumerate(hops):
-        truth = true_hop(TickTable(table.units, table.rows[table["step"] == step]), source.layout)
+        truth = true_hop(TickTable(table.units, table.rows[table["step"] == step]), source.sensor_model)
         assert truth
         assert hop.duration == pytest.approx(truth.duration, abs=0.02)
     assert len(hops) == 1 + STEPS

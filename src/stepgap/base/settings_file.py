@@ -10,6 +10,8 @@ from typing import Any, cast, get_args, get_origin, get_type_hints
 LARGEST_FILE = 2**20
 """Largest file of settings that is read [bytes]."""
 
+BYTE_ORDER_MARK = "\ufeff"
+
 LARGEST_WHOLE = 10**300
 """Whole numbers from here on are not taken for a number."""
 
@@ -41,16 +43,28 @@ def read_toml_text(path: Path, what: str) -> tuple[str, dict[str, Any]]:
             content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not {what}")
-        text = content.decode("utf-8-sig")  # some editors begin a file with a mark
-        return text, tomllib.loads(text)
+        text = content.decode("utf-8").removeprefix(BYTE_ORDER_MARK)
+        return text, parse_toml(text)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not text; {what} is a TOML file in UTF-8") from None
-    except (ValueError, RecursionError) as error:  # tomllib lets those of very long numbers and deep nests through
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except ValueError as error:
         raise InputError(f"{path}: not TOML: {error}") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The table of a TOML text, which may begin with a byte-order mark, as some editors write it.
+
+    Raises:
+        ValueError: It is not TOML.
+    """
+    try:
+        return tomllib.loads(text.removeprefix(BYTE_ORDER_MARK))
+    except RecursionError:
+        raise ValueError("its lists or tables are nested too deeply") from None
 
 
 def with_table(name: str) -> str:

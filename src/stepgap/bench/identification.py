@@ -22,10 +22,10 @@ from mujoco import sysid
 from numpy.typing import NDArray
 
 from stepgap.bench.baselines import SPREAD, AdjustedMap, PhysicalError, erring_robot, with_error
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.leg import foot, four_bar, knee_angle, leg_of
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.model import build_model
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -92,7 +92,7 @@ class Windows(NamedTuple):
     hip: Array
 
 
-def identify_from_ticks(nominal: ApexMap, ticks: Sequence[Tick], layout: RigLayout) -> AdjustedMap:
+def identify_from_ticks(nominal: ApexMap, ticks: Sequence[Tick], layout: HopperSensorModel) -> AdjustedMap:
     """The physics model with the parameters that explain the recorded motion best.
 
     Args:
@@ -116,7 +116,7 @@ def physical_error(nominal: ApexMap, values: Values) -> PhysicalError:
     )
 
 
-def fit(robot: RobotParameters, ticks: Sequence[Tick], layout: RigLayout) -> Values:
+def fit(robot: RobotParameters, ticks: Sequence[Tick], layout: HopperSensorModel) -> Values:
     """The parameters of the MuJoCo model: least squares with a weak prior."""
     found = sysid.ParameterDict()
     for name in SPREADS:
@@ -136,7 +136,7 @@ def fit(robot: RobotParameters, ticks: Sequence[Tick], layout: RigLayout) -> Val
     return _values(found)
 
 
-def record_windows(ticks: Sequence[Tick], layout: RigLayout, horizon: int) -> Windows:
+def record_windows(ticks: Sequence[Tick], layout: HopperSensorModel, horizon: int) -> Windows:
     """Windows that end so many ticks after touchdown, spread evenly over the recording."""
     readings = np.array([tick.reading for tick in ticks], float)
     travel = layout.boom_length * readings[:, 2] * tau / layout.boom_counts_horizontal

@@ -22,7 +22,7 @@ import mujoco.sysid
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.base.files import write_whole
+from stepgap.base.files import append_text, write_whole
 from stepgap.base.random_streams import random_stream
 from stepgap.base.settings_file import InputError
 from stepgap.bench.baselines import IntegralCorrection, identify
@@ -126,7 +126,7 @@ def _sysid(trial: Trial, log: StepLog) -> StepLog:
     again = trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)  # the very same deployment, to the last bit
     if not len(again):
         return trial.deploy(trial.uncorrected(), 1)
-    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).layout)
+    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).sensor_model)
     return trial.deploy(Learner(found, log, LearningSettings(residual="none"), 1), 1)
 
 
@@ -263,13 +263,12 @@ def bench_learning(
     jobs = [Job(*pair, tuple(method for method in methods if (*pair, method) not in done)) for pair in pairs]
     jobs = [job for job in jobs if job.methods]
     begin = perf_counter()
-    with record.open("a", encoding="utf-8") as file:
-        for number, rows in enumerate(_measured(reference, jobs, workers), start=1):
-            file.write(json.dumps(rows) + "\n")
-            file.flush()
-            left = (perf_counter() - begin) * (len(jobs) - number) / number
-            say(f"{number} of {len(jobs)} done, {left / 60:.0f} min left")
-            known += rows
+    append_text(record, "")  # or hours might pass before it is found that nothing can be written
+    for number, rows in enumerate(_measured(reference, jobs, workers), start=1):
+        append_text(record, json.dumps(rows) + "\n")
+        left = (perf_counter() - begin) * (len(jobs) - number) / number
+        say(f"{number} of {len(jobs)} done, {left / 60:.0f} min left")
+        known += rows
     rows = {(row["twin"], row["seed"], row["method"]): row for row in known}
     return [rows[*pair, method] for method in (UNCORRECTED, *methods) for pair in pairs]
 

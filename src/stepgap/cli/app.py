@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if debug:
             raise
         bad_input = _is_bad_input(error)
-        foreseen = bad_input or type(error).__module__.startswith("stepgap.")
+        foreseen = bad_input or _is_about_a_file(error) or type(error).__module__.startswith("stepgap.")
         say(f"{_words(error)}{_hint(error)}" if foreseen else f"{type(error).__name__}: {error}")
         sys.exit(2 if bad_input else 1)
 
@@ -84,6 +84,11 @@ def _is_bad_input(error: Exception) -> bool:
 def _is_forbidden(error: Exception) -> bool:
     """Whether the user named a file or folder that is another's to read or write."""
     return isinstance(error, PermissionError) and error.filename is not None
+
+
+def _is_about_a_file(error: Exception) -> bool:
+    """Whether the system says something of a file or folder, such as that its disk is full."""
+    return isinstance(error, OSError) and error.filename is not None
 
 
 def _words(error: Exception) -> str:

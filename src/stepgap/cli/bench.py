@@ -3,7 +3,9 @@
 import json
 import os
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 from cyclopts import App, Parameter, validators
@@ -63,6 +65,30 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
     check_new(file, "--out")
     result = bench_gp(0, quick, lambda line: print(f"{line} …", file=sys.stderr))
     print(describe_bench(result))
+    with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
+        json.dump(result, stream, indent=2)
+    print(file)
+
+
+@bench.command(name="run")
+@says_if_it_compiles
+def bench_run_(experiment: Path | None = None, /, *, out: Path | None = None, overrides: Overrides = None) -> None:
+    """Run an experiment and say where the processor's time goes: physics, control, learning and so on; a minute.
+
+    Args:
+        experiment: TOML file of settings; without one, the paper's experiment.
+        out: JSON file for the result; without it bench_run.json or the next free name.
+    """
+    from stepgap.bench.run import bench_run, describe_run
+    from stepgap.cli.run import run
+    from stepgap.experiment.settings import read_experiment
+
+    settings = read_experiment(experiment, overrides or [])
+    file = out or free_name(Path("bench_run.json"))
+    check_new(file, "--out")
+    with TemporaryDirectory() as folder, redirect_stdout(sys.stderr):
+        result = bench_run(settings, lambda: run(experiment, out=Path(folder) / "run", quiet=True, overrides=overrides))
+    print(describe_run(result))
     with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)

@@ -17,12 +17,12 @@ import tomli_w
 from stepgap.base.settings_file import InputError, to_table
 from stepgap.experiment.settings import Experiment
 from stepgap.rigs.ethercat.emulator.emulator import emulated, run_emulator
-from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, run_in_namespace
-from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.rig import RigLayout
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin_machine import TwinMachine
 
 
 def emulate(
@@ -89,7 +89,7 @@ def _make_machine(experiment: Experiment, hold: float) -> TwinMachine:
     return TwinMachine(Twin(experiment.robot, experiment.gap, rng, hold=hold))
 
 
-def _layout_behind_ring(experiment: Experiment, hold: float) -> RigLayout:
+def _layout_behind_ring(experiment: Experiment, hold: float) -> HopperSensorModel:
     """The twin's layout, if a ring can carry its counts."""
     for name in (field.name for field in fields(experiment.gap) if "counts" in field.name):
         if isinf(getattr(experiment.gap, name)):
@@ -98,7 +98,7 @@ def _layout_behind_ring(experiment: Experiment, hold: float) -> RigLayout:
             )
     try:
         rng = np.random.default_rng(experiment.seed)
-        return Twin(experiment.robot, experiment.gap, rng, hold=hold).layout
+        return Twin(experiment.robot, experiment.gap, rng, hold=hold).sensor_model
     except ValueError as error:
         raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None
 

@@ -32,25 +32,35 @@ def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds:
     from functools import partial
 
     from stepgap.plants.commissioning.check import describe, fingerprint, measure, write_check
-    from stepgap.plants.commissioning.limp import limp_setup, still_setup
+    from stepgap.plants.commissioning.limp import limp_setup
+    from stepgap.plants.realtime.process import RealtimeSetup
     from stepgap.rigs.entry_points import load_rig
     from stepgap.rigs.limp_rig import FrameCount
+    from stepgap.robots.hopper.hop_control import HopperControl
     from stepgap.robots.hopper.limits import SafetyLimits
-    from stepgap.robots.hopper.parameters import Gains, RobotParameters
+    from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+    from stepgap.robots.hopper.still import still_hopper
 
     _check_seconds(seconds)
     if plant and rig_file is None:
         raise InputError(f"--plant {plant}: goes with RIG_FILE, the file that describes the rig")
     frames, robot = FrameCount(), RobotParameters()
+    control = HopperControl(robot, Gains(), CommandBounds())
     if rig_file is None:
         print("no rig.toml given: this is the machine alone, with sensor values that never change")
-        result = measure(still_setup(1e-3), frames, 1e-3, SafetyLimits.of(robot).late_ticks, seconds)
+        result = measure(
+            RealtimeSetup(partial(still_hopper, 1e-3), control),
+            frames,
+            1e-3,
+            SafetyLimits.of(robot).late_ticks,
+            seconds,
+        )
         print(describe(result, bus=False))
     else:
         mark, make_rig = fingerprint(rig_file), partial(load_rig, plant or ETHERCAT, rig_file, robot)
-        found, setup = make_rig(), limp_setup(make_rig, robot, Gains(), frames)
+        found, setup = make_rig(), limp_setup(make_rig, control, frames)
         late_ticks = (found.limits or SafetyLimits.of(robot)).late_ticks
-        result = measure(setup, frames, found.layout.tick, late_ticks, seconds)
+        result = measure(setup, frames, found.sensor_model.tick, late_ticks, seconds)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))
         print(file)
@@ -84,11 +94,11 @@ def calibrate(
     from functools import partial
 
     from stepgap.experiment.settings import read_experiment
-    from stepgap.plants.commissioning import calibrate as verb
     from stepgap.plants.commissioning.limp import limp_setup, ticks_of
-    from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-    from stepgap.rigs.ethercat.rig_settings import read_rig_settings
     from stepgap.rigs.limp_rig import FrameCount
+    from stepgap.robots.hopper import calibrate as verb
+    from stepgap.robots.hopper.ethercat import hopper_on_ethercat, read_rig_settings
+    from stepgap.robots.hopper.hop_control import HopperControl
 
     if leg_length is None or height is None:
         raise InputError("--leg-length and --height: give both, as measured; nothing else would be right")
@@ -98,7 +108,11 @@ def calibrate(
     expected = verb.expected_reading(settings, given.robot, pose)
     if target.exists():
         raise InputError(f"{target}: exists already; choose another --out")
-    setup = limp_setup(partial(EthercatRig, settings, given.robot), given.robot, given.gains, FrameCount())
+    setup = limp_setup(
+        partial(hopper_on_ethercat, settings, given.robot),
+        HopperControl(given.robot, given.gains, given.command),
+        FrameCount(),
+    )
     ticks = ticks_of(setup, round(1 / settings.tick))
     zeros = verb.new_zeros(settings, verb.mean_reading(settings, ticks), expected)
     calibrated = verb.with_zeros(settings, zeros)
@@ -131,11 +145,13 @@ def dry_run_(
     from stepgap.experiment.settings import read_experiment
     from stepgap.plants.commissioning.dry_run import dry_run
     from stepgap.rigs.entry_points import load_rig
+    from stepgap.robots.hopper.hop_control import HopperControl
 
     if seconds is not None:
         _check_seconds(seconds)
     settings = read_experiment(experiment, overrides or [])
-    dry_run(partial(load_rig, plant, rig_file, settings.robot), settings.robot, settings.gains, seconds)
+    control = HopperControl(settings.robot, settings.gains, settings.command)
+    dry_run(partial(load_rig, plant, rig_file, settings.robot), control, seconds)
 
 
 @rig.command
@@ -164,7 +180,7 @@ def emulate(
         _refuse_words(experiment, words)
     from stepgap.cli.emulate import emulate as verb
     from stepgap.experiment.settings import read_experiment
-    from stepgap.rigs.ethercat.emulator.ring import RingSettings
+    from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 
     if not (isfinite(hold) and 0 <= hold <= LONGEST):
         raise InputError(f"--hold {hold:g}: it must lie between 0 and {LONGEST:g}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from stepgap.base.output_files import check_new, words_of, writing
 from stepgap.experiment.plants import SIMULATED
-from stepgap.experiment.replay import layout_of, logged_ticks, replay
+from stepgap.experiment.replay import logged_ticks, replay, sensor_model_of
 from stepgap.experiment.settings import TWIN, Experiment, InputError, read_experiment
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
@@ -99,12 +99,12 @@ def _replay(
             ticks = replay(record.folder, iteration, TICKS_PER_FRAME, progress)
         else:
             ticks = logged_ticks(record.folder, list(record.steps.of_iteration(iteration))).resampled(RATE)
-        return sensed_motion(ticks, layout)
+        return sensed_motion(ticks, sensors)
 
     ends = dict.fromkeys((record.shown_iterations[0], record.shown_iterations[-1]))
     try:
-        layout = layout_of(settings)
+        sensors = sensor_model_of(settings)
         motions = {iteration: kept_motion(record, iteration, motion) for iteration in ends}
     except (InputError, RecordError) as error:
         return Missing(str(error))
-    return Replay(motions, settings.robot, layout.pivot_height)
+    return Replay(motions, settings.robot, sensors.pivot_height)

@@ -21,16 +21,16 @@ from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.rigs.entry_points import load_rig, rig_names
-from stepgap.rigs.ethercat.emulator.machine import TwinMachine
-from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.ethercat.rig_settings import RigSettings
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.robots.hopper.direct_ring import DirectRing
+from stepgap.robots.hopper.ethercat import RigSettings
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
 from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin_machine import TwinMachine
 from stepgap.step import Array, StepMap
 
 SIMULATED = (TWIN, EMULATED_RING)
@@ -137,7 +137,7 @@ def _bus(settings: Experiment, twin: Twin) -> RigSettings:
     for name in ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical"):
         if not np.isfinite(getattr(settings.gap, name)):
             raise InputError(f"gap.{name} must be finite: a ring carries whole counts, such as {name} = 16384")
-    return emulated_settings(twin.layout, settings.robot, RING, f"sg{os.getpid()}")  # runs may go on side by side
+    return emulated_settings(twin.sensor_model, settings.robot, RING, f"sg{os.getpid()}")  # runs may go on side by side
 
 
 def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:

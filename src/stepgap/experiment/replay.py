@@ -16,12 +16,14 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, read_step_log, row_of
 from stepgap.records.summary import read_summary
 from stepgap.rigs.entry_points import load_rig
-from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout
-from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import Health, Reading, Rig, RigFault, SensorModel, Torques
+from stepgap.robots.hopper.hop_control import sensors_of
 from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
-from stepgap.robots.hopper.twin.sensors import sensor_layout
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.step import Array
 
 REPLAY_UNITS = {
@@ -74,15 +76,15 @@ def replayed_hops(folder: Path, iteration: int, every: int = 1) -> Iterator[Tick
         yield TickTable(REPLAY_UNITS, ticks)
 
 
-def layout_of(settings: Experiment) -> RigLayout:
+def sensor_model_of(settings: Experiment) -> HopperSensorModel:
     """How to read the counts of an experiment's ticks; builds no twin.
 
     Raises:
         InputError: The rig, or the file that describes it, is not there.
     """
     if settings.plant in SIMULATED:
-        return sensor_layout(settings.robot, settings.gap)
-    return load_rig(settings.plant, Path(settings.rig), settings.robot).layout
+        return twin_sensor_model(settings.robot, settings.gap)
+    return sensors_of(load_rig(settings.plant, Path(settings.rig), settings.robot))
 
 
 def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
@@ -211,11 +213,11 @@ class _Watched(Rig):
         self._rig, self._look = rig, look
 
     @property
-    def layout(self) -> RigLayout:
-        return self._rig.layout
+    def sensor_model(self) -> SensorModel:
+        return self._rig.sensor_model
 
     @property
-    def limits(self) -> SafetyLimits | None:
+    def limits(self) -> RigLimits | None:
         return self._rig.limits
 
     @property
@@ -230,8 +232,8 @@ class _Watched(Rig):
         self._look()
         return reading
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
-        return self._rig.write(torque_1, torque_2)
+    def write(self, torques: Torques) -> Torques:
+        return self._rig.write(torques)
 
     def close(self) -> None:
         self._rig.close()

@@ -35,7 +35,9 @@ def start_folder(folder: Path, settings: Experiment, reference: Reference, known
                 )
             write_experiment(folder, settings, reference, known)
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another --out") from None
+        raise InputError(
+            f"{error.filename or folder}: cannot be written: {error.strerror}; choose another --out"
+        ) from None
     latest = folder.parent / "latest"
     if folder.parent.name == "runs" and (latest.is_symlink() or not latest.exists()):
         with suppress(OSError):  # only for convenience

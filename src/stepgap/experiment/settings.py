@@ -1,7 +1,6 @@
 """Every setting of an experiment: read strictly from TOML and the command line, written back resolved."""
 
 import csv
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -17,6 +16,7 @@ from stepgap.base.settings_file import (
     Place,
     located,
     merge,
+    parse_toml,
     read_toml,
     shown,
     to_table,
@@ -174,8 +174,8 @@ def write_experiment(folder: Path, experiment: Experiment, reference: Reference,
 def _parse_value(text: str) -> Any:
     """The TOML value that `text` spells; a bare word is a string."""
     try:
-        table = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
+        table = parse_toml(f"value = {text}")
+    except ValueError:
         return text
     return table["value"] if len(table) == 1 else text
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from stepgap.plants.plant import Plant
-from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag, Torques
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
@@ -30,7 +30,7 @@ class RigPlant(Plant):
 
     def __init__(self, rig: Rig, robot_control: RobotControl, on_tick: Callable[[Any], None] | None = None):
         self._rig, self._robot_control, self._space, self._on_tick = rig, robot_control, robot_control.space, on_tick
-        self._tick_time = rig.layout.tick
+        self._tick_time = rig.sensor_model.tick
         self._state = np.full(len(self._space.state), np.nan)
         self._begin()
 
@@ -82,29 +82,24 @@ class RigPlant(Plant):
 
     def _step(self, command: tuple[float, ...]) -> FinishedStep:
         """Ticks from just after an apex to just after the next; NaN where there is none."""
+        rig, control, on_tick = self._rig, self._control, self._on_tick
         order, applied = Order(Mode.STEP, 1.0, command), self._applied
         try:
             while self._status == StepStatus.OK:
-                applied, flags = self._tick(order, applied)
+                reading = rig.read()
+                torques, flags = control.tick(self._time, reading, order, applied, rig.health)
+                if flags & UNREADABLE:
+                    raise RigFault(f"the sensors tell what is no number: {reading}")
+                applied = rig.write(torques)
+                self._time += self._tick_time
+                if on_tick:
+                    on_tick(control.record(applied))
                 if flags & STEP_ENDED:
                     self._applied = applied
-                    return self._control.finished_step()
+                    return control.finished_step()
                 if flags & FAILED:
-                    self._status = self._control.status
+                    self._status = control.status
         except RigFault as fault:
             self._status, self._fault, applied = StepStatus.STOPPED, str(fault), None
-        self._rig.close()
-        return self._control.failed_step(applied)
-
-    def _tick(self, order: Order, applied: Torques) -> tuple[Torques, int]:
-        """One tick; the torques that were applied [N·m], and the flags."""
-        rig, control = self._rig, self._control
-        reading = rig.read()
-        torques, flags = control.tick(self._time, reading, order, applied, rig.health)
-        if flags & UNREADABLE:
-            raise RigFault(f"the sensors tell what is no number: {reading}")
-        applied = rig.write(*torques)
-        self._time += self._tick_time
-        if self._on_tick:
-            self._on_tick(control.record(applied))
-        return applied, flags
+        rig.close()
+        return control.failed_step(applied)

@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple
 
-from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, Torques
 from stepgap.step import Array, StepSpace, StepStatus
 
 
@@ -76,9 +77,6 @@ class FinishedStep(NamedTuple):
     command: Array
     lost: Array
     place: float
-
-
-Torques = tuple[float, float]
 
 
 class TickControl(ABC):
@@ -160,3 +158,11 @@ class RobotControl(ABC):
     @abstractmethod
     def control(self, rig: Rig) -> TickControl:
         """The control of a rig at the beginning of a deployment, compiled: no tick takes longer than the others."""
+
+    @abstractmethod
+    def limp_limits(self, rig: Rig) -> RigLimits:
+        """Limits of a rig whose motors get no torque: its bus stops it, but neither pose nor speed of the robot."""
+
+    @abstractmethod
+    def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
+        """What a logged tick says of the robot, for a person to read; fields as in `units`."""

@@ -1,17 +1,14 @@
 """Which columns of a CSV file hold what of a step."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from stepgap.base.settings_file import InputError, read_toml
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array, Quantity, StepSpace
-
-LARGEST_FILE = 2**16
-"""Largest file of columns that is read [bytes]."""
 
 LARGEST_NUMBER = 1e12
 """Numbers beyond are no measurements."""
@@ -126,15 +123,9 @@ def read_columns(file: Path | None, options: Mapping[str, str]) -> Columns | Non
 def _read_table(file: Path) -> dict[str, Any]:
     """The table of a TOML file, checked for names and types."""
     try:
-        with file.open("rb") as stream:
-            content = stream.read(LARGEST_FILE + 1)
-        table = tomllib.loads(content[:LARGEST_FILE].decode("utf-8"))
-    except OSError as error:
-        raise RecordError(f"{file}: {error.strerror}; give an existing TOML file") from None
-    except (ValueError, RecursionError) as error:
-        raise RecordError(f"{file}: not TOML in UTF-8: {error}") from None
-    if len(content) > LARGEST_FILE:
-        raise RecordError(f"{file}: larger than {LARGEST_FILE} bytes, so it is no file of columns")
+        table = read_toml(file, "a file of columns")
+    except InputError as error:
+        raise RecordError(str(error)) from None
     return {key: _checked(key, value, file) for key, value in table.items()}
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from mcap.writer import MCAP0_MAGIC
 
+from stepgap.base.files import naming
 from stepgap.base.settings_file import InputError
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.steps_csv import recover_steps, space_of_header, text_of
@@ -44,7 +45,7 @@ def _recover_steps(path: Path, out: Path) -> list[str]:
     steps, fault = recover_steps(path, space_of_header(path))
     if not len(steps):
         raise InputError(f"{path}: no whole step in it")
-    with out.open("x", encoding="utf-8") as file:
+    with naming(out), out.open("x", encoding="utf-8") as file:
         file.write(text_of(steps))
     return [*([fault] if fault else []), _counted(len(steps), "step", bool(fault))]
 

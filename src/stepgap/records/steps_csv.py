@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.files import naming
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.paper import UNITS
 from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
@@ -235,7 +236,7 @@ class StepWriter:
 
     def __init__(self, path: Path, space: StepSpace):
         self._header = ",".join(column_names(space))
-        self._file = path.open("a+b")
+        self._path, self._file = path, path.open("a+b")
         try:
             self._lock(path)
             self._file.seek(0)
@@ -257,18 +258,24 @@ class StepWriter:
                 raise
 
     def append(self, logged: LoggedStep) -> None:
-        """Writes one row, after the last whole one, and waits until the disk has it."""
+        """Writes one row, after the last whole one, and waits until the disk has it.
+
+        Raises:
+            OSError: The row cannot be written; the rows before it stay as they are.
+        """
         text = row_of(logged) if self._whole else f"{self._header}\n{row_of(logged)}"
         row = f"{text}\n".encode()
-        self._file.truncate(self._whole)
-        self._file.write(row)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        with naming(self._path):
+            self._file.truncate(self._whole)
+            self._file.write(row)
+            self._file.flush()
+            os.fsync(self._file.fileno())
         self._whole += len(row)
 
     def close(self) -> None:
         """Closes the file."""
-        self._file.close()
+        with naming(self._path):
+            self._file.close()
 
     def __enter__(self) -> "StepWriter":
         return self

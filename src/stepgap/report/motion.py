@@ -12,8 +12,8 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.motion_file import check_channels, motion_path, read_motion, write_motion
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.steps_csv import digest
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.step import Array
 
 RATE: Final = 100
@@ -67,22 +67,22 @@ class Replay:
     pivot_height: float
 
 
-def sensed_motion(ticks: TickTable, layout: RigLayout) -> DeploymentMotion:
+def sensed_motion(ticks: TickTable, sensors: HopperSensorModel) -> DeploymentMotion:
     """The motion as the sensors measured it.
 
     Args:
         ticks: With a column `step`, `RATE` of them a second.
-        layout: How to read their counts.
+        sensors: How to read their counts.
 
     Raises:
         ValueError: There is no tick, or one whose sensors were not read.
     """
-    yaw = ticks["boom_horizontal"] * tau / layout.boom_counts_horizontal
-    pitch = ticks["boom_vertical"] * tau / layout.boom_counts_vertical
+    yaw = ticks["boom_horizontal"] * tau / sensors.boom_counts_horizontal
+    pitch = ticks["boom_vertical"] * tau / sensors.boom_counts_vertical
     channels = {
         "step": ticks["step"],
-        "travel": layout.boom_length * yaw,
-        "height": layout.pivot_height + layout.boom_length * np.sin(pitch),
+        "travel": sensors.boom_length * yaw,
+        "height": sensors.pivot_height + sensors.boom_length * np.sin(pitch),
         "alpha_1": ticks["alpha_1"],
         "alpha_2": ticks["alpha_2"],
         "force": ticks["contact_force"],

@@ -7,7 +7,6 @@ from typing import Any
 
 from stepgap.base.settings_file import InputError
 from stepgap.rigs.rig import Rig
-from stepgap.robots.hopper.parameters import RobotParameters
 
 GROUP = "stepgap.rigs"
 """Entry points of this group are callables (settings file, robot) → `Rig`."""
@@ -18,7 +17,7 @@ def rig_names() -> tuple[str, ...]:
     return tuple(sorted(entry_points(group=GROUP).names))
 
 
-def load_rig(name: str, settings: Path, robot: RobotParameters) -> Rig:
+def load_rig(name: str, settings: Path, robot: object) -> Rig:
     """The rig with a name, not yet connected.
 
     Args:

@@ -2,15 +2,11 @@
 
 from ctypes import c_longlong
 from dataclasses import dataclass, field
-from math import inf
 from multiprocessing import RawValue
 from typing import Any
 
-from stepgap.rigs.rig import Health, Reading, Rig, RigLayout
-from stepgap.robots.hopper.limits import SafetyLimits
-
-MOST_LATE_TICKS = 50
-"""Ticks in a row that may be missed where nothing moves; the most that limits can say."""
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import Health, Reading, Rig, SensorModel, Torques
 
 
 @dataclass(frozen=True)
@@ -30,38 +26,25 @@ class FrameCount:
 
 
 class LimpRig(Rig):
-    """Reads a rig and writes it zero torque.
-
-    Neither pose nor speed of the robot stops it, so that people may move the leg, and may do so before the encoders
-    have their zeros; nor do late ticks, as far as limits can say that. Lost frames and drives that fail do.
+    """Reads a rig and writes it zero torque, within limits of its own.
 
     Args:
         rig: What is read.
-        limits: Of that rig, where it has none.
-        frames: Counts those that are lost.
+        limits: What stops it: lost frames and drives that fail, but neither pose nor speed of the robot.
+        frames: Counts the lost frames.
     """
 
-    def __init__(self, rig: Rig, limits: SafetyLimits, frames: FrameCount):
-        self._rig, self._frames = rig, frames
-        limits = rig.limits or limits
-        self._limits = SafetyLimits(
-            torque=limits.torque,
-            joint_speed=inf,
-            lost_frames=limits.lost_frames,
-            stale_ticks=limits.lost_frames,
-            late_ticks=MOST_LATE_TICKS,
-            brake_damping=0.0,
-            brake_ticks=0,
-        )
+    def __init__(self, rig: Rig, limits: RigLimits, frames: FrameCount):
+        self._rig, self._limits, self._frames = rig, limits, frames
 
     @property
-    def layout(self) -> RigLayout:
+    def sensor_model(self) -> SensorModel:
         """The rig's."""
-        return self._rig.layout
+        return self._rig.sensor_model
 
     @property
-    def limits(self) -> SafetyLimits:
-        """Such that only the bus stops it."""
+    def limits(self) -> RigLimits:
+        """As given."""
         return self._limits
 
     @property
@@ -81,9 +64,9 @@ class LimpRig(Rig):
             if self._rig.health.frame_lost:
                 self._frames.count()
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:  # noqa: ARG002  (what is asked is not done)
-        """Writes zero torque."""
-        return self._rig.write(0.0, 0.0)
+    def write(self, torques: Torques) -> Torques:
+        """Writes zero torque, whatever is asked."""
+        return self._rig.write((0.0,) * len(torques))
 
     def close(self) -> None:
         """As the rig does."""

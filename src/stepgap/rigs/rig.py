@@ -4,60 +4,28 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
-from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.rigs.limits import RigLimits
+
+Reading = tuple[float, ...]
+"""What the sensors say at one tick: counts and forces, in an order that the robot defines."""
+
+Torques = tuple[float, ...]
+"""One torque per motor [N·m], in an order that the robot defines."""
 
 
-@dataclass(frozen=True)
-class RigLayout:
-    """How to read a rig's counts; fixed while it is connected.
-
-    Motor 1 turns the top link at α₁ + α₂, motor 2 the one at α₁ − α₂; both angles are measured from
-    the downward vertical, forward positive. The horizontal boom angle times `boom_length` is the
-    hip's distance travelled; the vertical boom angle ϑ gives its height
-    `pivot_height + boom_length · sin ϑ`. An angle is `2π · (counts − zero) / counts_per_turn`.
+@dataclass(frozen=True, kw_only=True)
+class SensorModel:
+    """When a rig's sensors are read; each robot adds how to read their counts.
 
     Attributes:
         tick: Time between two reads [s].
-        boom_length: From pivot to hip [m].
-        pivot_height: Height of the boom's pivot above the ground [m].
-        motor_counts: Counts a turn of a motor encoder.
-        boom_counts_horizontal: Counts a turn of the yaw encoder.
-        boom_counts_vertical: Counts a turn of the pitch encoder.
-        touchdown_force: Contact force above which the foot is taken to be on the ground [N] (Sec. 3.3).
-        takeoff_length: Leg length at which the leg is taken to leave the ground [m] (Sec. 3.4);
-            infinite where only the contact force tells.
         frames_per_tick: Frames of a bus in a tick; those between two ticks repeat the torques.
         sampled_at_write: A reading is of the moment of the last write, whose frame brings it back, not of the read.
     """
 
     tick: float
-    boom_length: float
-    pivot_height: float
-    motor_counts: float
-    boom_counts_horizontal: float
-    boom_counts_vertical: float
-    touchdown_force: float
-    takeoff_length: float
     frames_per_tick: int = 1
     sampled_at_write: bool = False
-
-
-class Reading(NamedTuple):
-    """What the sensors say at one tick.
-
-    Attributes:
-        motor_1: Encoder counts of motor 1 (whole numbers, unless the rig senses exactly).
-        motor_2: Encoder counts of motor 2.
-        boom_horizontal: Counts of the yaw encoder.
-        boom_vertical: Counts of the pitch encoder.
-        contact_force: Vertical ground force on the foot [N].
-    """
-
-    motor_1: float
-    motor_2: float
-    boom_horizontal: float
-    boom_vertical: float
-    contact_force: float
 
 
 class Health(NamedTuple):
@@ -88,18 +56,18 @@ class RigFault(Exception):
 
 
 class Rig(ABC):
-    """Two torque-controlled motors, their encoders, two boom encoders and a contact force.
+    """Torque-controlled motors and the sensors of a robot.
 
     A tick is `read` followed by `write`. Used as a context manager it connects and closes.
     """
 
     @property
     @abstractmethod
-    def layout(self) -> RigLayout:
+    def sensor_model(self) -> SensorModel:
         """How to read the counts."""
 
     @property
-    def limits(self) -> SafetyLimits | None:
+    def limits(self) -> RigLimits | None:
         """What its motors and joints may do; None where nothing but the robot's torque limit is known."""
         return None
 
@@ -121,7 +89,7 @@ class Rig(ABC):
         return HEALTHY
 
     @abstractmethod
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+    def write(self, torques: Torques) -> Torques:
         """Commands the motor torques for one tick [N·m] and returns those really applied.
 
         Raises:

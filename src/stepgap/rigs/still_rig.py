@@ -1,6 +1,6 @@
 """A rig without hardware whose sensors never change: what the machine itself can do is measured with it."""
 
-from stepgap.rigs.rig import Reading, Rig, RigLayout
+from stepgap.rigs.rig import Reading, Rig, SensorModel, Torques
 
 
 class StillRig(Rig):
@@ -11,11 +11,11 @@ class StillRig(Rig):
         reading: The counts.
     """
 
-    def __init__(self, layout: RigLayout, reading: Reading):
+    def __init__(self, layout: SensorModel, reading: Reading):
         self._layout, self._reading = layout, reading
 
     @property
-    def layout(self) -> RigLayout:
+    def sensor_model(self) -> SensorModel:
         """How to read the counts."""
         return self._layout
 
@@ -26,9 +26,9 @@ class StillRig(Rig):
         """Always the same."""
         return self._reading
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+    def write(self, torques: Torques) -> Torques:
         """Nothing moves; the torques as asked [N·m]."""
-        return torque_1, torque_2
+        return torques
 
     def close(self) -> None:
         """There is nothing to close."""

@@ -6,9 +6,9 @@ from math import asin, tau
 import numpy as np
 
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.leg import knee_angle, leg_of
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.step import Array
 from stepgap.view.geometry import HopperPose
 
@@ -44,25 +44,25 @@ class HopMotion:
         return HopperPose(*self.poses[row].tolist()), float(self.ground[row])
 
 
-def true_hop(table: TickTable, layout: RigLayout) -> HopMotion | None:
+def true_hop(table: TickTable, sensors: HopperSensorModel) -> HopMotion | None:
     """A hop of the twin, simulated again, as it really was; None without a tick."""
     if not len(table):
         return None
     yaw, pitch = table["boom_yaw"], table["boom_pitch"]
-    radius = layout.boom_length
+    radius = sensors.boom_length
     along = table["hip_x"] - radius * yaw
-    across = (table["hip_height"] - layout.pivot_height - radius * np.sin(pitch)) / np.cos(pitch)
+    across = (table["hip_height"] - sensors.pivot_height - radius * np.sin(pitch)) / np.cos(pitch)
     poses = np.column_stack([yaw, pitch, table["true_alpha_1"], table["true_alpha_2"], along, across])
     return HopMotion(table["time"] - table["time"][0], poses, table["ground_height"])
 
 
-def sensed_hop(table: TickTable, layout: RigLayout) -> HopMotion | None:
+def sensed_hop(table: TickTable, sensors: HopperSensorModel) -> HopMotion | None:
     """A hop as the sensors saw it, on level ground; None without a tick whose sensors were read."""
     table = TickTable(table.units, table.rows[np.isfinite(table.rows).all(axis=1)])
     if not len(table):
         return None
-    yaw = table["boom_horizontal"] * tau / layout.boom_counts_horizontal
-    pitch = table["boom_vertical"] * tau / layout.boom_counts_vertical
+    yaw = table["boom_horizontal"] * tau / sensors.boom_counts_horizontal
+    pitch = table["boom_vertical"] * tau / sensors.boom_counts_vertical
     none = np.zeros(len(table))
     poses = np.column_stack([yaw, pitch, table["alpha_1"], table["alpha_2"], none, none])
     return HopMotion(table["time"] - table["time"][0], poses, none)

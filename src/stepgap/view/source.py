@@ -13,7 +13,7 @@ import numpy as np
 
 from stepgap.base.output_files import words_of
 from stepgap.experiment.plants import SIMULATED
-from stepgap.experiment.replay import layout_of, logged_ticks, replayed_hops
+from stepgap.experiment.replay import logged_ticks, replayed_hops, sensor_model_of
 from stepgap.experiment.settings import InputError, read_experiment
 from stepgap.learning.learner import next_context
 from stepgap.learning.residual import Residual
@@ -23,8 +23,8 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.model_files import read_model
 from stepgap.records.steps_csv import read_step_log
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.view.motion import TICK_STRIDE, HopMotion, sensed_hop, still_hop, true_hop
 
@@ -56,7 +56,7 @@ class Source:
         self.settings = read_experiment(folder / "experiment.toml")
         self.nominal = ApexMap(self.settings.robot, self.settings.gains, self.settings.command)
         self.space = self.nominal.space
-        self.layout = self._find_layout()
+        self.sensor_model = self._find_sensor_model()
         self._missing: Missing | None = None
         self._size, self._log = -1, StepLog(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
@@ -74,7 +74,7 @@ class Source:
     @property
     def pivot_height(self) -> float:
         """Of the boom [m]."""
-        return self.layout.pivot_height if self.layout else self.settings.gap.boom_pivot_height
+        return self.sensor_model.pivot_height if self.sensor_model else self.settings.gap.boom_pivot_height
 
     @property
     def missing_motion(self) -> Missing | None:
@@ -153,9 +153,9 @@ class Source:
                 raise InputError(words_of(error)) from None
         return self._models[iteration]
 
-    def _find_layout(self) -> RigLayout | None:
+    def _find_sensor_model(self) -> HopperSensorModel | None:
         try:
-            return layout_of(self.settings)
+            return sensor_model_of(self.settings)
         except InputError:
             if self.settings.plant in SIMULATED:
                 raise
@@ -189,7 +189,7 @@ class Source:
                 ticks = TickTable(TICK_UNITS, np.array(self._ticks.pop((iteration, number))))
                 hops = self._motion.setdefault(iteration, [])
                 hops.extend([None] * (number + 1 - len(hops)))
-                hops[number] = sensed_hop(ticks, self.layout) if self.layout else None
+                hops[number] = sensed_hop(ticks, self.sensor_model) if self.sensor_model else None
 
     def _is_sought(self, iteration: int) -> bool:
         return iteration in self._finders and self._finders[iteration].is_alive()
@@ -202,17 +202,17 @@ class Source:
             self._missing = Missing(str(error))
 
     def _remake(self, iteration: int, hops: list[HopMotion | None]) -> None:
-        assert self.layout
+        assert self.sensor_model
         for table in replayed_hops(self.folder, iteration, TICK_STRIDE):
-            hops.append(true_hop(table, self.layout))
+            hops.append(true_hop(table, self.sensor_model))
             if self._closed.is_set():
                 return
 
     def _load(self, iteration: int, hops: list[HopMotion | None]) -> None:
-        if self.layout is None:
+        if self.sensor_model is None:
             raise InputError(f"plant '{self.settings.plant}' is not known here, so its counts cannot be read")
         steps = self.steps(iteration)
         ticks = logged_ticks(self.folder, steps)
         for step in range(steps[0].step - 1, steps[-1].step + 1):
             rows = ticks.rows[ticks["step"] == step]
-            hops.append(sensed_hop(TickTable(ticks.units, rows[::TICK_STRIDE]), self.layout))
+            hops.append(sensed_hop(TickTable(ticks.units, rows[::TICK_STRIDE]), self.sensor_model))

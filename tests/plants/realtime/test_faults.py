@@ -22,10 +22,10 @@ from stepgap.rigs.ethercat.emulator.faults import (
     Unplugged,
     WrongMapping,
 )
-from stepgap.rigs.ethercat.emulator.ring import RingSettings
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.ethercat import hopper_on_ethercat
 from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.ring_rig import emulated_settings
@@ -39,7 +39,7 @@ pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=36.0, torque_step=20.0, joint_speed=80.0, fold_angle=2.6, lowest_hip=0.1, highest_hip=0.9)
-LAYOUT = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).layout
+LAYOUT = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).sensor_model
 WATCHDOG = 0.05
 SETTINGS = replace(
     emulated_settings(LAYOUT, ROBOT, RingSettings(inputs_after_tick=True), INTERFACE),
@@ -58,7 +58,7 @@ class Deployment:
 
     def __init__(self, rig):
         self.rig, self.board, self.rows, self.ticks = rig, Board.create(), [], 0
-        control = HopControl(rig.layout, ROBOT, GAINS, rig.limits)
+        control = HopControl(rig.sensor_model, ROBOT, GAINS, rig.limits)
         self.loop = ControlLoop(rig, control, BOUNDS.space(), self.board, self.rows.append)
         self.board.request = Request.HOP
         self.hops = []
@@ -76,7 +76,7 @@ class Deployment:
 
 @contextmanager
 def deployment(*faults):
-    with live_ring(*faults, make_machine=RecordedTwin) as ring, EthercatRig(SETTINGS, ROBOT) as rig:
+    with live_ring(*faults, make_machine=RecordedTwin) as ring, hopper_on_ethercat(SETTINGS, ROBOT) as rig:
         begun = Deployment(rig)
         try:
             yield ring, begun
@@ -172,7 +172,7 @@ def test_the_software_stop_goes_all_the_way():
 
 def test_between_two_ticks_a_fast_bus_repeats_the_torques():
     settings = replace(SETTINGS, frames_per_tick=4)
-    with live_ring(make_machine=RecordedTwin) as ring, EthercatRig(settings, ROBOT) as rig:
+    with live_ring(make_machine=RecordedTwin) as ring, hopper_on_ethercat(settings, ROBOT) as rig:
         begun, frames = Deployment(rig), 0
 
         def pace(due):

@@ -27,7 +27,7 @@ class Deployment:
         self.rows, self.board = [], Board.create()
         self.twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=hold)
         self.twin.connect()
-        control = HopControl(self.twin.layout, ROBOT, GAINS, limits)
+        control = HopControl(self.twin.sensor_model, ROBOT, GAINS, limits)
         settings = LoopSettings()
         self.loop = ControlLoop(self.twin, control, BOUNDS.space(), self.board, self.rows.append, settings, alive)
 

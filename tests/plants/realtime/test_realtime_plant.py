@@ -19,9 +19,9 @@ from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import read_ticks
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.ethercat import hopper_on_ethercat
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.step import StepStatus
@@ -46,7 +46,7 @@ def almost_at_once():
 
 
 SETUP = RealtimeSetup(
-    partial(EthercatRig, SETTINGS, ROBOT),
+    partial(hopper_on_ethercat, SETTINGS, ROBOT),
     HopperControl(ROBOT, GAINS, BOUNDS),
     LoopSettings(missed_commands=5),
     almost_at_once,
@@ -152,7 +152,7 @@ def wait_for_end(process_id: int) -> None:
     """Until a process that is no child of this one has ended."""
     descriptor = os.pidfd_open(process_id)
     try:
-        assert select.select([descriptor], [], [], 60)[0], "it never ended"
+        assert select.select([descriptor], [], [], 600)[0], "it never ended"
     finally:
         os.close(descriptor)
 

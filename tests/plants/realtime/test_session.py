@@ -17,17 +17,28 @@ from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import TickLogError
 from stepgap.plants.ticks.tick_ring import TickRing
-from stepgap.rigs.rig import Reading, RigFault, RigLayout
+from stepgap.rigs.rig import RigFault
 from stepgap.rigs.still_rig import StillRig
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.tick import LOG_UNITS
 
 SHARED = Path("/dev/shm")
+SENSORS = HopperSensorModel(
+    tick=0.01,
+    boom_length=1.85,
+    pivot_height=0.4,
+    motor_counts=16384,
+    boom_counts_horizontal=5000,
+    boom_counts_vertical=16384,
+    touchdown_force=5.0,
+    takeoff_length=0.273,
+)
 
 
 def still_rig():
-    return StillRig(RigLayout(0.01, 1.85, 0.4, 16384, 5000, 16384, 5.0, 0.273), Reading(2048, -2048, 0, 400, 0.0))
+    return StillRig(SENSORS, HopperReading(2048, -2048, 0, 400, 0.0))
 
 
 SETUP = RealtimeSetup(still_rig, HopperControl(RobotParameters(), Gains(), CommandBounds()))
@@ -65,7 +76,7 @@ def made(monkeypatch):
 
 
 def wait_until(condition):
-    for _ in range(6000):
+    for _ in range(60_000):
         if condition():
             return
         time.sleep(0.01)
@@ -157,7 +168,7 @@ def test_a_parent_that_died_before_the_process_had_begun_is_missed():
     process = get_context("spawn").Process(target=run_realtime, args=(SETUP, board.name, ring.name, 2**22))
     try:
         process.start()
-        process.join(60)
+        process.join(600)
         assert process.exitcode == 0
         assert board.state == RigState.OFF
         assert board.ticks > 0
@@ -186,7 +197,7 @@ def test_a_full_shared_memory_is_found_when_it_is_made_and_not_by_a_signal_in_mi
     mount = 'mount -t tmpfs -o size=64k none /dev/shm && exec "$@"'
     command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", mount, "sh", sys.executable, "-c", FULL]
     try:
-        said = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        said = subprocess.run(command, capture_output=True, text=True, timeout=600)
     except FileNotFoundError:
         pytest.skip("no unshare here")
     if "unshare:" in said.stderr or "mount:" in said.stderr:

@@ -7,10 +7,11 @@ import pytest
 
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import ControlLoop
-from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.rig import HEALTHY, Health, Rig, RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.tick import LOG_UNITS
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
@@ -27,7 +28,18 @@ class SwingingRig(Rig):
     """A leg that swings whatever torque it gets; it is sensed when the torques are written, unless a frame is lost."""
 
     def __init__(self, frames=1, lost=lambda: False):
-        self._layout = RigLayout(TICK, 1.85, 0.4, COUNTS, 5000, 16384, 5.0, 0.273, frames, True)
+        self._layout = HopperSensorModel(
+            tick=TICK,
+            boom_length=1.85,
+            pivot_height=0.4,
+            motor_counts=COUNTS,
+            boom_counts_horizontal=5000,
+            boom_counts_vertical=16384,
+            touchdown_force=5.0,
+            takeoff_length=0.273,
+            frames_per_tick=frames,
+            sampled_at_write=True,
+        )
         self.now, self.written, self._lost, self._health = 0.0, [], lost, HEALTHY
         self._reading = self._flying = self._sense()
         self.fails_after = 10**9
@@ -36,10 +48,10 @@ class SwingingRig(Rig):
         lean = SWING * sin(FREQUENCY * self.now)
         fold = 1.0 + SWING * sin(FREQUENCY * self.now)
         scale = COUNTS / tau
-        return Reading(scale * (lean + fold), scale * (lean - fold), 0, 0, 0.0)
+        return HopperReading(scale * (lean + fold), scale * (lean - fold), 0, 0, 0.0)
 
     @property
-    def layout(self):
+    def sensor_model(self):
         return self._layout
 
     @property
@@ -55,12 +67,12 @@ class SwingingRig(Rig):
             self._health, self._reading = HEALTHY, self._flying
         return self._reading
 
-    def write(self, torque_1, torque_2):
+    def write(self, torques):
         if len(self.written) >= self.fails_after:
             raise RigFault("it broke")
-        self.written.append((torque_1, torque_2))
+        self.written.append(torques)
         self._flying = self._sense()
-        return torque_1, torque_2
+        return torques
 
     def close(self): ...
 
@@ -79,7 +91,7 @@ class WatchedControl(HopControl):
 
 def swing(rig, ticks, late=lambda: 0.0):
     """Ticks a limp rig; the board's counts of ticks and missed ones, what was sensed, and the log."""
-    control, board, rows = WatchedControl(rig.layout, ROBOT, GAINS, LIMITS), Board.create(), []
+    control, board, rows = WatchedControl(rig.sensor_model, ROBOT, GAINS, LIMITS), Board.create(), []
     control.sensed = []
     loop = ControlLoop(rig, control, BOUNDS.space(), board, rows.append)
 

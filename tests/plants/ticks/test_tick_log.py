@@ -339,7 +339,7 @@ def test_a_file_that_may_not_grow_keeps_what_it_has(tmp_path):
 ON_A_SMALL_DISK = """
 import errno, sys
 from pathlib import Path
-from tests.plants.test_tick_log import check_full, fill
+from tests.plants.ticks.test_tick_log import check_full, fill
 path = Path(sys.argv[1])
 check_full(path, *fill(path), errno.ENOSPC)
 """

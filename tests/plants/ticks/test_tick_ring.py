@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 from multiprocessing.shared_memory import SharedMemory
+from time import sleep
 
 import numpy as np
 import pytest
@@ -115,9 +116,11 @@ def test_a_row_of_another_length_is_refused(row):
 def test_a_writer_killed_at_any_moment_leaves_whole_rows_only(ticks):
     with TickRing.create(20, 1000) as ring:
         writer = subprocess.Popen([sys.executable, "-c", WRITER, ring.name])
-        drained = []
-        while sum(map(len, drained)) < ticks and writer.poll() is None:
+        drained, count = [], 0
+        while count < ticks and writer.poll() is None:
             drained.append(ring.drain())
+            count += len(drained[-1])
+            sleep(1e-4)
         writer.kill()
         assert writer.wait() == -signal.SIGKILL
         drained.append(ring.drain())

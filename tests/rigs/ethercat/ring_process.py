@@ -11,16 +11,20 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from stepgap.rigs.ethercat.emulator.device import Device
 from stepgap.rigs.ethercat.emulator.emulator import PRIORITY
 from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
-from stepgap.rigs.ethercat.emulator.machine import Machine, TwinMachine
+from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
-from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
-from stepgap.rigs.rig import Reading
+from stepgap.rigs.ethercat.emulator.ring import Ring
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
+from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin_machine import TwinMachine, hopper_devices
 
 INTERFACE = f"sg{os.getpid()}"  # tests may run side by side
 
@@ -51,17 +55,21 @@ class Recorder(Machine):
     def period(self) -> float:
         return 1e-3
 
-    def start(self) -> Reading:
+    def devices(self, settings: RingSettings) -> list[Device]:
+        return hopper_devices(settings, self.period)
+
+    def start(self) -> HopperReading:
         self.torques = []
         return self._reading()
 
-    def tick(self, torque_1: float, torque_2: float) -> Reading:
+    def tick(self, torques: Torques) -> HopperReading:
+        torque_1, torque_2 = torques
         self.torques.append((torque_1, torque_2))
         return self._reading()
 
-    def _reading(self) -> Reading:
+    def _reading(self) -> HopperReading:
         ticks = len(self.torques)
-        return Reading(ticks, 10 * ticks, -ticks, 2 * ticks, 0.5 * ticks)
+        return HopperReading(ticks, 10 * ticks, -ticks, 2 * ticks, 0.5 * ticks)
 
 
 class RecordedTwin(TwinMachine):
@@ -74,15 +82,16 @@ class RecordedTwin(TwinMachine):
         super().__init__(Twin(RobotParameters(), RealityGap(), np.random.default_rng(0), hold=1.0))
         self.torques: list[tuple[float, float]] = []
 
-    def start(self) -> Reading:
+    def start(self) -> HopperReading:
         self._limp = True
         self._reading = super().start()
         return self._reading
 
-    def tick(self, torque_1: float, torque_2: float) -> Reading:
+    def tick(self, torques: Torques) -> HopperReading:
+        torque_1, torque_2 = torques
         self.torques.append((torque_1, torque_2))
         self._limp = self._limp and torque_1 == torque_2 == 0
-        return self._reading if self._limp else super().tick(torque_1, torque_2)
+        return self._reading if self._limp else super().tick(torques)
 
 
 class LiveRing:

@@ -22,8 +22,9 @@ from stepgap.rigs.ethercat.emulator.faults import (
 )
 from stepgap.rigs.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLER_IDENTITY, ENCODER_IDENTITY
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig, unwrapped
-from stepgap.rigs.ethercat.rig_settings import Contact, Encoder, Motor, RigSettings, Slave
+from stepgap.rigs.ethercat.rig_settings import Encoder, Motor, Slave
 from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper.ethercat import Contact, RigSettings, hopper_on_ethercat
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import RobotParameters
 from tests.rigs.ethercat.ring_process import INTERFACE, live_ring
@@ -57,14 +58,14 @@ SETTINGS = RigSettings(
 
 
 def rig_of(settings: RigSettings = SETTINGS) -> EthercatRig:
-    return EthercatRig(settings, RobotParameters())
+    return hopper_on_ethercat(settings, RobotParameters())
 
 
 def ticks_until_fault(rig: EthercatRig, ticks: int, torque: float = 8.0) -> tuple[int, str]:
     for tick in range(ticks):
         try:
             rig.read()
-            rig.write(torque, -torque)
+            rig.write((torque, -torque))
         except RigFault as fault:
             return tick, str(fault)
     return ticks, ""
@@ -83,9 +84,9 @@ def test_torque_and_counts_go_through() -> None:
         already = len(ring.look().torques)
         assert first == (already - 100, -10 * already, -already, 2 * already, pytest.approx(0.5 * already))
         assert rig.read() == first, "no frame, no news"
-        sent = [rig.write(torque, 0.5) for torque in (0.0, 1.2345, -3.0, 50.0) if rig.read()]
+        sent = [rig.write((torque, 0.5)) for torque in (0.0, 1.2345, -3.0, 50.0) if rig.read()]
         last = rig.read()
-        assert last.motor_1 == already + 4 - 100
+        assert last[0] == already + 4 - 100
         given = ring.look().torques
         assert [(a, -b) for a, b in given[already:]] == [pytest.approx(pair) for pair in sent]
         assert sent[1] == pytest.approx((1.232, 0.496))  # thousandths of 16 N·m
@@ -102,7 +103,7 @@ def test_it_can_be_connected_again() -> None:
             rig.connect()
             rig.read()
             assert ring.look().enabled == [True, True]
-            rig.write(1.0, 1.0)
+            rig.write((1.0, 1.0))
             rig.close()
             rig.close()
             assert ring.look().enabled == [False, False]
@@ -126,7 +127,7 @@ def test_whatever_ends_a_bring_up_the_bus_is_released(monkeypatch: pytest.Monkey
         raise KeyboardInterrupt
 
     with live_ring() as ring:
-        for method in ("_check_drives", "_lead", "_take"):
+        for method in ("_check_drives", "_transition", "_update_reading"):
             with monkeypatch.context() as patch:
                 patch.setattr(EthercatRig, method, interrupted)
                 with pytest.raises(KeyboardInterrupt):
@@ -231,7 +232,7 @@ def test_what_breaks_within_the_budget_passes_and_else_stops_the_motors_for_good
             assert 10 <= ticks <= 16
             assert "\n" not in message
             assert behind.now[0] == 0
-            for act in (rig.read, lambda: rig.write(0, 0), rig.connect):
+            for act in (rig.read, lambda: rig.write((0, 0)), rig.connect):
                 with pytest.raises(RigFault):
                     act()
         rig.close()
@@ -255,7 +256,7 @@ def test_a_number_that_is_none_never_reaches_a_motor(bad: float) -> None:
     with live_ring() as ring, rig_of() as rig:
         rig.read()
         with pytest.raises(RigFault, match="torques must be finite"):
-            rig.write(1.0, bad)
+            rig.write((1.0, bad))
         assert set(ring.look().torques) == {(0, 0)}
         with pytest.raises(RigFault, match="torques must be finite"):
             rig.read()

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from stepgap.base.settings_file import InputError, to_table
 from stepgap.plants.realtime.process import RealtimeSetup
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
+from stepgap.robots.hopper.ethercat import RigSettings, hopper_on_ethercat, read_rig_settings
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.step import StepStatus
@@ -129,7 +128,9 @@ def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.Tem
     else:
         message = key
         assert 0 < settings.limits.torque < float("inf")
-        trial = RealtimeSetup(partial(EthercatRig, settings, ROBOT), HopperControl(ROBOT, Gains(), CommandBounds()))
+        trial = RealtimeSetup(
+            partial(hopper_on_ethercat, settings, ROBOT), HopperControl(ROBOT, Gains(), CommandBounds())
+        )
         assert trial.robot_control.control(trial.make_rig()).status == StepStatus.OK
         assert 0 <= settings.motor_1.most_units <= 32000
         assert settings.motor_1.most_units * settings.motor_1.torque_unit <= settings.motor_1.torque_limit * (1 + 1e-15)

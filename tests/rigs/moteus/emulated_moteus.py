@@ -13,7 +13,8 @@ from threading import Event, Thread
 import can
 
 from stepgap.rigs.ethercat.emulator.machine import Machine
-from stepgap.rigs.moteus.moteus_settings import MoteusSettings
+from stepgap.robots.hopper.moteus import MoteusSettings
+from stepgap.robots.hopper.sensors import HopperReading
 
 MODE, POSITION, VELOCITY, TORQUE, FAULT = 0x00, 0x01, 0x02, 0x03, 0x0F
 FEEDFORWARD, KP_SCALE, KD_SCALE, MAX_TORQUE, TIMEOUT = 0x22, 0x23, 0x24, 0x25, 0x27
@@ -190,7 +191,7 @@ class Controllers(Thread):
             self._due.clear()
             motors = (self._settings.motor_1, self._settings.motor_2)
             torques = [motor.sign * motor.gear * each.torque for motor, each in zip(motors, pair, strict=True)]
-            self._reading = self._machine.tick(torques[0], torques[1])
+            self._reading = self._machine.tick((torques[0], torques[1]))
             self.torques.append((torques[0], torques[1]))
             self._tell()
             if happens := self.breaks.get(len(self.torques)):
@@ -199,7 +200,7 @@ class Controllers(Thread):
 
     def _tell(self) -> None:
         """Registers by the present reading."""
-        settings, reading = self._settings, self._reading
+        settings, reading = self._settings, HopperReading(*self._reading)
         for motor, counts in ((settings.motor_1, reading.motor_1), (settings.motor_2, reading.motor_2)):
             turns = motor.zero + motor.sign * motor.gear * counts / MOTOR_COUNTS
             self.controllers[motor.id].registers |= {POSITION: turns, VELOCITY: 0.0, TORQUE: 0.0, VALIDITY: 0x3F}

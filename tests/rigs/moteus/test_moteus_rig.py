@@ -12,18 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.ethercat.emulator.machine import TwinMachine
 from stepgap.rigs.moteus.can_bus import _registers
 from stepgap.rigs.moteus.joint import JointCommand, Scale
 from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
-from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor
-from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.moteus.moteus_settings import AuxEncoder, Controller
+from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.moteus import AuxContact, MoteusSettings, hopper_on_moteus
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin_machine import TwinMachine
 from tests.rigs.ethercat.ring_process import Recorder
 from tests.rigs.moteus.emulated_moteus import (
     ANALOG,
@@ -46,11 +48,11 @@ SETTINGS = MoteusSettings(
     interface="virtual",
     channel="never opened",
     pivot_height=GAP.boom_pivot_height,
-    motor_1=Motor(id=1, torque_limit=20, gear=2.0, zero=0.25),
-    motor_2=Motor(id=2, torque_limit=20, gear=2.0, sign=-1),
-    boom_horizontal=BoomEncoder(id=1, source=1, counts_per_turn=5000, zero=100),
-    boom_vertical=BoomEncoder(id=2, source=2, counts_per_turn=16384, sign=-1),
-    contact=Contact(id=2, port=1, pin=3, newton_per_count=0.125, zero=409, touchdown_force=5, takeoff_length=0.273),
+    motor_1=Controller(id=1, torque_limit=20, gear=2.0, zero=0.25),
+    motor_2=Controller(id=2, torque_limit=20, gear=2.0, sign=-1),
+    boom_horizontal=AuxEncoder(id=1, source=1, counts_per_turn=5000, zero=100),
+    boom_vertical=AuxEncoder(id=2, source=2, counts_per_turn=16384, sign=-1),
+    contact=AuxContact(id=2, port=1, pin=3, newton_per_count=0.125, zero=409, touchdown_force=5, takeoff_length=0.273),
     limits=SafetyLimits(torque=20.0),
     reply_timeout=0.4,  # a busy machine may keep the controllers waiting
     watchdog=0.5,
@@ -67,7 +69,7 @@ def fresh(settings: MoteusSettings = SETTINGS) -> MoteusSettings:
 def bench() -> Iterator[tuple[Controllers, MoteusRig]]:
     settings = fresh()
     with emulated(settings, Recorder()) as controllers:
-        rig = MoteusRig(settings, ROBOT)
+        rig = hopper_on_moteus(settings, ROBOT)
         yield controllers, rig
         rig.close()
 
@@ -76,7 +78,7 @@ def ticks_until_fault(rig: Rig, ticks: int) -> tuple[int, str]:
     for tick in range(ticks):
         try:
             rig.read()
-            rig.write(8.0, -8.0)
+            rig.write((8.0, -8.0))
         except RigFault as fault:
             return tick, str(fault)
     return ticks, ""
@@ -89,9 +91,9 @@ def test_torque_and_counts_go_through(bench: tuple[Controllers, MoteusRig]) -> N
     told = already = len(controllers.settle().torques)
     assert rig.read() == (told * turn, 10 * told * turn, -told, 2 * told, 0.5 * told)
     assert rig.read() == rig.read(), "no frame, no news"
-    sent = [rig.write(torque, 0.5) for torque in (0.0, 1.2345, -3.0, 50.0) if rig.read()]
+    sent = [rig.write((torque, 0.5)) for torque in (0.0, 1.2345, -3.0, 50.0) if rig.read()]
     assert sent == [(0.0, 0.5), (1.2345, 0.5), (-3.0, 0.5), (20.0, 0.5)]
-    assert rig.read().motor_1 == (already + 4) * turn
+    assert rig.read()[0] == (already + 4) * turn
     np.testing.assert_allclose(controllers.settle().torques[already:], sent, rtol=1e-6)
     assert set(controllers.torques[:already]) == {(0.0, 0.0)}
     rig.close()
@@ -103,7 +105,7 @@ def test_it_can_be_connected_again(bench: tuple[Controllers, MoteusRig]) -> None
     for _ in range(2):
         rig.connect()
         rig.read()
-        rig.write(1.0, 1.0)
+        rig.write((1.0, 1.0))
         rig.close()
         rig.close()
         assert controllers.modes() == [STOPPED, STOPPED]
@@ -118,7 +120,7 @@ def test_it_can_be_connected_again(bench: tuple[Controllers, MoteusRig]) -> None
 )
 def test_missing_answers_pass_within_the_budget(mute: dict[int, set[int]], survives: bool) -> None:
     settings = fresh(replace(SETTINGS, reply_timeout=0.04))
-    with emulated(settings, Recorder()) as controllers, MoteusRig(settings, ROBOT) as rig:
+    with emulated(settings, Recorder()) as controllers, hopper_on_moteus(settings, ROBOT) as rig:
         controllers.mute = mute
         ticks, message = ticks_until_fault(rig, 15)
         if survives:
@@ -126,7 +128,7 @@ def test_missing_answers_pass_within_the_budget(mute: dict[int, set[int]], survi
         else:
             assert message == "controller 2 did not answer in time for 3 ticks in a row"
             assert controllers.modes() == [STOPPED, STOPPED]
-            for act in (rig.read, lambda: rig.write(0, 0), rig.connect):
+            for act in (rig.read, lambda: rig.write((0, 0)), rig.connect):
                 with pytest.raises(RigFault, match="did not answer"):
                     act()
 
@@ -137,7 +139,7 @@ def test_a_repeated_reading_is_said_to_be_one(bench: tuple[Controllers, MoteusRi
     said = []
     controllers.mute = {len(controllers.torques) + 3: {1}}
     for _ in range(6):
-        rig.write(0.0, 0.0)
+        rig.write((0.0, 0.0))
         before = rig.read()
         said.append(rig.health.stale)
         assert rig.read() == before
@@ -147,11 +149,11 @@ def test_a_repeated_reading_is_said_to_be_one(bench: tuple[Controllers, MoteusRi
 def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(bench: tuple[Controllers, MoteusRig]) -> None:
     controllers, rig = bench
     rig.connect()
-    rig.write(0.0, 0.0)
+    rig.write((0.0, 0.0))
     before = rig.read()
     controllers.send_as(1, reply(3, POSITION, [99.0]))
-    rig.write(0.0, 0.0)
-    assert rig.read().motor_1 == before.motor_1 + 8
+    rig.write((0.0, 0.0))
+    assert rig.read()[0] == before[0] + 8
 
 
 def test_frames_of_others_and_broken_ones_are_no_answers(bench: tuple[Controllers, MoteusRig]) -> None:
@@ -160,8 +162,8 @@ def test_frames_of_others_and_broken_ones_are_no_answers(bench: tuple[Controller
     controllers.noise = [(5, reply(3, POSITION, [99.0])), (1, bytes([0x2F, 0x01, 0x00])), (1, b""), (1, b"\x50")]
     for _ in range(3):
         before = rig.read()
-        rig.write(0.0, 0.0)
-        assert rig.read().motor_1 == before.motor_1 + 8
+        rig.write((0.0, 0.0))
+        assert rig.read()[0] == before[0] + 8
 
 
 @pytest.mark.parametrize(
@@ -246,14 +248,14 @@ def test_a_fault_from_before_is_reset_by_connecting(bench: tuple[Controllers, Mo
 
 def test_a_bus_without_controllers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stepgap.rigs.moteus.moteus_rig.PATIENCE", 0.0)
-    rig = MoteusRig(fresh(replace(SETTINGS, reply_timeout=1e-3)), ROBOT)
+    rig = hopper_on_moteus(fresh(replace(SETTINGS, reply_timeout=1e-3)), ROBOT)
     with pytest.raises(RigFault, match=r"controller 1 and controller 2 on virtual moteus \d+ did not answer"):
         rig.connect()
 
 
 def test_a_bus_that_does_not_exist_is_refused() -> None:
     with pytest.raises(RigFault, match="the CAN bus carrier pigeon coop cannot be opened: Unknown interface"):
-        MoteusRig(replace(SETTINGS, interface="carrier pigeon", channel="coop"), ROBOT).connect()
+        hopper_on_moteus(replace(SETTINGS, interface="carrier pigeon", channel="coop"), ROBOT).connect()
 
 
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
@@ -262,7 +264,7 @@ def test_a_number_that_is_none_never_reaches_a_motor(bench: tuple[Controllers, M
     rig.connect()
     rig.read()
     with pytest.raises(RigFault, match="torques must be finite"):
-        rig.write(1.0, bad)
+        rig.write((1.0, bad))
     assert controllers.modes() == [STOPPED, STOPPED]
     assert set(controllers.torques) == {(0.0, 0.0)}
 
@@ -331,8 +333,8 @@ def test_a_joint_command_that_moteus_would_not_follow_is_refused(command: JointC
 
 HOPPER = replace(
     SETTINGS,
-    motor_1=Motor(id=7, torque_limit=38.0),
-    motor_2=Motor(id=9, torque_limit=38.0, sign=-1, zero=-0.5),
+    motor_1=Controller(id=7, torque_limit=38.0),
+    motor_2=Controller(id=9, torque_limit=38.0, sign=-1, zero=-0.5),
     boom_horizontal=replace(SETTINGS.boom_horizontal, id=7),
     boom_vertical=replace(SETTINGS.boom_vertical, id=9),
     contact=replace(SETTINGS.contact, id=7, touchdown_force=GAP.touchdown_force, takeoff_length=GAP.takeoff_length),
@@ -347,23 +349,23 @@ class Counted(Rig):
         self._twin, self._idle = twin, idle
 
     @property
-    def layout(self) -> RigLayout:
-        return self._twin.layout
+    def sensor_model(self) -> HopperSensorModel:
+        return self._twin.sensor_model
 
     def connect(self) -> None:
         self._twin.connect()
         for _ in range(self._idle):
-            self.write(0.0, 0.0)
+            self.write((0.0, 0.0))
 
-    def read(self) -> Reading:
+    def read(self) -> HopperReading:
         reading, newton = self._twin.read(), HOPPER.contact.newton_per_count
         return reading._replace(contact_force=newton * round(reading.contact_force / newton))
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+    def write(self, torques: Torques) -> Torques:
         limit, single = HOPPER.motor_1.torque_limit, Struct("<f")
-        applied = [min(max(torque, -limit), limit) for torque in (torque_1, torque_2)]
-        self._twin.write(*(single.unpack(single.pack(torque))[0] for torque in applied))
-        return applied[0], applied[1]
+        applied = [min(max(torque, -limit), limit) for torque in torques]
+        self._twin.write(tuple(single.unpack(single.pack(torque))[0] for torque in applied))
+        return tuple(applied)
 
     def close(self) -> None:
         self._twin.close()
@@ -380,7 +382,7 @@ def hops(rig: Rig) -> tuple[list[np.ndarray], list[Tick]]:
 def test_the_twin_hops_behind_the_controllers_as_without_them() -> None:
     settings = fresh(HOPPER)
     with emulated(settings, TwinMachine(Twin(ROBOT, GAP, np.random.default_rng(0)))) as controllers:
-        through, ticks = hops(MoteusRig(settings, ROBOT))
+        through, ticks = hops(hopper_on_moteus(settings, ROBOT))
     assert np.isfinite(through).all()
     idle = len(controllers.torques) - len(ticks)
     direct, direct_ticks = hops(Counted(Twin(ROBOT, GAP, np.random.default_rng(0)), idle))

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.base.settings_file import InputError
-from stepgap.rigs.moteus.moteus_rig import MoteusRig
-from stepgap.rigs.moteus.moteus_settings import MoteusSettings, read_moteus_settings
+from stepgap.robots.hopper.hop_control import sensors_of
+from stepgap.robots.hopper.moteus import MoteusSettings, hopper_on_moteus, read_moteus_settings
 from stepgap.robots.hopper.parameters import RobotParameters
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "moteus.toml"
@@ -86,5 +86,5 @@ def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.Tem
         message = ""
         assert 0 < settings.motor_1.torque_limit < inf
         assert 0 < settings.watchdog <= 0.5
-        assert isfinite(MoteusRig(settings, RobotParameters()).layout.motor_counts)
+        assert isfinite(sensors_of(hopper_on_moteus(settings, RobotParameters())).motor_counts)
     assert "\n" not in message

@@ -4,7 +4,6 @@
 """
 
 import os
-from functools import cache
 
 import numpy as np
 import pytest
@@ -16,23 +15,17 @@ from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import SMALLEST_SHARE, ApexMap
 from stepgap.robots.hopper.hop import Tolerances
 from stepgap.step import StepFailed, StepStatus, difference_jacobian
-from tests.robots.hopper.reference_hop import Hopper, reference_hop
+from tests.robots.hopper.reference_answers import (
+    CASES,
+    COMMAND_LINE,
+    compute_answer,
+    points_of_use,
+    stored_answers,
+    wide_points,
+)
 
 MAP = ApexMap()
 TIGHT = Tolerances(flight=Tolerance(1e-11, 1e-12), stance=Tolerance(1e-11, 1e-12))
-WIDE = np.array([[-3.0, 0.1, -300.0, -300.0], [3.0, 1.5, 300.0, 300.0]])
-
-
-def points_of_use(seed: int, count: int):
-    """Random (speed, height, fx, fy) in the range of use."""
-    quantities = (*MAP.space.state, *MAP.space.command)
-    lower, upper = [quantity.lower for quantity in quantities], [quantity.upper for quantity in quantities]
-    return np.random.default_rng(seed).uniform(lower, upper, (count, 4))
-
-
-def wide_points(seed: int, count: int):
-    """Random points far beyond the range of use, where most hops fail."""
-    return np.random.default_rng(seed).uniform(WIDE[0], WIDE[1], (count, 4))
 
 
 def evaluate(apex_map: ApexMap, points):
@@ -40,47 +33,54 @@ def evaluate(apex_map: ApexMap, points):
     return apex_map.evaluate(points[..., :2], points[..., 2:])
 
 
-@cache
-def hopper(robot: RobotParameters, gains: Gains) -> Hopper:
-    """The independent hopper."""
-    return Hopper(robot, gains)
-
-
-def assert_reference_agrees(apex_map: ApexMap, points, relative: float) -> None:
-    """Same reason, and next states equal relative to the larger of value and half the range of use."""
-    outcome = evaluate(apex_map, points)
-    for point, next_state, status in zip(points, outcome.next_state, outcome.status, strict=True):
-        expected_reason, expected = reference_hop(hopper(apex_map.robot, apex_map.gains), point[:2], point[2:])
-        assert (StepStatus(int(status)), point.tolist()) == (expected_reason, point.tolist())
+def assert_reference_agrees(name: str, relative: float, tolerances: Tolerances = MAP.tolerances) -> None:
+    """Same status, and next states equal relative to the larger of value and half the range of use."""
+    case = CASES[name]
+    apex_map = ApexMap(case.robot, case.gains, tolerances=tolerances)
+    outcome, answers = evaluate(apex_map, case.points), stored_answers(name)
+    for point, next_state, status, (expected_status, expected) in zip(
+        case.points, outcome.next_state, outcome.status, answers, strict=True
+    ):
+        assert (StepStatus(int(status)), point.tolist()) == (expected_status, point.tolist())
         scale = np.maximum(np.abs(expected), apex_map.space.state_scale)
         if status == StepStatus.OK:
             assert np.abs((next_state - expected) / scale).max() < relative
 
 
+def test_stored_answers_of_the_reference_are_its_answers() -> None:
+    """Other hops in every run; which ones stands in the message of a failure."""
+    rng = np.random.default_rng()
+    for name in rng.choice(list(CASES), 2, replace=False):
+        case, answers = CASES[name], stored_answers(name)
+        which = rng.integers(len(case.points))
+        computed, stored = compute_answer(case, case.points[which]), answers[which]
+        hop = f"hop {which} of '{name}': after a change of the reference, run {COMMAND_LINE}"
+        assert computed.status == stored.status, hop
+        np.testing.assert_allclose(computed.next_state, stored.next_state, rtol=1e-9, err_msg=hop)
+
+
 def test_next_apex_is_the_reference_s_to_a_millionth() -> None:
-    assert_reference_agrees(MAP, points_of_use(11, 12), 1e-6)
+    assert_reference_agrees("range of use", 1e-6)
 
 
 def test_so_it_is_with_motors_that_saturate_in_every_hop() -> None:
-    weak = ApexMap(RobotParameters(torque_limit=10.0))
-    points = points_of_use(12, 6)
-    assert (np.abs(evaluate(weak, points).next_state - evaluate(MAP, points).next_state).max(axis=1) > 1e-4).all()
-    assert_reference_agrees(weak, points, 1e-6)
+    weak, points = CASES["saturated motors"].robot, CASES["saturated motors"].points
+    assert (np.abs(evaluate(ApexMap(weak), points).next_state - evaluate(MAP, points).next_state).max(1) > 1e-4).all()
+    assert_reference_agrees("saturated motors", 1e-6)
 
 
-@pytest.mark.parametrize("stiffness", [1800.0, 3500.0])
-def test_so_it_is_with_another_leg_spring(stiffness) -> None:
-    assert_reference_agrees(ApexMap(gains=Gains(stiffness=stiffness)), points_of_use(13, 3), 1e-6)
+@pytest.mark.parametrize("name", ["soft spring", "stiff spring"])
+def test_so_it_is_with_another_leg_spring(name: str) -> None:
+    assert_reference_agrees(name, 1e-6)
 
 
 def test_far_outside_the_range_of_use_reasons_are_the_reference_s() -> None:
-    points = wide_points(14, 15)
-    assert len(np.unique(evaluate(MAP, points).status)) >= 3
-    assert_reference_agrees(MAP, points, 3e-6)
+    assert len(np.unique(evaluate(MAP, CASES["far outside"].points).status)) >= 3
+    assert_reference_agrees("far outside", 3e-6)
 
 
 def test_tight_tolerances_leave_errors_far_below_those_of_the_default() -> None:
-    assert_reference_agrees(ApexMap(tolerances=TIGHT), points_of_use(15, 4), 2e-10)
+    assert_reference_agrees("tight tolerances", 2e-10, TIGHT)
 
 
 def test_reasons_do_not_depend_on_the_tolerance() -> None:
@@ -131,19 +131,16 @@ def test_a_failure_has_the_reason_that_one_would_give_it(point, status) -> None:
 
 def test_a_leg_that_lands_longer_than_its_spring_is_pulled_off_the_ground() -> None:
     """The spring pulls at touchdown: a ground that never pulls lets go at once."""
-    pulling = ApexMap(gains=Gains(rest_length=0.2, landing_length=0.3))
-    points = points_of_use(18, 6)
-    assert set(evaluate(pulling, points).status) == {StepStatus.NO_TAKE_OFF}
-    assert_reference_agrees(pulling, points[:2], 1e-6)
+    case = CASES["pulling spring"]
+    assert set(evaluate(ApexMap(gains=case.gains), case.points).status) == {StepStatus.NO_TAKE_OFF}
+    assert_reference_agrees("pulling spring", 1e-6)
 
 
 def test_a_foot_that_the_impact_throws_off_the_ground_is_not_held_by_it() -> None:
     """Heavy legs without a body: a stance that begins without load is over, or the ground would pull."""
-    robot = RobotParameters(bottom_mass=2.0, body_mass=0.05, boom_inertia_vertical=0.0, torque_limit=8.0)
-    gains = Gains(2539.0, 0.2718, 0.2716, speed_gain=0.173, position_gain=61.6, damping_gain=2.414)
-    heavy, points = ApexMap(robot, gains), np.array([[1.567, 0.2998, -74.8, 10.1], [-2.17, 0.302, -118.0, -161.0]])
-    assert evaluate(heavy, points[0]).status == StepStatus.OK
-    assert_reference_agrees(heavy, points, 1e-5)
+    case = CASES["heavy legs"]
+    assert evaluate(ApexMap(case.robot, case.gains), case.points[0]).status == StepStatus.OK
+    assert_reference_agrees("heavy legs", 1e-5)
 
 
 def test_batch_is_its_single_steps_for_any_leading_shape() -> None:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.ethercat.emulator.machine import TwinMachine
-from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.direct_ring import DirectRing
@@ -13,6 +12,7 @@ from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin_machine import TwinMachine
 from stepgap.step import StepStatus
 from tests.rigs.ethercat.ring_process import INTERFACE
 
@@ -31,7 +31,7 @@ def machine() -> TwinMachine:
     return TwinMachine(twin())
 
 
-SETTINGS = emulated_settings(twin().layout, ROBOT, RING, INTERFACE)
+SETTINGS = emulated_settings(twin().sensor_model, ROBOT, RING, INTERFACE)
 
 
 def hop(rig: Rig):
@@ -66,8 +66,8 @@ def test_a_ring_rig_can_be_had_again():
             rig.connect()
         except RigFault as fault:
             pytest.skip(str(fault))
-        assert rig.read().boom_horizontal == 0
-        rig.write(1.0, 1.0)
+        assert rig.read()[2] == 0
+        rig.write((1.0, 1.0))
         rig.close()
         rig.close()
         with pytest.raises(RigFault, match="not connected"):

@@ -1,8 +1,8 @@
 """Everything of a deployment but torque: what the robot's sensors say and what the law would want, while it is limp."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from math import degrees, isfinite
+from math import isfinite
 from pathlib import Path
 from time import sleep
 
@@ -15,15 +15,10 @@ from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.commissioning.limp import ended, limp_setup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.limp_rig import FrameCount
-from stepgap.rigs.rig import Reading, Rig, RigFault
-from stepgap.robots.hopper.hop_control import HopControl
-from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.parameters import Gains, RobotParameters
-from stepgap.robots.hopper.phases import Phase
-from stepgap.robots.hopper.safety import Limited
-from stepgap.robots.hopper.tick import LOG_UNITS
+from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array
 
 FOLDER = Path("dry-run")
@@ -45,8 +40,8 @@ class WatchedLog:
         worst: Largest delay of a tick's beginning [s].
     """
 
-    def __init__(self, log: TickLog):
-        self._log, self.count, self.worst = log, 0, 0.0
+    def __init__(self, log: TickLog, names: Iterable[str]):
+        self._log, self._names, self.count, self.worst = log, tuple(names), 0, 0.0
         self.last: dict[str, float] = {}
 
     def append(self, rows: Array) -> None:
@@ -55,7 +50,7 @@ class WatchedLog:
         self.count += len(rows)
         for row in rows[::-1].tolist():
             if all(map(isfinite, row)):
-                self.last = dict(zip(LOG_UNITS, row, strict=True))
+                self.last = dict(zip(self._names, row, strict=True))
                 break
         self.worst = max([self.worst, *rows[:, -1].tolist()])
 
@@ -68,13 +63,12 @@ class WatchedLog:
         self._log.close()
 
 
-def dry_run(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains, seconds: float | None) -> Path:
+def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: float | None) -> Path:
     """Shows a limp robot's ticks for a while, or until Ctrl-C; the log of them.
 
     Args:
         make_rig: Makes its rig; it must be possible to pickle it.
-        robot: On it.
-        gains: Of the law whose torques are shown.
+        robot_control: Computes the torques that are shown.
         seconds: How long, in ticks.
 
     Raises:
@@ -82,15 +76,16 @@ def dry_run(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains, s
         RigFault: The bus or a drive failed.
     """
     path, frames, rig = next_path(FOLDER), FrameCount(), make_rig()
+    setup = limp_setup(make_rig, robot_control, frames)
     try:
-        log = WatchedLog(TickLog(path, LOG_UNITS))
+        log = WatchedLog(TickLog(path, setup.units), setup.units)
     except TickLogError as error:
         raise InputError(str(error)) from None
-    wanted, fault = float("inf") if seconds is None else seconds / rig.layout.tick, ""
-    describe = _describer(rig, robot, gains, frames)
-    session = Session(limp_setup(make_rig, robot, gains, frames), log)
+    wanted, fault = float("inf") if seconds is None else seconds / rig.sensor_model.tick, ""
+    describe = _describer(rig, robot_control, frames)
+    session = Session(setup, log)
     try:
-        with terminated_as_interrupted(), _shown(round(1 / rig.layout.tick)) as show:
+        with terminated_as_interrupted(), _shown(round(1 / rig.sensor_model.tick)) as show:
             while log.count < wanted and not session.over():
                 sleep(LOOK_EVERY)
                 show(describe(log, session), log.count)
@@ -105,31 +100,18 @@ def dry_run(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains, s
     return path
 
 
-def _describer(
-    rig: Rig, robot: RobotParameters, gains: Gains, frames: FrameCount
-) -> Callable[[WatchedLog, Session], Shown]:
+def _describer(rig: Rig, robot_control: RobotControl, frames: FrameCount) -> Callable[[WatchedLog, Session], Shown]:
     """What is to be shown of the last tick."""
-    layout, limits = rig.layout, rig.limits or SafetyLimits.of(robot)
 
     def describe(log: WatchedLog, session: Session) -> Shown:
         tick = log.last
         if not tick:
             return {"state": session.board.state.name}
-        reading = Reading(*(tick[name] for name in Reading._fields))
-        seen = HopControl(layout, robot, gains, limits).look(reading)
-        motion, beyond = seen.motion, Limited(seen.watch.stopped)
         return {
             "state": RigState(int(tick["state"])).name,
-            "phase": Phase(int(tick["phase"])).name,
-            "alpha_1": f"{degrees(motion.alpha_1):+.2f}°",
-            "alpha_2": f"{degrees(motion.alpha_2):+.2f}°",
-            "leg": f"{motion.leg_length:.4f} m",
-            "hip": f"{motion.hip_height:.4f} m",
-            "contact": f"{reading.contact_force:+.1f} N",
-            "wanted": f"{tick['asked_1']:+.2f}, {tick['asked_2']:+.2f} N·m",
+            **robot_control.describe(rig, tick),
             "late": f"{1e6 * tick['late']:.0f} µs, at most {1e6 * log.worst:.0f} µs",
             "lost": f"{frames.lost} frames",
-            "beyond": (beyond.name or "nothing").lower().replace("_", " ").replace("|", ", ") if beyond else "nothing",
         }
 
     return describe

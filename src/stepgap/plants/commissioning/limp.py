@@ -11,13 +11,9 @@ from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
+from stepgap.plants.tick_control import RobotControl
 from stepgap.rigs.limp_rig import FrameCount, LimpRig
-from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
-from stepgap.rigs.still_rig import StillRig
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.tick import LOG_UNITS
+from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array
 
 LOOK_EVERY = 0.05
@@ -29,18 +25,20 @@ class Ticks:
     """Ticks of a rig, from the first one on.
 
     Attributes:
-        rows: A tick a row, fields as in `LOG_UNITS`; shape (k, fields), k at least 1.
+        names: Fields of a row.
+        rows: A tick a row; shape (k, fields), k at least 1.
         refused: What of its requests the kernel refused.
         fault: Why there are not as many as were asked for.
     """
 
+    names: tuple[str, ...]
     rows: Array
     refused: str
     fault: str
 
     def column(self, name: str) -> Array:
         """A field of all ticks; shape (k,)."""
-        return self.rows[:, list(LOG_UNITS).index(name)]
+        return self.rows[:, self.names.index(name)]
 
 
 def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
@@ -62,7 +60,7 @@ def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
         session.close()
     if not kept.count:
         raise RigFault(fault)
-    return Ticks(np.concatenate(kept.blocks)[:count], refused, fault)
+    return Ticks(tuple(setup.units), np.concatenate(kept.blocks)[:count], refused, fault)
 
 
 def ended(session: Session) -> str:
@@ -88,36 +86,17 @@ class _Memory:
         pass
 
 
-def limp_setup(make_rig: Callable[[], Rig], robot: RobotParameters, gains: Gains, frames: FrameCount) -> RealtimeSetup:
+def limp_setup(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> RealtimeSetup:
     """A robot that stays limp whatever is asked.
 
     Args:
         make_rig: Makes its rig; it must be possible to pickle it.
-        robot: The robot it is taken to be.
-        gains: Of the law whose torques are computed, and not written.
-        frames: Counts those that are lost.
+        robot_control: Computes the torques that are logged, and not written.
+        frames: Counts the lost frames.
     """
-    return RealtimeSetup(partial(_limp_robot, make_rig, robot, frames), HopperControl(robot, gains, CommandBounds()))
+    return RealtimeSetup(partial(_limp_robot, make_rig, robot_control, frames), robot_control)
 
 
-def still_setup(tick: float) -> RealtimeSetup:
-    """No robot and no bus, but all else of a tick [s]: the same sensor values always."""
-    return RealtimeSetup(partial(_still_robot, tick), HopperControl(RobotParameters(), Gains(), CommandBounds()))
-
-
-def _limp_robot(make_rig: Callable[[], Rig], robot: RobotParameters, frames: FrameCount) -> LimpRig:
-    return LimpRig(make_rig(), SafetyLimits.of(robot), frames)
-
-
-def _still_robot(tick: float) -> StillRig:
-    layout = RigLayout(
-        tick=tick,
-        boom_length=RobotParameters().boom_length,
-        pivot_height=0.4,
-        motor_counts=16384,
-        boom_counts_horizontal=5000,
-        boom_counts_vertical=16384,
-        touchdown_force=5.0,
-        takeoff_length=0.273,
-    )
-    return StillRig(layout, Reading(2048, -2048, 0, 400, 0.0))
+def _limp_robot(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> LimpRig:
+    rig = make_rig()
+    return LimpRig(rig, robot_control.limp_limits(rig), frames)

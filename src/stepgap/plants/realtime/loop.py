@@ -63,7 +63,7 @@ class ControlLoop:
         alive: Callable[[], bool] = lambda: True,
     ):
         self._rig, self._control, self._board, self._log = rig, control, board, log
-        self._settings, self._alive, self._tick_time = settings, alive, rig.layout.tick
+        self._settings, self._alive, self._tick_time = settings, alive, rig.sensor_model.tick
         self._lower, self._upper = space.command_lower.tolist(), space.command_upper.tolist()
         self._clock, self._applied, self._written, self._flags = TickClock(self._tick_time), (0.0, 0.0), 0.0, 0
         self._state, self._entered, self._powered = RigState.CALIBRATE, 0.0, False
@@ -79,7 +79,7 @@ class ControlLoop:
 
         Frames between two ticks that come late are made up for, so that only ticks can be late.
         """
-        late, frames = 0.0, self._rig.layout.frames_per_tick
+        late, frames = 0.0, self._rig.sensor_model.frames_per_tick
         try:
             while self.tick(late):
                 due = self._clock.due
@@ -110,11 +110,11 @@ class ControlLoop:
         """Computes and writes the torques; False when the robot is off."""
         time, control = self._clock.time, self._control
         self._enter(next_state(self._state, self._signals()))
-        age = time - self._written if self._rig.layout.sampled_at_write else 0.0
+        age = time - self._written if self._rig.sensor_model.sampled_at_write else 0.0
         torques, self._flags = control.tick(time, reading, self._order(), self._applied, health, age)
         if self._flags & TickFlag.UNREADABLE:
             raise RigFault(f"the sensors tell what is no number: {reading}")
-        self._applied = self._rig.write(*(torques if self._powered else (0.0, 0.0)))
+        self._applied = self._rig.write(torques if self._powered else (0.0,) * len(torques))
         self._written = time
         self._log((*control.row(self._applied), self._state, late))
         if self._flags & TickFlag.STOPPED:
@@ -197,7 +197,7 @@ class ControlLoop:
         """A frame between two ticks [s]; False where the rig fails."""
         try:
             self._rig.read()
-            self._rig.write(*self._applied)
+            self._rig.write(self._applied)
         except RigFault as fault:
             return self._give_up(fault, now, 0.0)
         self._written = now

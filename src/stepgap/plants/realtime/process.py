@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from stepgap.plants.realtime.board import Board
-from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
+from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_control import RobotControl
@@ -29,6 +29,11 @@ class RealtimeSetup:
     robot_control: RobotControl
     loop: LoopSettings = LoopSettings()
     make_pace: Callable[[], Pace] = WallClock
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Fields of a row of the tick log, with their units."""
+        return {**self.robot_control.units, **LOOP_UNITS}
 
 
 def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: int) -> None:

@@ -10,7 +10,7 @@ from time import monotonic
 from typing import Any
 
 from stepgap.rigs.ethercat.pdo import Packing, Pdo
-from stepgap.rigs.ethercat.rig_settings import RigSettings
+from stepgap.rigs.ethercat.rig_settings import BusSettings
 from stepgap.rigs.rig import RigFault
 
 ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C12, 0x1C13
@@ -28,7 +28,7 @@ _U8, _U16, _U32 = Struct("<B"), Struct("<H"), Struct("<I")
 
 
 class Bus:
-    """The slaves of a `RigSettings` behind pysoem.
+    """The slaves of a `BusSettings` behind pysoem.
 
     Every mismatch between settings and bus raises `RigFault` with one line that names the slave.
 
@@ -36,7 +36,7 @@ class Bus:
         settings: What should be there.
     """
 
-    def __init__(self, settings: RigSettings):
+    def __init__(self, settings: BusSettings):
         self._settings = settings
         self._master: Any = None
         sets = [settings.pdo_set(slave) for slave in settings.slaves]

@@ -1,8 +1,7 @@
-"""A robot on an EtherCAT bus as a `Rig`: two drives in cyclic synchronous torque, two encoders, a contact force."""
+"""A robot on an EtherCAT bus as a `Rig`: drives in cyclic synchronous torque, encoders, force sensors."""
 
 from collections.abc import Callable
 from math import isfinite
-from pathlib import Path
 from struct import Struct
 from time import monotonic, sleep
 
@@ -17,10 +16,9 @@ from stepgap.rigs.ethercat.cia402 import (
     state_of,
 )
 from stepgap.rigs.ethercat.pdo import Packing
-from stepgap.rigs.ethercat.rig_settings import Encoder, RigSettings, read_rig_settings
-from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, RigLayout
-from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques
 
 ERROR_CODE, LARGEST_TORQUE, RATED_TORQUE = 0x603F, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
@@ -42,55 +40,36 @@ class EthercatRig(Rig):
     """Drives and encoders as `rig.toml` describes them.
 
     A frame leaves with every `write`, and the next `read` takes it in. A lost frame, or one that a slave did not take
-    part in, repeats the reading before; too many in a row are a fault. Whatever is wrong takes the voltage from both
+    part in, repeats the reading before; too many in a row are a fault. Whatever is wrong takes the voltage from all
     drives, and the fault stays for the life of the object: to go on, a person makes a new one. A drive found in fault
     at connect is reset once, since connecting is such an act.
 
     Args:
-        settings: The robot's bus; `limits.lost_frames` is the budget.
-        robot: Its boom gives the layout.
+        settings: The robot's bus; its budget of lost frames holds.
+        sensor_model: How the robot reads the counts.
     """
 
-    def __init__(self, settings: RigSettings, robot: RobotParameters):
-        contact = settings.contact
-        self._settings, self._bus = settings, Bus(settings)
-        self._layout = RigLayout(
-            tick=settings.tick,
-            boom_length=robot.boom_length,
-            pivot_height=settings.pivot_height,
-            motor_counts=settings.motor_1.link_counts,
-            boom_counts_horizontal=settings.boom_horizontal.counts_per_turn,
-            boom_counts_vertical=settings.boom_vertical.counts_per_turn,
-            touchdown_force=contact.touchdown_force,
-            takeoff_length=contact.takeoff_length,
-            frames_per_tick=settings.frames_per_tick,
-            sampled_at_write=True,
-        )
-        self._motors = (settings.motor_1, settings.motor_2)
+    def __init__(self, settings: BusSettings, sensor_model: SensorModel):
+        self._settings, self._bus, self._sensor_model = settings, Bus(settings), sensor_model
+        self._motors = settings.motors
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
-        self._angles = tuple(
-            _Angle(settings, encoder, name)
-            for encoder, name in (
-                (settings.motor_1, "position"),
-                (settings.motor_2, "position"),
-                (settings.boom_horizontal, "counter"),
-                (settings.boom_vertical, "counter"),
-            )
+        self._sensors = tuple(
+            _Angle(settings, device) if isinstance(device, Encoder) else _Force(settings, device)
+            for device in settings.devices.values()
         )
-        self._contact = settings.position(contact.slave)
         self._connected, self._fault = False, ""
-        self._lost, self._under_way, self._good_frames, self._unanswered = 0, False, 0, 0
-        self._reading = Reading(0, 0, 0, 0, 0.0)
+        self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
+        self._reading = settings.reading((0.0,) * len(self._sensors))
 
     @property
-    def layout(self) -> RigLayout:
+    def sensor_model(self) -> SensorModel:
         """How to read the counts; their zeros and signs are taken care of."""
-        return self._layout
+        return self._sensor_model
 
     @property
-    def limits(self) -> SafetyLimits:
+    def limits(self) -> RigLimits:
         """The settings'."""
-        return self._settings.limits
+        return self._settings.budgets
 
     @property
     def health(self) -> Health:
@@ -109,13 +88,13 @@ class EthercatRig(Rig):
         self._bus.connect(self._check_drives)
         self._connected = True
         try:
-            self._lead(Wanted.RESET, lambda states: State.FAULT not in states)
-            self._lead(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
-            self._take()
+            self._transition(Wanted.RESET, lambda states: State.FAULT not in states)
+            self._transition(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
+            self._update_reading()
         except BaseException:
             self.close()
             raise
-        self._lost, self._under_way, self._good_frames, self._unanswered = 0, False, 0, 0
+        self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
 
     def read(self) -> Reading:
         """Counts and force of the last frame, or of an earlier one while no more than the budget are lost.
@@ -124,40 +103,40 @@ class EthercatRig(Rig):
             RigFault: Not connected, too many frames lost, or a drive does not take torques any more.
         """
         self._check_up()
-        if not self._under_way:
+        if not self._frame_pending:
             return self._reading
-        self._under_way = False
+        self._frame_pending = False
         if self._bus.receive():
             self._lost = 0
-            self._take()
-            self._look_after_states()
+            self._update_reading()
+            self._check_al_states()
         else:
             self._lost += 1
-            if self._lost > self._settings.limits.lost_frames:
+            if self._lost > self._settings.budgets.lost_frames:
                 fault = self._trip(f"{self._lost} frames in a row were lost or not served by every slave")
                 raise RigFault(f"{fault}: {self._bus.complaint()}")
         return self._reading
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+    def write(self, torques: Torques) -> Torques:
         """Sends the motor torques [N·m] and returns those sent: whole thousandths of the rated torque, within limits.
 
         Raises:
             RigFault: A torque is not finite, or the rig is stopped.
         """
         self._check_up()
-        if self._under_way:
+        if self._frame_pending:
             self.read()
-        if not (isfinite(torque_1) and isfinite(torque_2)):
-            raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
+        if not all(map(isfinite, torques)):
+            raise self._trip(f"torques must be finite, not {', '.join(map(str, torques))}")
         sent = []
-        for drive, motor, torque in zip(self._drives, self._motors, (torque_1, torque_2), strict=True):
+        for drive, motor, torque in zip(self._drives, self._motors, torques, strict=True):
             unit, most = motor.torque_unit, motor.most_units
             units = round(min(max(torque / unit, -most), most))
             self._command(drive, motor.sign * units, ENABLE)
             sent.append(units * unit)
         self._bus.send()
-        self._under_way = True
-        return sent[0], sent[1]
+        self._frame_pending = True
+        return tuple(sent)
 
     def close(self) -> None:
         """No torque, drives off, slaves to INIT; may be called twice."""
@@ -177,9 +156,9 @@ class EthercatRig(Rig):
                 )
             self._bus.write_object(drive, LARGEST_TORQUE, _U16, motor.most_units)
 
-    def _lead(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
+    def _transition(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
         """Exchanges frames without torque until the drives' states are as wanted."""
-        until, words = monotonic() + PATIENCE, [DISABLE_VOLTAGE, DISABLE_VOLTAGE]
+        until, words = monotonic() + PATIENCE, [DISABLE_VOLTAGE] * len(self._drives)
         while True:
             for drive, word in zip(self._drives, words, strict=True):
                 self._command(drive, 0, word)
@@ -195,19 +174,16 @@ class EthercatRig(Rig):
                 raise RigFault(f"no frame comes back: {self._bus.complaint()}")
             sleep(self._settings.tick)
 
-    def _take(self) -> None:
-        """The reading of a good frame, if both drives take torques."""
+    def _update_reading(self) -> None:
+        """The reading of a good frame, if all drives take torques."""
         for drive in self._drives:
             values = self._bus.inputs(drive)
             if state_of(values["statusword"]) != State.ENABLED or values["mode_display"] != CYCLIC_TORQUE:
                 fault = self._trip(f"{self._bus.label(drive)} takes no torque any more")
                 raise RigFault(f"{fault}: {self._drive_words()}")
-        motor_1, motor_2, horizontal, vertical = (angle.counts(self._bus) for angle in self._angles)
-        contact = self._settings.contact
-        force = contact.newton_per_count * (self._bus.inputs(self._contact)["force"] - contact.zero)
-        self._reading = Reading(motor_1, motor_2, horizontal, vertical, force)
+        self._reading = self._settings.reading([sensor.value(self._bus) for sensor in self._sensors])
 
-    def _look_after_states(self) -> None:
+    def _check_al_states(self) -> None:
         """Now and then asks whether all slaves are in OP, and goes on asking where a reply is lost."""
         self._good_frames += 1
         if not self._unanswered and self._good_frames % STATES_EVERY:
@@ -216,7 +192,7 @@ class EthercatRig(Rig):
         self._unanswered = self._unanswered + 1 if in_operation is None else 0
         if in_operation is False:
             fault = self._trip("a slave has left OP")
-        elif self._unanswered > self._settings.limits.lost_frames:
+        elif self._unanswered > self._settings.budgets.lost_frames:
             fault = self._trip(f"slaves did not tell their states, asked {self._unanswered} times in a row")
         else:
             return
@@ -260,20 +236,22 @@ class EthercatRig(Rig):
 class _Angle:
     """Counts of one encoder: unwrapped, from its zero, forward positive."""
 
-    def __init__(self, settings: RigSettings, encoder: Encoder, name: str):
-        self._slave, self._encoder, self._name = settings.position(encoder.slave), encoder, name
+    def __init__(self, settings: BusSettings, encoder: Encoder):
+        self._slave, self._encoder = settings.position(encoder.slave), encoder
+        self._name = "position" if isinstance(encoder, Motor) else "counter"
         packing = Packing(settings.pdo_set(settings.slaves[self._slave]).inputs)
-        self._bits, self._count = packing.places[name][0].bits, 0
+        self._bits, self._count = packing.places[self._name][0].bits, 0
 
-    def counts(self, bus: Bus) -> int:
+    def value(self, bus: Bus) -> int:
         self._count = unwrapped(bus.inputs(self._slave)[self._name], self._count, self._bits)
         return self._encoder.sign * (self._count - self._encoder.zero)
 
 
-def rig_from_file(settings: Path, robot: RobotParameters) -> EthercatRig:
-    """The rig that a `rig.toml` describes; entry point of `stepgap.rigs`.
+class _Force:
+    """The force of one sensor [N]."""
 
-    Raises:
-        InputError: Naming file, key and what would be right.
-    """
-    return EthercatRig(read_rig_settings(settings), robot)
+    def __init__(self, settings: BusSettings, sensor: ForceSensor):
+        self._slave, self._sensor = settings.position(sensor.slave), sensor
+
+    def value(self, bus: Bus) -> float:
+        return self._sensor.newton_per_count * (bus.inputs(self._slave)["force"] - self._sensor.zero)

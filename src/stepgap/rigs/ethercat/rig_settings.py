@@ -1,14 +1,15 @@
-"""What stands on the bus and what its numbers mean: `rig.toml`, read strictly."""
+"""What is on the bus and what its numbers mean: the part of `rig.toml` that is the same for every robot."""
 
 import re
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import floor, inf, isfinite
-from pathlib import Path
+from math import floor, isfinite
 
-from stepgap.base.settings_file import build, read_toml, require, shown, with_table
+from stepgap.base.settings_file import require, shown
 from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
-from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.rig import Reading
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,49 +149,39 @@ class Motor(Encoder):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact:
-    """How the ground is felt; force = newton_per_count · (counts − zero).
+class ForceSensor:
+    """A measured force, newton_per_count · (counts − zero).
 
     Attributes:
         slave: Name of the device that measures the force.
         newton_per_count: Its scale [N]; negative where pressing makes the counts fall.
-        touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
         zero: Counts without force.
-        takeoff_length: Leg length at which the leg leaves the ground [m] (Sec. 3.4).
     """
 
     slave: str
     newton_per_count: float
-    touchdown_force: float
     zero: int = 0
-    takeoff_length: float = inf
 
     def __post_init__(self) -> None:
-        scale, force, length = self.newton_per_count, self.touchdown_force, self.takeoff_length
+        scale = self.newton_per_count
         require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
-        require(0 <= force <= 1e6, "touchdown_force", force, "lie between 0 and 1e6")
         require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
-        require(length > 0, "takeoff_length", length, "be positive")
 
+
+Device = Motor | Encoder | ForceSensor
+"""What a table of `rig.toml` describes: each gives one number of a reading, and a motor takes a torque."""
 
 MOTOR_OUTPUTS = {"target_torque", "controlword", "mode"}
 MOTOR_INPUTS = {"position", "statusword", "mode_display"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class RigSettings:
-    """A robot on an EtherCAT bus.
+class BusSettings(ABC):
+    """The bus of a robot; each robot adds the tables of its motors and sensors, and what they may do.
 
     Attributes:
         interface: Network interface of the bus.
-        pivot_height: Height of the boom's pivot above the ground [m].
         slaves: All devices, in the order of the bus.
-        motor_1: Turns the top link at α₁ + α₂.
-        motor_2: Turns the top link at α₁ − α₂.
-        boom_horizontal: Yaw of the boom.
-        boom_vertical: Pitch of the boom.
-        contact: Ground force.
-        limits: What the safety function allows.
         tick: Time between two ticks of control [s].
         frames_per_tick: Frames in a tick, such as 4 for a bus at 4 kHz; those between ticks repeat the torques.
         reply_timeout: How long a frame is waited for [s]; more than a tick only for a ring in lock-step.
@@ -199,24 +190,35 @@ class RigSettings:
     """
 
     interface: str
-    pivot_height: float
     slaves: tuple[Slave, ...]
-    motor_1: Motor
-    motor_2: Motor
-    boom_horizontal: Encoder
-    boom_vertical: Encoder
-    contact: Contact
-    limits: SafetyLimits
     tick: float = 1e-3
     frames_per_tick: int = 1
     reply_timeout: float = 5e-4
     watchdog: float = 0.05
     pdo_sets: tuple[WrittenPdoSet, ...] = ()
 
+    @property
+    @abstractmethod
+    def devices(self) -> Mapping[str, Device]:
+        """Motors, encoders and force sensors by the name of their table, in the order of a reading."""
+
+    @property
+    @abstractmethod
+    def budgets(self) -> RigLimits:
+        """How many bad ticks in a row the robot may have."""
+
+    def reading(self, values: Sequence[float]) -> Reading:
+        """The reading that the values of all devices make, in their order."""
+        return tuple(values)
+
+    @property
+    def motors(self) -> tuple[Motor, ...]:
+        """The motors among the devices, in their order."""
+        return tuple(device for device in self.devices.values() if isinstance(device, Motor))
+
     def __post_init__(self) -> None:
         named = re.fullmatch(r"[!-.0-~]{1,15}", self.interface)  # SOEM copies whatever it gets into 16 bytes
         require(bool(named), "interface", self.interface, "name a network interface, such as 'eth0'")
-        require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
         require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
         require(1 <= self.frames_per_tick <= 10, "frames_per_tick", self.frames_per_tick, "lie between 1 and 10")
         require(
@@ -227,7 +229,8 @@ class RigSettings:
         )
         require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
         self._check_slaves()
-        self._check_uses()
+        for table, device in self.devices.items():
+            self._check_use(table, device)
 
     def _check_slaves(self) -> None:
         """Refuses names that are not distinct, and sets of PDOs that are not there."""
@@ -239,44 +242,21 @@ class RigSettings:
         for number, slave in enumerate(self.slaves, start=1):
             require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
 
-    def _check_uses(self) -> None:
-        """Refuses slaves that cannot be what the tables say, or are two things at once."""
-        for table, outputs, inputs in (
-            ("motor_1", MOTOR_OUTPUTS, MOTOR_INPUTS),
-            ("motor_2", MOTOR_OUTPUTS, MOTOR_INPUTS),
-            ("boom_horizontal", set[str](), {"counter"}),
-            ("boom_vertical", set[str](), {"counter"}),
-            ("contact", set[str](), {"force"}),
-        ):
-            self._check_use(table, outputs, inputs)
-        require(self.motor_2.slave != self.motor_1.slave, "motor_2.slave", self.motor_2.slave, "differ from motor 1's")
-        require(
-            self.boom_vertical.slave != self.boom_horizontal.slave,
-            "boom_vertical.slave",
-            self.boom_vertical.slave,
-            "differ from the horizontal angle's",
-        )
-        require(
-            self.motor_2.link_counts == self.motor_1.link_counts,
-            "motor_2.counts_per_turn",
-            self.motor_2.counts_per_turn,
-            f"give with its gear the {self.motor_1.link_counts:g} counts a turn of motor 1",
-        )
-
     def pdo_set(self, slave: Slave) -> PdoSet:
         """What a slave exchanges."""
         return self._sets()[slave.pdos]
 
     def position(self, name: str) -> int:
-        """Place on the bus of the slave with a name, from 0."""
+        """Index on the bus of the slave with a name, from 0."""
         return [slave.name for slave in self.slaves].index(name)
 
     def _sets(self) -> Mapping[str, PdoSet]:
         return {**PDO_SETS, **{written.name: written.pdo_set() for written in self.pdo_sets}}
 
-    def _check_use(self, table: str, outputs: set[str], inputs: set[str]) -> None:
+    def _check_use(self, table: str, device: Device) -> None:
         """Refuses a slave that is not there, or that does not exchange the values a table needs."""
-        name, names = getattr(self, table).slave, [slave.name for slave in self.slaves]
+        outputs, inputs = _values_of(device)
+        name, names = device.slave, [slave.name for slave in self.slaves]
         require(name in names, f"{table}.slave", name, f"name one of the slaves: {', '.join(names)}")
         pdos = self.pdo_set(self.slaves[names.index(name)])
         lacking = outputs - set(Packing(pdos.outputs).names) | inputs - set(Packing(pdos.inputs).names)
@@ -284,10 +264,8 @@ class RigSettings:
         require(not lacking, f"{table}.slave", name, rule)
 
 
-def read_rig_settings(path: Path) -> RigSettings:
-    """The rig that a TOML file describes.
-
-    Raises:
-        InputError: Naming file, key and what would be right.
-    """
-    return build(RigSettings, read_toml(path, "a rig"), lambda name: f"{path}: {with_table(name)}")
+def _values_of(device: Device) -> tuple[set[str], set[str]]:
+    """Names of the values that a device takes from the master, and of those that it gives."""
+    if isinstance(device, Motor):
+        return MOTOR_OUTPUTS, MOTOR_INPUTS
+    return set(), {"counter"} if isinstance(device, Encoder) else {"force"}

@@ -1,20 +1,18 @@
-"""A robot on two moteus controllers as a `Rig`: joint commands out, positions, boom encoders and a contact force in."""
+"""A robot on moteus controllers as a `Rig`: joint commands out; positions, encoders and forces in."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from math import isfinite
-from pathlib import Path
 from time import monotonic, sleep
 
 import moteus
 from moteus import Mode, Register
 
+from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.moteus.can_bus import CanBus, Registers
 from stepgap.rigs.moteus.joint import JointCommand, JointState
-from stepgap.rigs.moteus.moteus_settings import BoomEncoder, Contact, MoteusSettings, Motor, read_moteus_settings
-from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, RigLayout
-from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.rigs.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice, CanSettings, Controller
+from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques
 
 POSITION_COUNTS = 2**16
 """Counts a turn in which moteus keeps the position of its output."""
@@ -65,48 +63,37 @@ LIMP = JointCommand(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class MoteusRig(Rig):
-    """Two controllers as `moteus.toml` describes them, in position mode with no gains of their own.
+    """Controllers as `moteus.toml` describes them, in position mode with no gains of their own.
 
-    `read` asks both controllers and waits for their answers, so that they are of this tick; `write` sends each a
+    `read` asks all controllers and waits for their answers, so that they are of this tick; `write` sends each a
     command with the watchdog and the largest torque in it. A tick whose answers do not all come in time repeats the
-    reading before; too many in a row are a fault. Whatever is wrong stops both controllers, and the fault stays for the
+    reading before; too many in a row are a fault. Whatever is wrong stops all controllers, and the fault stays for the
     life of the object. A controller found in fault at connect is reset once.
 
     Args:
-        settings: The robot's bus; `limits.lost_frames` is the budget.
-        robot: Its boom gives the layout.
+        settings: The robot's bus; its budget of lost frames holds.
+        sensor_model: How the robot reads the counts.
     """
 
-    def __init__(self, settings: MoteusSettings, robot: RobotParameters):
-        contact = settings.contact
-        self._settings = settings
-        self._layout = RigLayout(
-            tick=settings.tick,
-            boom_length=robot.boom_length,
-            pivot_height=settings.pivot_height,
-            motor_counts=POSITION_COUNTS * settings.motor_1.gear,
-            boom_counts_horizontal=settings.boom_horizontal.counts_per_turn,
-            boom_counts_vertical=settings.boom_vertical.counts_per_turn,
-            touchdown_force=contact.touchdown_force,
-            takeoff_length=contact.takeoff_length,
-        )
-        self._motors = (settings.motor_1, settings.motor_2)
-        self._analog = ANALOG_INPUTS[contact.port] + contact.pin - 1
+    def __init__(self, settings: CanSettings, sensor_model: SensorModel):
+        self._settings, self._sensor_model = settings, sensor_model
+        self._motors = settings.motors
         self._controllers = {motor.id: self._controller(motor.id) for motor in self._motors}
-        self._boom = (_Turns(settings.boom_horizontal), _Turns(settings.boom_vertical))
+        self._sensors = tuple(_sensor(device) for device in settings.devices.values())
         self._bus: CanBus | None = None
         self._fault, self._lost, self._written = "", 0, False
-        self._reading, self._joints = Reading(0, 0, 0, 0, 0.0), (JointState(0, 0, 0), JointState(0, 0, 0))
+        self._reading = settings.reading((0.0,) * len(self._sensors))
+        self._joints = (JointState(0, 0, 0),) * len(self._motors)
 
     @property
-    def layout(self) -> RigLayout:
+    def sensor_model(self) -> SensorModel:
         """How to read the counts; their zeros and signs are taken care of."""
-        return self._layout
+        return self._sensor_model
 
     @property
-    def limits(self) -> SafetyLimits:
+    def limits(self) -> RigLimits:
         """What the safety function allows this robot."""
-        return self._settings.limits
+        return self._settings.budgets
 
     @property
     def health(self) -> Health:
@@ -114,7 +101,7 @@ class MoteusRig(Rig):
         return LOST if self._lost else HEALTHY
 
     @property
-    def joints(self) -> tuple[JointState, JointState]:
+    def joints(self) -> tuple[JointState, ...]:
         """What the controllers said of the top links with the last good reading; for logs."""
         return self._joints
 
@@ -152,14 +139,14 @@ class MoteusRig(Rig):
         replies = self._ask(bus)
         if len(replies) == len(self._controllers):
             self._lost = 0
-            self._take(replies)
+            self._update_reading(replies)
         else:
             self._lost += 1
-            if self._lost > self._settings.limits.lost_frames:
+            if self._lost > self._settings.budgets.lost_frames:
                 raise self._trip(f"{self._absent(replies)} did not answer in time for {self._lost} ticks in a row")
         return self._reading
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+    def write(self, torques: Torques) -> Torques:
         """Sends the motor torques [N·m] and returns those sent, within limits.
 
         Raises:
@@ -168,15 +155,13 @@ class MoteusRig(Rig):
         bus = self._up()
         if self._written:
             self.read()
-        if not (isfinite(torque_1) and isfinite(torque_2)):
-            raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
+        if not all(map(isfinite, torques)):
+            raise self._trip(f"torques must be finite, not {', '.join(map(str, torques))}")
         limits = [motor.torque_limit for motor in self._motors]
-        first, second = (
-            min(max(torque, -most), most) for torque, most in zip((torque_1, torque_2), limits, strict=True)
-        )
-        self._command(bus, LIMP._replace(tau=first), LIMP._replace(tau=second))
+        sent = tuple(min(max(torque, -most), most) for torque, most in zip(torques, limits, strict=True))
+        self._command(bus, [LIMP._replace(tau=torque) for torque in sent])
         self._written = True
-        return first, second
+        return sent
 
     def close(self) -> None:
         """Controllers stopped, the bus released; may be called twice."""
@@ -187,16 +172,14 @@ class MoteusRig(Rig):
 
     def _controller(self, number: int) -> moteus.Controller:
         """Makes the frames for one controller; its answers tell what the reading needs of it."""
-        settings, more = self._settings, {int(Register.ENCODER_VALIDITY): moteus.INT8}
-        for encoder in (settings.boom_horizontal, settings.boom_vertical):
-            if encoder.id == number:
-                more[ENCODER_POSITION[encoder.source]] = moteus.F32
-        if settings.contact.id == number:
-            more[self._analog] = moteus.F32
+        more = {int(Register.ENCODER_VALIDITY): moteus.INT8}
+        for device in self._settings.devices.values():
+            if device.id == number and not isinstance(device, Controller):
+                more[_register(device)] = moteus.F32
         return moteus.Controller(id=number, query_resolution=_query(more))
 
     def _check_controllers(self, bus: CanBus) -> None:
-        """Stops both, which ends their faults, and asks for the version of their registers."""
+        """Stops all, which ends their faults, and asks for the version of their registers."""
         version = _query({Register.REGISTER_MAP_VERSION: moteus.INT32})
         self._stop(bus)
         until, replies = monotonic() + PATIENCE, self._ask(bus, version)
@@ -212,14 +195,14 @@ class MoteusRig(Rig):
                 )
 
     def _get_ready(self, bus: CanBus) -> None:
-        """Commands no torque until both controllers take commands."""
+        """Commands no torque until all controllers take commands."""
         until = monotonic() + PATIENCE
         while True:
-            self._command(bus, LIMP, LIMP)
+            self._command(bus, [LIMP] * len(self._motors))
             replies = self._ask(bus)
             ready = [registers.get(Register.MODE) == Mode.POSITION for registers in replies.values()]
             if len(ready) == len(self._controllers) and all(ready):
-                return self._take(replies)
+                return self._update_reading(replies)
             if monotonic() > until:
                 states = [_state(number, registers) for number, registers in replies.items()]
                 raise RigFault(f"the controllers do not get ready: {'; '.join(states) or 'no answers'}")
@@ -230,7 +213,7 @@ class MoteusRig(Rig):
         self._send(bus, {number: each.make_query(query) for number, each in self._controllers.items()})
         return bus.receive(self._controllers, self._settings.reply_timeout)
 
-    def _command(self, bus: CanBus, *commands: JointCommand) -> None:
+    def _command(self, bus: CanBus, commands: Sequence[JointCommand]) -> None:
         """A command to each controller, not to be answered."""
         frames = {}
         for motor, command in zip(self._motors, commands, strict=True):
@@ -248,25 +231,22 @@ class MoteusRig(Rig):
         except RigFault as fault:
             raise self._trip(str(fault)) from None
 
-    def _take(self, replies: Mapping[int, Registers]) -> None:
-        """The reading of full answers, if both controllers take torques and all encoders work."""
+    def _update_reading(self, replies: Mapping[int, Registers]) -> None:
+        """The reading of full answers, if all controllers take torques and all encoders work."""
         try:
             for number, registers in replies.items():
                 if registers[Register.MODE] != Mode.POSITION or registers[Register.FAULT] not in (0, *LIMITING):
                     raise self._trip(f"{_state(number, registers)}: it takes no torque any more")
-            self._joints = self._joint(replies, self._motors[0]), self._joint(replies, self._motors[1])
-            motor_1, motor_2 = (_counts(replies[motor.id][Register.POSITION], motor) for motor in self._motors)
-            yaw, pitch = (turns.counts(replies[turns.encoder.id]) for turns in self._boom)
-            contact = self._settings.contact
-            force = _force(replies[contact.id][self._analog], contact)
+            self._joints = tuple(self._joint(replies, motor) for motor in self._motors)
+            values = [sensor(replies) for sensor in self._sensors]
         except KeyError as missing:
             raise self._trip(f"a controller does not tell register 0x{missing.args[0]:03X}") from None
         except ValueError as error:
             raise self._trip(str(error)) from None
-        self._reading = Reading(motor_1, motor_2, yaw, pitch, force)
+        self._reading = self._settings.reading(values)
 
     @staticmethod
-    def _joint(replies: Mapping[int, Registers], motor: Motor) -> JointState:
+    def _joint(replies: Mapping[int, Registers], motor: Controller) -> JointState:
         registers = replies[motor.id]
         return motor.scale.joint_state(
             registers[Register.POSITION], registers[Register.VELOCITY], registers[Register.TORQUE]
@@ -278,7 +258,7 @@ class MoteusRig(Rig):
         return self._bus
 
     def _trip(self, message: str) -> RigFault:
-        """Stops both controllers at once and for good; returns the fault to raise."""
+        """Stops all controllers at once and for good; returns the fault to raise."""
         self._fault = message
         if self._bus:
             self._stop(self._bus)
@@ -294,9 +274,9 @@ class MoteusRig(Rig):
 
 
 class _Turns:
-    """Counts of a boom encoder, from its zero, forward positive; its register tells the share of a turn."""
+    """Counts of an encoder at an auxiliary port, from its zero, forward positive; its register has the turn's share."""
 
-    def __init__(self, encoder: BoomEncoder):
+    def __init__(self, encoder: AuxEncoder):
         self.encoder = encoder
         self._turns = encoder.zero / encoder.counts_per_turn
 
@@ -325,16 +305,33 @@ def _query(more: dict[int, int]) -> moteus.QueryResolution:
     return query
 
 
-def _counts(position: float, motor: Motor) -> int:
+def _counts(position: float, motor: Controller) -> int:
     if not isfinite(position):
         raise ValueError(f"the position of controller {motor.id} is no number")
     return motor.sign * round((position - motor.zero) * POSITION_COUNTS)
 
 
-def _force(share: float, contact: Contact) -> float:
+def _force(share: float, sensor: AuxForce) -> float:
     if not isfinite(share):
         raise ValueError("the contact force is no number")
-    return contact.newton_per_count * (round(ANALOG_COUNTS * share) - contact.zero)
+    return sensor.newton_per_count * (round(ANALOG_COUNTS * share) - sensor.zero)
+
+
+def _register(device: AuxEncoder | AuxForce) -> int:
+    """The register that tells what a sensor measures."""
+    if isinstance(device, AuxEncoder):
+        return ENCODER_POSITION[device.source]
+    return ANALOG_INPUTS[device.port] + device.pin - 1
+
+
+def _sensor(device: CanDevice) -> Callable[[Mapping[int, Registers]], float]:
+    """What a device gives to a reading, from the answers of all controllers."""
+    if isinstance(device, Controller):
+        return lambda replies: _counts(replies[device.id][Register.POSITION], device)
+    if isinstance(device, AuxEncoder):
+        turns = _Turns(device)
+        return lambda replies: turns.counts(replies[device.id])
+    return lambda replies: _force(replies[device.id][_register(device)], device)
 
 
 def _state(number: int, registers: Registers) -> str:
@@ -343,12 +340,3 @@ def _state(number: int, registers: Registers) -> str:
     name = Mode(mode).name.lower() if mode in set(Mode) else "getting ready" if 2 <= mode <= 4 else str(mode)
     cause = f", fault {fault}: {FAULTS.get(fault, 'see the manual')}" if fault else ""
     return f"controller {number} is in mode {name}{cause}"
-
-
-def rig_from_file(settings: Path, robot: RobotParameters) -> MoteusRig:
-    """The rig that a `moteus.toml` describes; entry point of `stepgap.rigs`.
-
-    Raises:
-        InputError: Naming file, key and what would be right.
-    """
-    return MoteusRig(read_moteus_settings(settings), robot)

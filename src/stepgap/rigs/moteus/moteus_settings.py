@@ -1,12 +1,14 @@
-"""What stands on the CAN bus and what its numbers mean: `moteus.toml`, read strictly."""
+"""What is on the CAN bus and what its numbers mean: the part of `moteus.toml` that is the same for every robot."""
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite
-from pathlib import Path
+from math import isfinite
 
-from stepgap.base.settings_file import build, read_toml, require, with_table
+from stepgap.base.settings_file import require
+from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.moteus.joint import Scale
-from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.rigs.rig import Reading
 
 
 def _require_id(value: int) -> None:
@@ -14,7 +16,7 @@ def _require_id(value: int) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motor:
+class Controller:
     """A controller and its motor; angle = 2π · sign · (turns − zero) / gear.
 
     Attributes:
@@ -50,7 +52,7 @@ class Motor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoomEncoder:
+class AuxEncoder:
     """An encoder at an auxiliary port of a controller; angle = 2π · sign · (counts − zero) / counts_per_turn.
 
     Attributes:
@@ -76,50 +78,41 @@ class BoomEncoder:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact:
-    """A voltage at an auxiliary port of a controller tells the ground force, newton_per_count · (counts − zero).
+class AuxForce:
+    """A force as a voltage at an auxiliary port of a controller, newton_per_count · (counts − zero).
 
     Attributes:
         id: Of the controller, one of the motors'.
         port: Auxiliary port, 1 or 2.
         pin: Its pin, counted from 1, in analog mode.
         newton_per_count: Its scale [N], 4096 counts being the whole range; negative where pressing lowers the voltage.
-        touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
         zero: Counts without force.
-        takeoff_length: Leg length at which the leg leaves the ground [m] (Sec. 3.4).
     """
 
     id: int
     port: int
     pin: int
     newton_per_count: float
-    touchdown_force: float
     zero: int = 0
-    takeoff_length: float = inf
 
     def __post_init__(self) -> None:
-        scale, force = self.newton_per_count, self.touchdown_force
+        scale = self.newton_per_count
         require(self.port in (1, 2), "port", self.port, "be 1 or 2")
         require(1 <= self.pin <= 5, "pin", self.pin, "lie between 1 and 5")
         require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
-        require(0 <= force <= 1e6, "touchdown_force", force, "lie between 0 and 1e6")
         require(0 <= self.zero <= 4096, "zero", self.zero, "lie between 0 and 4096")
-        require(self.takeoff_length > 0, "takeoff_length", self.takeoff_length, "be positive")
+
+
+CanDevice = Controller | AuxEncoder | AuxForce
+"""What a table of `moteus.toml` describes: each gives one number of a reading, and a controller takes a torque."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class MoteusSettings:
-    """A robot with two moteus controllers.
+class CanSettings(ABC):
+    """The CAN-FD bus of a robot; each robot adds the tables of its controllers and sensors, and what they may do.
 
     Attributes:
         channel: Of the CAN-FD bus, such as 'can0'.
-        pivot_height: Height of the boom's pivot above the ground [m].
-        motor_1: Turns the top link at α₁ + α₂.
-        motor_2: Turns the top link at α₁ − α₂.
-        boom_horizontal: Yaw of the boom.
-        boom_vertical: Pitch of the boom.
-        contact: Ground force.
-        limits: What the safety function allows.
         interface: How python-can reaches the bus.
         tick: Time between two commands [s].
         reply_timeout: How long replies are waited for [s].
@@ -127,23 +120,34 @@ class MoteusSettings:
     """
 
     channel: str
-    pivot_height: float
-    motor_1: Motor
-    motor_2: Motor
-    boom_horizontal: BoomEncoder
-    boom_vertical: BoomEncoder
-    contact: Contact
-    limits: SafetyLimits
     interface: str = "socketcan"
     tick: float = 1e-3
     reply_timeout: float = 5e-4
     watchdog: float = 0.05
 
+    @property
+    @abstractmethod
+    def devices(self) -> Mapping[str, CanDevice]:
+        """Controllers, encoders and forces by the name of their table, in the order of a reading."""
+
+    @property
+    @abstractmethod
+    def budgets(self) -> RigLimits:
+        """How many bad ticks in a row the robot may have."""
+
+    def reading(self, values: Sequence[float]) -> Reading:
+        """The reading that the values of all devices make, in their order."""
+        return tuple(values)
+
+    @property
+    def motors(self) -> tuple[Controller, ...]:
+        """The controllers among the devices, in their order."""
+        return tuple(device for device in self.devices.values() if isinstance(device, Controller))
+
     def __post_init__(self) -> None:
         for name, example in (("channel", "can0"), ("interface", "socketcan")):
             value = getattr(self, name)
             require(bool(value.strip()), name, value, f"be a name, such as '{example}'")
-        require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
         require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
         require(2 * self.tick <= self.watchdog <= 0.5, "watchdog", self.watchdog, "be at least two ticks, at most 0.5")
         require(
@@ -152,21 +156,16 @@ class MoteusSettings:
             self.reply_timeout,
             f"be positive and less than watchdog = {self.watchdog}",
         )
-        ids = (self.motor_1.id, self.motor_2.id)
-        require(ids[0] != ids[1], "motor_2.id", ids[1], "differ from motor 1's")
-        gears = (self.motor_1.gear, self.motor_2.gear)
-        require(gears[1] == gears[0], "motor_2.gear", gears[1], f"be that of motor 1, {gears[0]:g}")
-        for name in ("boom_horizontal", "boom_vertical", "contact"):
-            require(getattr(self, name).id in ids, f"{name}.id", getattr(self, name).id, f"be {ids[0]} or {ids[1]}")
-        yaw, pitch = self.boom_horizontal, self.boom_vertical
-        differs = (pitch.id, pitch.source) != (yaw.id, yaw.source)
-        require(differs, "boom_vertical.source", pitch.source, "differ from the horizontal angle's")
+        self._check_ids()
 
-
-def read_moteus_settings(path: Path) -> MoteusSettings:
-    """The rig that a TOML file describes.
-
-    Raises:
-        InputError: Naming file, key and what would be right.
-    """
-    return build(MoteusSettings, read_toml(path, "a rig"), lambda name: f"{path}: {with_table(name)}")
+    def _check_ids(self) -> None:
+        """Refuses two controllers with one id, and sensors at a controller that is not there."""
+        ids: dict[int, str] = {}
+        for table, device in self.devices.items():
+            if isinstance(device, Controller):
+                differs = f"differ from {ids.get(device.id, '').replace('_', ' ')}'s"
+                require(device.id not in ids, f"{table}.id", device.id, differs)
+                ids[device.id] = table
+        for table, device in self.devices.items():
+            if not isinstance(device, Controller):
+                require(device.id in ids, f"{table}.id", device.id, f"be {' or '.join(map(str, ids))}")

@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import degrees
+from typing import Any, cast
 
 import numpy as np
+from numba import boolean, float64, int64, typeof
 
-from stepgap.base.compiled_record import as_record, from_record
-from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, RobotControl, TickControl, Torques
-from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigLayout
+from stepgap.base.compiled_record import Record, as_record, from_record
+from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, RobotControl, TickControl
+from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, Torques
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.hop_state import Apex, HopState, TickSettings
 from stepgap.robots.hopper.hop_tick import broken_off, tick
@@ -16,10 +19,29 @@ from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
-from stepgap.step import StepSpace, StepStatus
+from stepgap.step import Array, StepSpace, StepStatus
 
 PHASES = tuple(Phase)
+
+_SCALARS = (*[float64] * 7, boolean, boolean, int64, boolean, int64, *[float64] * 5)
+"""Types of the arguments of `tick` after the arrays; whole numbers of counts are converted."""
+
+
+def _compile(*arrays: Array | Record) -> None:
+    """Compiles the tick for these arrays once and for all: no tick may wait for it."""
+    settings, memory, _ = map(typeof, arrays)
+    for function, kinds in cast(
+        "Any",
+        (
+            (tick, (*map(typeof, arrays), *_SCALARS)),
+            (broken_off, (settings, memory, float64, float64)),
+        ),
+    ):
+        if not function.signatures:
+            function.compile(kinds)
+            function.disable_compile()
 
 
 class HopControl(TickControl):
@@ -32,11 +54,13 @@ class HopControl(TickControl):
         limits: What the safety function allows.
     """
 
-    def __init__(self, layout: RigLayout, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
+    def __init__(self, layout: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
         self._settings = as_record(TickSettings(layout, masses_of(robot), joint_law(robot, gains), limits))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
+        self._reading: Reading = HopperReading(0.0, 0.0, 0.0, 0.0, 0.0)
+        _compile(self._settings, self._memory, self._row)
 
-    def look(self, reading: Reading) -> HopState:
+    def look(self, reading: HopperReading) -> HopState:
         """The state after a tick in which nothing is asked of the robot."""
         self.tick(0.0, reading, Order(Mode.LIMP, 0.0, NO_COMMAND), (0.0, 0.0))
         return self.state
@@ -62,6 +86,7 @@ class HopControl(TickControl):
     ) -> tuple[Torques, int]:
         """Computes a tick."""
         mode, share, command = order
+        self._reading = reading
         return tick(
             self._settings, self._memory, self._row, time, age, *reading, *health, int(mode), share, *command, *applied
         )  # fmt: skip
@@ -74,11 +99,10 @@ class HopControl(TickControl):
 
     def record(self, applied: Torques) -> Tick:
         """The last tick for whoever looks on."""
-        time, m1, m2, bh, bv, force, phase, alpha_1, alpha_2, asked_1, asked_2, _, _, limited = self._row.tolist()
-        reading = Reading(m1, m2, bh, bv, force)
-        return Tick(
-            time, reading, PHASES[int(phase)], alpha_1, alpha_2, (asked_1, asked_2), applied, Limited(int(limited))
-        )  # fmt: skip
+        row = self._row.tolist()
+        limited = Limited(int(row[13])) if row[13] else Limited.NOTHING  # to make a flag takes half a microsecond
+        reading = HopperReading._make(self._reading)
+        return Tick(row[0], reading, PHASES[int(row[6])], row[7], row[8], (row[9], row[10]), applied, limited)
 
     def finished_step(self) -> FinishedStep:
         """The hop that ended with the last tick."""
@@ -131,9 +155,45 @@ class HopperControl(RobotControl):
 
     def control(self, rig: Rig) -> HopControl:
         """The control of a rig at the beginning of a deployment, compiled."""
+        return self._new_control(rig)
+
+    def limp_limits(self, rig: Rig) -> SafetyLimits:
+        """Limits of a rig whose motors get no torque."""
+        return self._limits_of(rig).limp()
+
+    def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
+        """Pose, contact, torques and limits of a logged tick."""
+        reading = HopperReading(*(tick[name] for name in HopperReading._fields))
+        state = HopControl(sensors_of(rig), self.robot, self.gains, self._limits_of(rig)).look(reading)
+        motion, beyond = state.motion, Limited(state.watch.stopped)
+        return {
+            "phase": Phase(int(tick["phase"])).name,
+            "alpha_1": f"{degrees(motion.alpha_1):+.2f}°",
+            "alpha_2": f"{degrees(motion.alpha_2):+.2f}°",
+            "leg": f"{motion.leg_length:.4f} m",
+            "hip": f"{motion.hip_height:.4f} m",
+            "contact": f"{reading.contact_force:+.1f} N",
+            "wanted": f"{tick['asked_1']:+.2f}, {tick['asked_2']:+.2f} N·m",
+            "beyond": (beyond.name or "nothing").lower().replace("_", " ").replace("|", ", ") if beyond else "nothing",
+        }
+
+    def _new_control(self, rig: Rig) -> HopControl:
+        return HopControl(sensors_of(rig), self.robot, self.gains, self._limits_of(rig))
+
+    def _limits_of(self, rig: Rig) -> SafetyLimits:
+        """The limits given, or the rig's, or those of a simulation."""
         limits = self.limits or rig.limits or SafetyLimits.of(self.robot)
-        trial = HopControl(rig.layout, self.robot, self.gains, limits)
-        for count in (0, 0.0):  # counts may be whole numbers or not
-            trial.look(Reading(count, count, count, count, 0.0))
-        trial.failed_step((0.0, 0.0))
-        return HopControl(rig.layout, self.robot, self.gains, limits)
+        if not isinstance(limits, SafetyLimits):
+            raise RigFault(f"the rig's limits must be the hopper's SafetyLimits, not {type(limits).__name__}")
+        return limits
+
+
+def sensors_of(rig: Rig) -> HopperSensorModel:
+    """How the counts of a hopper's rig are read.
+
+    Raises:
+        RigFault: It is the rig of another robot.
+    """
+    if not isinstance(rig.sensor_model, HopperSensorModel):
+        raise RigFault(f"the rig's sensor model must be a HopperSensorModel, not {type(rig.sensor_model).__name__}")
+    return rig.sensor_model

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from stepgap.plants.tick_control import Mode
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.dynamics import Masses
 from stepgap.robots.hopper.estimator import FlightFit, JointRates
 from stepgap.robots.hopper.joint_control import JointLaw
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Motion, Watch
+from stepgap.robots.hopper.sensors import HopperSensorModel
 
 STEP_TIMEOUT = 4.0
 """Longest time from apex to apex [s]."""
@@ -21,13 +21,13 @@ class TickSettings(NamedTuple):
     """All that stays the same from tick to tick.
 
     Attributes:
-        layout: How to read the sensors.
+        sensor_model: How to read the sensors.
         masses: Mass properties of the robot that the rig is taken to be.
         law: Torque laws.
         limits: What the safety function allows.
     """
 
-    layout: RigLayout
+    sensor_model: HopperSensorModel
     masses: Masses
     law: JointLaw
     limits: SafetyLimits

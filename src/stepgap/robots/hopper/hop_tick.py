@@ -39,7 +39,7 @@ def hop_tick(settings, state, inputs):
     hop = _count_loss(settings.law, state, inputs.applied_1, inputs.applied_2)
     sampled = state.sampled if inputs.stale else inputs.time - inputs.age
     rates, motion, body = sense(settings, state.rates, sampled, inputs)
-    flight, phase = follow_flight(settings.layout, state, sampled, motion, body, inputs)
+    flight, phase = follow_flight(settings.sensor_model, state, sampled, motion, body, inputs)
     hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     wanted = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked

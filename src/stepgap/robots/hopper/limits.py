@@ -1,15 +1,16 @@
-"""What a rig's motors and joints may do; `robots/hopper/safety.py` holds every torque against it."""
+"""What the hopper's motors and joints may do; `robots/hopper/safety.py` holds every torque against it."""
 
 from dataclasses import dataclass, fields
 from math import inf, isnan, pi
 from typing import Self
 
+from stepgap.rigs.limits import MOST_LATE_TICKS, RigLimits
 from stepgap.robots.hopper.parameters import RobotParameters, require
 
 
-@dataclass(frozen=True)
-class SafetyLimits:
-    """Limits and budgets; what is infinite limits nothing, as on the twin, which nothing can break.
+@dataclass(frozen=True, kw_only=True)
+class SafetyLimits(RigLimits):
+    """Limits and budgets; an infinite limit limits nothing, as on the twin, which nothing can break.
 
     Attributes:
         torque: Largest motor torque [N·m].
@@ -22,9 +23,6 @@ class SafetyLimits:
         longest_leg: Largest leg length ℓ [m].
         lowest_hip: Smallest height of the hip [m].
         highest_hip: Largest height of the hip [m].
-        lost_frames: Frames in a row that may be lost.
-        stale_ticks: Ticks in a row whose reading may be that of the tick before.
-        late_ticks: Ticks in a row that may be missed.
         brake_damping: With which the motors brake when the robot leaves its bounds [N·m·s/rad].
         brake_ticks: How long they brake before torque goes off, in ticks.
     """
@@ -39,13 +37,11 @@ class SafetyLimits:
     longest_leg: float = inf
     lowest_hip: float = -inf
     highest_hip: float = inf
-    lost_frames: int = 2
-    stale_ticks: int = 2
-    late_ticks: int = 2
     brake_damping: float = 0.8
     brake_ticks: int = 300
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for field in fields(self):
             value = getattr(self, field.name)
             require(not isnan(value), field.name, value, "be a number")
@@ -62,11 +58,26 @@ class SafetyLimits:
         for low, high in (("shortest_leg", "longest_leg"), ("lowest_hip", "highest_hip")):
             least = getattr(self, low)
             require(least < getattr(self, high), high, getattr(self, high), f"exceed {low} = {least}")
-        for name, most in (("lost_frames", 5), ("stale_ticks", 5), ("late_ticks", 50), ("brake_ticks", 2000)):
-            require(0 <= getattr(self, name) <= most, name, getattr(self, name), f"lie between 0 and {most}")
+        require(0 <= self.brake_ticks <= 2000, "brake_ticks", self.brake_ticks, "lie between 0 and 2000")
         require(0 <= self.brake_damping < inf, "brake_damping", self.brake_damping, "be finite and not negative")
 
     @classmethod
     def of(cls, robot: RobotParameters) -> Self:
         """The limits of a robot in simulation."""
         return cls(torque=robot.torque_limit)
+
+    def limp(self) -> Self:
+        """The limits of a robot whose motors get no torque: neither its pose nor its speed stops it, only its bus.
+
+        People may move the leg then, and may do so before the encoders have their zeros. Late ticks stop it no sooner
+        than limits can say.
+        """
+        return type(self)(
+            torque=self.torque,
+            joint_speed=inf,
+            lost_frames=self.lost_frames,
+            stale_ticks=self.lost_frames,
+            late_ticks=MOST_LATE_TICKS,
+            brake_damping=0.0,
+            brake_ticks=0,
+        )

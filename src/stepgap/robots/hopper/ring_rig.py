@@ -7,13 +7,14 @@ from stepgap.rigs.ethercat.emulator.drive import ELMO_GOLD
 from stepgap.rigs.ethercat.emulator.emulator import emulated
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
-from stepgap.rigs.ethercat.emulator.ring import RingSettings
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLER_IDENTITY, ENCODER_IDENTITY
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.ethercat.rig_settings import Contact, Encoder, Motor, RigSettings, Slave
-from stepgap.rigs.rig import Health, Reading, Rig, RigFault, RigLayout
+from stepgap.rigs.ethercat.rig_settings import Encoder, Motor, Slave
+from stepgap.rigs.rig import Health, Reading, Rig, RigFault, Torques
+from stepgap.robots.hopper.ethercat import Contact, RigSettings, hopper_on_ethercat
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperSensorModel
 
 INTERFACE = "stepgap0"
 """Name of the network interface that a master opens."""
@@ -36,7 +37,7 @@ _DEVICES = (
 
 
 def emulated_settings(
-    layout: RigLayout, robot: RobotParameters, ring: RingSettings, interface: str = INTERFACE
+    layout: HopperSensorModel, robot: RobotParameters, ring: RingSettings, interface: str = INTERFACE
 ) -> RigSettings:
     """What `rig.toml` says of an emulated ring, whose encoders all count from zero, forward positive.
 
@@ -90,17 +91,18 @@ class RingRig(Rig):
         self, make_machine: Callable[[], Machine], ring: RingSettings, settings: RigSettings, robot: RobotParameters
     ):
         self._make_machine, self._ring, self._settings, self._robot = make_machine, ring, settings, robot
-        self._rig, self._running = EthercatRig(settings, robot), ExitStack()
+        self._rig, self._running = hopper_on_ethercat(settings, robot), ExitStack()
+        self._sensor_model = settings.sensor_model(robot.boom_length)
 
     @property
-    def layout(self) -> RigLayout:
+    def sensor_model(self) -> HopperSensorModel:
         """How to read the counts."""
-        return self._rig.layout
+        return self._sensor_model
 
     @property
     def limits(self) -> SafetyLimits:
         """The settings'."""
-        return self._rig.limits
+        return self._settings.limits
 
     @property
     def health(self) -> Health:
@@ -118,16 +120,16 @@ class RingRig(Rig):
             self._running.enter_context(emulated(self._settings.interface, self._make_machine, self._ring))
         except NoNetwork as reason:
             raise RigFault(str(reason)) from None
-        self._rig = EthercatRig(self._settings, self._robot)
+        self._rig = hopper_on_ethercat(self._settings, self._robot)
         self._running.enter_context(self._rig)
 
     def read(self) -> Reading:
         """As `EthercatRig.read`."""
         return self._rig.read()
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+    def write(self, torques: Torques) -> Torques:
         """As `EthercatRig.write`."""
-        return self._rig.write(torque_1, torque_2)
+        return self._rig.write(torques)
 
     def close(self) -> None:
         """No torque, bus and ring ended; may be called twice."""

@@ -36,7 +36,7 @@ class Body(NamedTuple):
 @as_written
 def sense(settings, rates, sampled, inputs):
     """`JointRates`, `Motion` and `Body` of this tick."""
-    layout = settings.layout
+    layout = settings.sensor_model
     phi_1 = inputs.motor_1 * _TURN / layout.motor_counts
     phi_2 = inputs.motor_2 * _TURN / layout.motor_counts
     alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)

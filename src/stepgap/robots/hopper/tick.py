@@ -5,9 +5,10 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from stepgap.plants.realtime.loop import LOOP_UNITS
-from stepgap.rigs.rig import Reading
+from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
+from stepgap.robots.hopper.sensors import HopperReading
 
 TICK_UNITS: Mapping[str, str] = MappingProxyType(
     {
@@ -49,12 +50,12 @@ class Tick(NamedTuple):
     """
 
     time: float
-    reading: Reading
+    reading: HopperReading
     phase: Phase
     alpha_1: float
     alpha_2: float
     asked: tuple[float, float]
-    applied: tuple[float, float]
+    applied: Torques
     limited: Limited
 
     def row(self) -> tuple[float, ...]:

@@ -4,12 +4,16 @@ from collections.abc import Sequence
 from struct import Struct, pack, unpack_from
 
 from stepgap.rigs.ethercat.emulator import registers as reg
+from stepgap.rigs.ethercat.emulator.device import Device
 from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.frame import BROADCAST, Command, Datagram, Frame, decode, encode
 from stepgap.rigs.ethercat.emulator.machine import Machine
-from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
+from stepgap.rigs.ethercat.emulator.ring import Ring
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.ethercat.emulator.sii import INPUT_START, MAILBOX_AREAS, OUTPUT_START
-from stepgap.rigs.rig import Reading, RigFault
+from stepgap.rigs.rig import RigFault, Torques
+from stepgap.robots.hopper.sensors import HopperReading
+from stepgap.robots.hopper.twin_machine import hopper_devices
 
 DRIVES, ENCODERS, ANALOG = (0, 1), (3, 4), 5
 DRIVE_OUTPUT, DRIVE_INPUT, ENCODER_INPUT = Struct("<hHbx"), Struct("<ihHbxi"), Struct("<HiI")
@@ -29,22 +33,26 @@ class Flywheels(Machine):
     def period(self) -> float:
         return 1e-3
 
-    def start(self) -> Reading:
+    def devices(self, settings: RingSettings) -> list[Device]:
+        return hopper_devices(settings, self.period)
+
+    def start(self) -> HopperReading:
         self.starts += 1
         self.torques = []
         self._sums = (0.0, 0.0)
         return self._reading()
 
-    def tick(self, torque_1: float, torque_2: float) -> Reading:
+    def tick(self, torques: Torques) -> HopperReading:
+        torque_1, torque_2 = torques
         self.torques.append((torque_1, torque_2))
         self._sums = self._sums[0] + torque_1, self._sums[1] + torque_2
         if max(torque_1, torque_2) > self._largest:
             raise RigFault("too much")
         return self._reading()
 
-    def _reading(self) -> Reading:
+    def _reading(self) -> HopperReading:
         count = len(self.torques)
-        return Reading(self._sums[0], self._sums[1], -count, 2 * count, 12.34)
+        return HopperReading(self._sums[0], self._sums[1], -count, 2 * count, 12.34)
 
 
 class Bench:

@@ -14,7 +14,8 @@ from stepgap.base.signals import terminated_as_interrupted
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
-from stepgap.rigs.ethercat.emulator.ring import Ring, RingSettings
+from stepgap.rigs.ethercat.emulator.ring import Ring
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 
 LARGEST_LAG = 100
 """Ticks that a ring on the wall clock makes up for; where it falls further behind, its time stands still meanwhile."""

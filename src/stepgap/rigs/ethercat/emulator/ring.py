@@ -1,12 +1,10 @@
 """The ring: a frame in, frames out, and a machine that moves on with them; no sockets and no clock in it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from operator import attrgetter
 
 from stepgap.rigs.ethercat.emulator import registers as reg
 from stepgap.rigs.ethercat.emulator.device import Device
-from stepgap.rigs.ethercat.emulator.drive import SPEED_RUN_AWAY, Drive, DriveSettings
+from stepgap.rigs.ethercat.emulator.drive import SPEED_RUN_AWAY, Drive
 from stepgap.rigs.ethercat.emulator.faults import (
     DriveFault,
     DuplicatedFrame,
@@ -24,8 +22,8 @@ from stepgap.rigs.ethercat.emulator.frame import Command, Datagram, Frame, Frame
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.mailbox import emergency
 from stepgap.rigs.ethercat.emulator.registers import State, StatusCode
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.ethercat.emulator.slave import Slave
-from stepgap.rigs.ethercat.emulator.terminals import AnalogInput, Coupler, Encoder
 from stepgap.rigs.rig import RigFault
 
 _COUNTED_ON = frozenset({Command.APRD, Command.APWR, Command.APRW, Command.ARMW, Command.BRD, Command.BWR, Command.BRW})
@@ -34,46 +32,8 @@ _SEEN = 0x02
 """Bit that slaves set in the first byte of a frame's source address."""
 
 
-@dataclass(frozen=True)
-class RingSettings:
-    """How the ring is made up and how it passes frames.
-
-    Attributes:
-        rated_torque: What 1000 of a drive's torque means [mN·m].
-        largest_torque: The drives' limit in 1/1000 of `rated_torque`.
-        force_resolution: Contact force of one count of the analog input [N].
-        lock_step: A frame with outputs is one tick of the machine; otherwise `Ring.advance` makes ticks.
-        inputs_after_tick: In lock-step, such a frame brings back the inputs after its tick, as if sensors were faster
-            than the frame; otherwise those before it, as on a real ring, where a cycle passes before an effect is seen.
-        faults: Scripted disturbances.
-    """
-
-    rated_torque: int = 16_000
-    largest_torque: int = 2500
-    force_resolution: float = 0.1
-    lock_step: bool = True
-    inputs_after_tick: bool = False
-    faults: tuple[Fault, ...] = ()
-
-
-def robot_devices(settings: RingSettings, period: float) -> list[Device]:
-    """The robot's ring in order: `drive_1`, `drive_2`, `coupler`, `boom_horizontal`, `boom_vertical`, `contact_force`.
-
-    Args:
-        settings: Torque and force scales.
-        period: Of a tick [s].
-    """
-    drive = DriveSettings(rated_torque=settings.rated_torque, largest_torque=settings.largest_torque, period=period)
-    return [
-        *(Drive(f"drive_{motor}", drive, attrgetter(f"motor_{motor}")) for motor in (1, 2)),
-        Coupler("coupler"),
-        *(Encoder(name, attrgetter(name)) for name in ("boom_horizontal", "boom_vertical")),
-        AnalogInput("contact_force", attrgetter("contact_force"), settings.force_resolution),
-    ]
-
-
 class Ring:
-    """Slaves in a line, two of them the drives of a machine's motors 1 and 2.
+    """Slaves in a line; the drives among them turn a machine's motors, in their order.
 
     The machine stands still until every drive has been enabled once, and goes back to its start when a master
     broadcasts INIT, as masters do first of all.
@@ -81,18 +41,18 @@ class Ring:
     Args:
         machine: What the drives move.
         settings: How frames pass.
-        devices: In the order in which frames pass them; the robot's by default.
+        devices: In the order in which frames pass them; the machine's by default.
 
     Raises:
-        ValueError: There are not two drives, names are not distinct, or a fault names none of them.
+        ValueError: There is no drive, names are not distinct, or a fault names none of them.
     """
 
     def __init__(self, machine: Machine, settings: RingSettings, devices: Sequence[Device] | None = None):
-        self.slaves = [Slave(device) for device in devices or robot_devices(settings, machine.period)]
+        self.slaves = [Slave(device) for device in devices or machine.devices(settings)]
         self._by_name = {slave.device.name: slave for slave in self.slaves}
         self.drives = [slave.device for slave in self.slaves if isinstance(slave.device, Drive)]
-        if len(self.drives) != 2 or len(self._by_name) < len(self.slaves):
-            raise ValueError(f"a ring needs two drives and distinct names, not {', '.join(self._by_name)}")
+        if not self.drives or len(self._by_name) < len(self.slaves):
+            raise ValueError(f"a ring needs drives and distinct names, not {', '.join(self._by_name)}")
         for fault in settings.faults:
             name = getattr(fault, "slave", self.slaves[0].device.name)
             if name not in self._by_name:
@@ -128,7 +88,7 @@ class Ring:
             self._released = True
         if self._released:
             try:
-                self._reading = self._machine.tick(self.drives[0].torque, self.drives[1].torque)
+                self._reading = self._machine.tick(tuple(drive.torque for drive in self.drives))
             except RigFault:
                 for drive in self.drives:
                     drive.trip(SPEED_RUN_AWAY)

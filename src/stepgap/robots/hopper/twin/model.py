@@ -50,6 +50,9 @@ class GroundProfile:
         gap: Its slope and roughness.
         boom_length: Radius of the circle [m].
         rng: Draws the phases; the profile is fixed from then on.
+
+    Attributes:
+        waves: Number of waves a turn, phase [rad] and amplitude [m] of each wave; shape (w, 3), w = 0 of a flat ground.
     """
 
     def __init__(self, gap: RealityGap, boom_length: float, rng: np.random.Generator):
@@ -57,16 +60,11 @@ class GroundProfile:
         phases = rng.uniform(0, 2 * pi, len(HARMONICS))
         waves = [(k, float(phase), amplitude) for k, phase in zip(HARMONICS, phases, strict=True) if amplitude > 0]
         slope = boom_length * tan(gap.ground_slope)
-        self._waves = ([(1, 0.0, slope)] if slope else []) + waves
-
-    @property
-    def is_flat(self) -> bool:
-        """The height is zero everywhere."""
-        return not self._waves
+        self.waves = np.array([(1, 0.0, slope)] * (slope != 0) + waves, float).reshape(-1, 3)
 
     def height(self, yaw: float) -> float:
         """Height of the ground at a boom angle ψ [rad] of the foot, [m]."""
-        return sum(amplitude * sin(k * yaw + phase) for k, phase, amplitude in self._waves)
+        return sum(amplitude * sin(k * yaw + phase) for k, phase, amplitude in self.waves.tolist())
 
 
 def carried_mass(robot: RobotParameters, gap: RealityGap) -> float:

@@ -3,21 +3,34 @@
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
 
-from collections.abc import Iterator, MutableSequence
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
-from math import acos, asin, atan2, ceil, cos, exp, inf, isfinite, nan, pi, sin, sqrt, tanh
-from typing import Any, Self, cast
+from itertools import repeat
+from math import acos, asin, ceil, cos, exp, inf, isfinite, pi, sin, sqrt
+from typing import Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from stepgap.rigs.rig import Reading, Rig, RigFault, RigLayout
+from stepgap.base.compiled_record import as_record
+from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.robots.hopper.parameters import Gains, RobotParameters, require
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.twin.devices import (
+    OUT_OF_REACH,
+    TOO_FAST,
+    Devices,
+    boom_angles,
+    drive,
+    ground_under,
+    read_counts,
+)
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.robots.hopper.twin.sensors import sensor_layout
+from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
+from stepgap.step import Array
 
 LONGEST_STEP = 2.5e-4
 """Longest physics step [s]."""
@@ -110,22 +123,11 @@ class Twin(Rig):
         self._hold_ticks = round(hold / tick)
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
-        self._layout = sensor_layout(robot, gap, tick)
-        self._limit = min(robot.torque_limit, gap.torque_limit)
-        self._motor_scale, self._yaw_scale, self._pitch_scale = (
-            counts / (2 * pi)
-            for counts in (
-                self._layout.motor_counts,
-                self._layout.boom_counts_horizontal,
-                self._layout.boom_counts_vertical,
-            )
-        )
+        self._layout = twin_sensor_model(robot, gap, tick)
         self._model = build_model(robot, gap, tick / self._substeps)
         self._data = mujoco.MjData(self._model)
         self._bind()
         self._noise = self._draw_noise()
-        self._noise_kept = exp(-tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
-        self._noise_fresh = gap.torque_noise * sqrt(1 - self._noise_kept**2)
         self._connected, self._fault, self._hold_left = False, "", 0
         self._turn_floor(turn)
         lowest = START_LENGTH + robot.foot_length + max(self._ground.height(turn), 0.0)
@@ -134,16 +136,42 @@ class Twin(Rig):
         self._vertical_coordinate(start_height)
 
     def _bind(self) -> None:
-        """Views of MuJoCo's memory: reading a number through them costs 40 ns, through its interface 1 µs."""
+        """Views of MuJoCo's memory: its own interface looks a field up for 1 µs."""
         model, data = self._model, self._data
         self._shown = mujoco.MjData(model)  # for `true_state`, which must not touch the motion
-        self._qpos, self._qvel, self._ctrl = _view(data.qpos), _view(data.qvel), _view(data.ctrl)
-        self._applied_force, self._touch = _view(data.qfrc_applied), _view(data.sensordata)
-        self._foot, self._ground_position = _view(data.geom("foot").xpos), _view(data.mocap_pos[0])
+        self._qpos, self._qvel, self._touch = data.qpos, data.qvel, data.sensordata
+        self._ctrl, self._force = data.ctrl, data.qfrc_applied
+        self._foot, self._ground_position = data.geom("foot").xpos, data.mocap_pos[0]
         self._motor_1, self._motor_2 = (int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2))
 
+    def _devices_at(self, turn: float) -> Devices:
+        """Sensors and motors, the floor turned under the robot [rad]."""
+        gap, layout = self._gap, self._layout
+        kept = exp(-layout.tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
+        return Devices(
+            motor_1=self._motor_1,
+            motor_2=self._motor_2,
+            offset_1=gap.motor_offset_1,
+            offset_2=gap.motor_offset_2,
+            motor_scale=layout.motor_counts / (2 * pi),
+            yaw_scale=layout.boom_counts_horizontal / (2 * pi),
+            pitch_scale=layout.boom_counts_vertical / (2 * pi),
+            motors_round=gap.motor_counts < inf,
+            yaw_rounds=gap.boom_counts_horizontal < inf,
+            pitch_rounds=gap.boom_counts_vertical < inf,
+            overspeed=OVERSPEED,
+            boom_arc=gap.boom_arc,
+            boom_length=layout.boom_length,
+            pivot_height=layout.pivot_height,
+            turn=turn,
+            torque_limit=min(self._robot.torque_limit, gap.torque_limit),
+            torque_saturation=gap.torque_saturation,
+            noise_kept=kept,
+            noise_fresh=gap.torque_noise * sqrt(1 - kept**2),
+        )
+
     @property
-    def layout(self) -> RigLayout:
+    def sensor_model(self) -> HopperSensorModel:
         """How to read the counts; all zeros are at angle 0."""
         return self._layout
 
@@ -161,7 +189,7 @@ class Twin(Rig):
         if self._hold_left == 0:
             self._let_go()
 
-    def read(self) -> Reading:
+    def read(self) -> HopperReading:
         """Sensor values at the present tick.
 
         Raises:
@@ -169,24 +197,14 @@ class Twin(Rig):
         """
         if not self._connected:
             raise RigFault("the twin is not connected")
-        qpos, gap = self._qpos, self._gap
-        motor_1 = (qpos[self._motor_1] + gap.motor_offset_1) * self._motor_scale
-        motor_2 = (qpos[self._motor_2] + gap.motor_offset_2) * self._motor_scale
-        yaw, pitch = self._boom_angles()
-        yaw, pitch = yaw * self._yaw_scale, pitch * self._pitch_scale
-        if not isfinite(motor_1 + motor_2 + yaw + pitch):
+        counts, outcome = read_counts(self._devices, self._qpos, self._qvel, self._touch)
+        if outcome == OUT_OF_REACH:
             raise self._trip("the motion is no longer within the boom's reach")
-        if max(abs(self._qvel[self._motor_1]), abs(self._qvel[self._motor_2])) > OVERSPEED:
+        if outcome == TOO_FAST:
             raise self._trip(f"a motor turned faster than {OVERSPEED:g} rad/s")
-        if gap.motor_counts < inf:
-            motor_1, motor_2 = round(motor_1), round(motor_2)
-        if gap.boom_counts_horizontal < inf:
-            yaw = round(yaw)
-        if gap.boom_counts_vertical < inf:
-            pitch = round(pitch)
-        return Reading(motor_1, motor_2, yaw, pitch, self._touch[0])
+        return HopperReading(*counts)
 
-    def write(self, torque_1: float, torque_2: float) -> tuple[float, float]:
+    def write(self, torques: Torques) -> tuple[float, float]:
         """Commands the motor torques for one tick [N·m] and returns them as limited.
 
         Delay, lag, scale and noise come after that and stay unknown to the caller, as with real drives.
@@ -196,24 +214,27 @@ class Twin(Rig):
         """
         if self._fault or not self._connected:
             raise RigFault(self._fault or "the twin is not connected")
-        if not (isfinite(torque_1) and isfinite(torque_2)):
+        torque_1, torque_2 = torques
+        applied = drive(
+            self._devices,
+            torque_1,
+            torque_2,
+            next(self._noise),
+            self._ctrl,
+            self._force,
+            self._touch,
+            self._ground.waves,
+            self._foot,
+            self._ground_position,
+        )
+        if applied[0] != applied[0]:
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
-        limit = self._limit
-        torque_1, torque_2 = min(max(torque_1, -limit), limit), min(max(torque_2, -limit), limit)
-        self._ctrl[0], self._ctrl[1] = self._saturated(torque_1), self._saturated(torque_2)
-        if self._gap.torque_noise > 0:
-            force = self._applied_force
-            kept, fresh = self._noise_kept, self._noise_fresh
-            for motor in (self._motor_1, self._motor_2):
-                force[motor] = kept * force[motor] + fresh * next(self._noise)
-        if not self._ground.is_flat and self._touch[0] == 0:
-            self._ground_position[2] = self._ground_under(self._foot[0], self._foot[1])
         mujoco.mj_step(self._model, self._data, self._substeps)
         if self._hold_left > 0:
             self._hold_left -= 1
             if self._hold_left == 0:
                 self._let_go()
-        return torque_1, torque_2
+        return applied
 
     def fork(self, rng: np.random.Generator, turn: float = 0.0) -> Self:
         """Another twin in the very same motion, down to what is under way in the drives; this one stays as it is.
@@ -229,8 +250,7 @@ class Twin(Rig):
         twin._turn_floor(self._turn + turn)
         twin._noise = twin._draw_noise()
         if self._gap.torque_noise > 0:
-            for motor in (self._motor_1, self._motor_2):
-                twin._applied_force[motor] = self._gap.torque_noise * next(twin._noise)
+            twin._force[[self._motor_1, self._motor_2]] = self._gap.torque_noise * next(twin._noise)
         return twin
 
     def close(self) -> None:
@@ -260,12 +280,12 @@ class Twin(Rig):
             held=self._hold_left > 0,
             hip=hip,
             hip_rate=hip_rate,
-            boom=np.array(self._boom_angles()),
+            boom=np.array(boom_angles(self._devices[0], self._data.qpos)),
             leg=data.qpos[motors],
             leg_rate=data.qvel[motors],
             deflection=deflection,
             foot=foot,
-            ground_height=self._ground_under(foot[0], foot[1]),
+            ground_height=ground_under(self._devices, self._ground.waves, foot),
             contact_force=self._touch[0],
             closure_error=float(np.linalg.norm(gap)),
             qpos=data.qpos.copy(),
@@ -302,14 +322,6 @@ class Twin(Rig):
         data.act[:] = 0
         data.qfrc_applied[:] = 0
 
-    def _boom_angles(self) -> tuple[float, float]:
-        """Yaw and pitch at the boom's root [rad]; NaN where the boom does not reach."""
-        horizontal, vertical, layout = self._qpos[0], self._qpos[1], self._layout
-        if self._gap.boom_arc:
-            return horizontal, vertical
-        sine = (vertical - layout.pivot_height) / layout.boom_length
-        return horizontal / layout.boom_length, asin(sine) if abs(sine) <= 1 else nan
-
     def _vertical_coordinate(self, height: float) -> float:
         """MuJoCo's vertical coordinate for a height of the hip [m]: the height, or the pitch [rad] on the arc."""
         if not self._gap.boom_arc:
@@ -322,25 +334,13 @@ class Twin(Rig):
         """Turns the floor by an angle under the robot [rad]; the boom's axis leans as the floor does."""
         self._turn = turn
         self._model.opt.gravity[:] = gravity(self._robot, self._gap, turn)
+        self._devices = as_record(self._devices_at(turn))
 
-    def _ground_under(self, x: float, y: float) -> float:
-        """Height of the ground at a point [m]."""
-        yaw = atan2(x, -y) if self._gap.boom_arc else x / self._layout.boom_length
-        return self._ground.height(yaw + self._turn)
-
-    def _saturated(self, torque: float) -> float:
-        """What a motor's iron makes of a torque command [N·m]."""
-        most = self._gap.torque_saturation
-        return most * tanh(torque / most) if most < inf else torque
-
-    def _draw_noise(self) -> Iterator[float]:
-        """Standard normal numbers; drawn in blocks, because single draws take a microsecond."""
-        while True:
-            yield from self._rng.standard_normal(1024).tolist()
-
-
-def _view(array: NDArray[np.float64]) -> MutableSequence[float]:
-    return cast("MutableSequence[float]", memoryview(cast("Any", array)))
+    def _draw_noise(self) -> Iterator[Array]:
+        """Standard normal numbers, one for each motor, without end; zeros where the motors have no noise."""
+        while self._gap.torque_noise > 0:
+            yield from self._rng.standard_normal((512, 2))  # in blocks, because single draws take a microsecond
+        yield from repeat(np.zeros(2))
 
 
 def _leg_triangle(robot: RobotParameters, length: float) -> tuple[float, float]:

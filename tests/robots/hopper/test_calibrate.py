@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.base.settings_file import InputError
-from stepgap.plants.commissioning.calibrate import (
+from stepgap.plants.commissioning.limp import Ticks
+from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper.calibrate import (
     SENSORS,
     Pose,
     expected_reading,
@@ -20,12 +22,10 @@ from stepgap.plants.commissioning.calibrate import (
     with_zeros,
     write_calibrated,
 )
-from stepgap.plants.commissioning.limp import Ticks
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
-from stepgap.rigs.rig import Reading, RigFault
-from stepgap.robots.hopper.hop_control import HopControl
+from stepgap.robots.hopper.ethercat import RigSettings, hopper_on_ethercat, read_rig_settings
+from stepgap.robots.hopper.hop_control import HopControl, sensors_of
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.tick import LOG_UNITS
 
 ROBOT = RobotParameters()
@@ -53,7 +53,7 @@ def rigs(draw: st.DrawFn) -> RigSettings:
     return replace(SETTINGS, contact=contact, **motors, **booms)
 
 
-def reading_of(settings: RigSettings, counts: dict[str, float]) -> Reading:
+def reading_of(settings: RigSettings, counts: dict[str, float]) -> HopperReading:
     """What a rig makes of the counts of its sensors."""
 
     def angle(name: str) -> float:
@@ -62,7 +62,7 @@ def reading_of(settings: RigSettings, counts: dict[str, float]) -> Reading:
 
     motor_1, motor_2, horizontal, vertical = map(angle, list(SENSORS)[:4])
     contact = settings.contact
-    return Reading(
+    return HopperReading(
         motor_1, motor_2, horizontal, vertical, contact.newton_per_count * (counts["contact"] - contact.zero)
     )
 
@@ -78,7 +78,7 @@ def test_the_pose_reads_right_afterwards(before: RigSettings, pose: Pose, data: 
             with_zeros(before, found_zeros)
         return
     after = with_zeros(before, found_zeros)
-    layout = EthercatRig(after, ROBOT).layout
+    layout = sensors_of(hopper_on_ethercat(after, ROBOT))
     found = reading_of(after, counts)
     motion = HopControl(layout, ROBOT, Gains(), after.limits).look(found).motion
     count = tau / layout.motor_counts
@@ -108,7 +108,7 @@ def ticks_with(**columns: list[float]) -> Ticks:
     rows = np.zeros((4, len(LOG_UNITS)))
     for name, values in columns.items():
         rows[:, list(LOG_UNITS).index(name)] = values
-    return Ticks(rows, "", "")
+    return Ticks(tuple(LOG_UNITS), rows, "", "")
 
 
 def test_a_robot_that_moves_is_refused_and_one_at_rest_is_averaged() -> None:
@@ -149,6 +149,13 @@ def test_comments_and_odd_layouts_are_kept() -> None:
         "\n[ motor_1 ]  # the left one\nzero=5 # was measured\nsign = 1\n"
         "[motor_2]\nzero = 6\n[contact]# zero = 7\n  zero = 7"
     )
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
+    rig_file, out = tmp_path / "rig.toml", tmp_path / "new.toml"
+    rig_file.write_text(EXAMPLE.read_text("utf-8"), encoding="utf-8-sig")
+    write_calibrated(rig_file, out, with_zeros(SETTINGS, dict.fromkeys(SENSORS, 3)))
+    assert read_rig_settings(out) == with_zeros(SETTINGS, dict.fromkeys(SENSORS, 3))
 
 
 def test_a_file_that_cannot_be_changed_so_is_refused_and_nothing_is_left(tmp_path: Path) -> None:

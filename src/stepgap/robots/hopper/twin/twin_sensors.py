@@ -2,15 +2,15 @@
 
 from math import inf
 
-from stepgap.rigs.rig import RigLayout
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 EXACT_COUNTS = 16384
 """Counts per turn of a sensor without quantisation; the twin does not round them."""
 
 
-def sensor_layout(robot: RobotParameters, gap: RealityGap, tick: float = 1e-3) -> RigLayout:
+def twin_sensor_model(robot: RobotParameters, gap: RealityGap, tick: float = 1e-3) -> HopperSensorModel:
     """How to read the counts of a twin; all zeros are at angle 0.
 
     Args:
@@ -18,7 +18,7 @@ def sensor_layout(robot: RobotParameters, gap: RealityGap, tick: float = 1e-3) -
         gap: How the twin differs from it.
         tick: Time from one read to the next [s].
     """
-    return RigLayout(
+    return HopperSensorModel(
         tick=tick,
         boom_length=robot.boom_length,
         pivot_height=gap.boom_pivot_height,

@@ -1,7 +1,6 @@
 """The zeros of a rig's sensors, from what they count in a pose that is known."""
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import asin, isfinite, tau
@@ -10,12 +9,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.settings_file import InputError, parse_toml
 from stepgap.plants.commissioning.limp import Ticks
-from stepgap.rigs.ethercat.rig_settings import RigSettings, read_rig_settings
-from stepgap.rigs.rig import Reading, RigFault
+from stepgap.rigs.rig import RigFault
+from stepgap.robots.hopper.ethercat import RigSettings, read_rig_settings
 from stepgap.robots.hopper.leg import knee_angle, leg_of
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperReading
 
 MOST_COUNTS = 4
 """By how many counts an encoder of a robot at rest may vary."""
@@ -60,7 +60,7 @@ def fold_angle(robot: RobotParameters, leg_length: float) -> float:
 
 
 def expected_reading(settings: RigSettings, robot: RobotParameters, pose: Pose) -> dict[str, float]:
-    """What a calibrated rig reads in a pose, by field of `Reading`: counts from zero, forward and upward positive; N.
+    """What a calibrated rig reads in a pose, by field of `HopperReading`: counts from zero; contact force [N].
 
     Raises:
         InputError: The robot cannot be there.
@@ -86,7 +86,7 @@ def new_zeros(settings: RigSettings, reading: Mapping[str, float], expected: Map
 
     Args:
         settings: With the zeros so far.
-        reading: What the rig reads with them, by field of `Reading`.
+        reading: What the rig reads with them, by field of `HopperReading`.
         expected: What it should read.
     """
     zeros = {}
@@ -110,7 +110,7 @@ def with_zeros(settings: RigSettings, zeros: Mapping[str, int]) -> RigSettings:
 
 
 def mean_reading(settings: RigSettings, ticks: Ticks) -> dict[str, float]:
-    """The mean of what was read, by field of `Reading`.
+    """The mean of what was read, by field of `HopperReading`.
 
     Raises:
         InputError: The robot was not at rest.
@@ -119,15 +119,15 @@ def mean_reading(settings: RigSettings, ticks: Ticks) -> dict[str, float]:
     if ticks.fault:
         raise RigFault(ticks.fault)
     contact = settings.contact
-    most = dict.fromkeys(Reading._fields, float(MOST_COUNTS))
+    most = dict.fromkeys(HopperReading._fields, float(MOST_COUNTS))
     most["contact_force"] = max(contact.touchdown_force, MOST_COUNTS * abs(contact.newton_per_count))
-    for name in Reading._fields:
+    for name in HopperReading._fields:
         span, unit = float(np.ptp(ticks.column(name))), "N" if name == "contact_force" else "counts"
         if span > most[name]:
             raise InputError(
                 f"{name} varied by {span:g} {unit}, at most {most[name]:g} are rest; hold it still and try again"
             )
-    return {name: float(ticks.column(name).mean()) for name in Reading._fields}
+    return {name: float(ticks.column(name).mean()) for name in HopperReading._fields}
 
 
 def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:
@@ -147,7 +147,7 @@ def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:
 
 
 def _has_zero(text: str, table: str) -> bool:
-    return "zero" in tomllib.loads(text).get(table, {})
+    return "zero" in parse_toml(text).get(table, {})
 
 
 def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:
@@ -163,7 +163,7 @@ def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:
     """
     zeros = {table: getattr(settings, table).zero for table in SENSORS}
     try:
-        text = replaced_zeros(rig_file.read_bytes().decode("utf-8"), zeros)
+        text = replaced_zeros(rig_file.read_bytes().decode("utf-8-sig"), zeros)
         with out.open("xb") as file:
             file.write(text.encode("utf-8"))
     except OSError as error:

@@ -1,0 +1,129 @@
+"""The hopper on an EtherCAT bus: two drives, two boom encoders and a contact force, as `rig.toml` describes them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+from pathlib import Path
+
+from stepgap.base.settings_file import build, read_toml, require, with_table
+from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.ethercat.rig_settings import BusSettings, Device, Encoder, ForceSensor, Motor
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact(ForceSensor):
+    """How the ground is felt.
+
+    Attributes:
+        touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
+        takeoff_length: Leg length at which the leg leaves the ground [m] (Sec. 3.4).
+    """
+
+    touchdown_force: float
+    takeoff_length: float = inf
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        force, length = self.touchdown_force, self.takeoff_length
+        require(0 <= force <= 1e6, "touchdown_force", force, "lie between 0 and 1e6")
+        require(length > 0, "takeoff_length", length, "be positive")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigSettings(BusSettings):
+    """The hopper's bus.
+
+    Attributes:
+        pivot_height: Height of the boom's pivot above the ground [m].
+        motor_1: Turns the top link at α₁ + α₂.
+        motor_2: Turns the top link at α₁ − α₂.
+        boom_horizontal: Yaw of the boom.
+        boom_vertical: Pitch of the boom.
+        contact: Ground force.
+        limits: What the safety function allows.
+    """
+
+    pivot_height: float
+    motor_1: Motor
+    motor_2: Motor
+    boom_horizontal: Encoder
+    boom_vertical: Encoder
+    contact: Contact
+    limits: SafetyLimits
+
+    def __post_init__(self) -> None:
+        require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
+        super().__post_init__()
+        require(self.motor_2.slave != self.motor_1.slave, "motor_2.slave", self.motor_2.slave, "differ from motor 1's")
+        require(
+            self.boom_vertical.slave != self.boom_horizontal.slave,
+            "boom_vertical.slave",
+            self.boom_vertical.slave,
+            "differ from the horizontal angle's",
+        )
+        require(
+            self.motor_2.link_counts == self.motor_1.link_counts,
+            "motor_2.counts_per_turn",
+            self.motor_2.counts_per_turn,
+            f"give with its gear the {self.motor_1.link_counts:g} counts per turn of motor 1",
+        )
+
+    @property
+    def devices(self) -> Mapping[str, Device]:
+        """Both motors, both boom encoders and the contact, in the order of a `HopperReading`."""
+        names = ("motor_1", "motor_2", "boom_horizontal", "boom_vertical", "contact")
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def budgets(self) -> SafetyLimits:
+        """The limits, which hold the budgets."""
+        return self.limits
+
+    def reading(self, values: Sequence[float]) -> HopperReading:
+        """The values by name."""
+        return HopperReading(*values)
+
+    def sensor_model(self, boom_length: float) -> HopperSensorModel:
+        """How the counts are read; zeros and signs are already applied to them.
+
+        Args:
+            boom_length: From pivot to hip [m].
+        """
+        return HopperSensorModel(
+            tick=self.tick,
+            boom_length=boom_length,
+            pivot_height=self.pivot_height,
+            motor_counts=self.motor_1.link_counts,
+            boom_counts_horizontal=self.boom_horizontal.counts_per_turn,
+            boom_counts_vertical=self.boom_vertical.counts_per_turn,
+            touchdown_force=self.contact.touchdown_force,
+            takeoff_length=self.contact.takeoff_length,
+            frames_per_tick=self.frames_per_tick,
+            sampled_at_write=True,
+        )
+
+
+def read_rig_settings(path: Path) -> RigSettings:
+    """The rig that a TOML file describes.
+
+    Raises:
+        InputError: Naming file, key and what would be right.
+    """
+    return build(RigSettings, read_toml(path, "a rig"), lambda name: f"{path}: {with_table(name)}")
+
+
+def hopper_on_ethercat(settings: RigSettings, robot: RobotParameters) -> EthercatRig:
+    """The rig of these settings, not yet connected; the robot's boom gives its sensor model."""
+    return EthercatRig(settings, settings.sensor_model(robot.boom_length))
+
+
+def rig_from_file(settings: Path, robot: RobotParameters) -> EthercatRig:
+    """The rig that a `rig.toml` describes; entry point of `stepgap.rigs`.
+
+    Raises:
+        InputError: Naming file, key and what would be right.
+    """
+    return hopper_on_ethercat(read_rig_settings(settings), robot)

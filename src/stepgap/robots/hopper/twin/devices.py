@@ -1,0 +1,151 @@
+"""The twin's encoders, motors and moving ground, compiled, over views of MuJoCo's memory."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from stepgap.base.compiled import as_written
+
+READ, OUT_OF_REACH, TOO_FAST = 0, 1, 2
+"""How a reading went."""
+
+
+class Devices(NamedTuple):
+    """Constants of sensors and motors.
+
+    Attributes:
+        motor_1: Index of motor 1 among MuJoCo's coordinates.
+        motor_2: Index of motor 2.
+        offset_1: By how much encoder 1 reads too much [rad].
+        offset_2: By how much encoder 2 reads too much [rad].
+        motor_scale: Counts per radian of the motors.
+        yaw_scale: Counts per radian of the yaw encoder.
+        pitch_scale: Counts per radian of the pitch encoder.
+        motors_round: The motors' encoders give whole counts.
+        yaw_rounds: The yaw encoder gives whole counts.
+        pitch_rounds: The pitch encoder gives whole counts.
+        overspeed: Motor speed at which the drives trip [rad/s].
+        boom_arc: The hip moves on a sphere about the boom's pivot, not in a plane.
+        boom_length: From pivot to hip [m].
+        pivot_height: Height of the pivot above the ground [m].
+        turn: Angle by which the floor is turned under the robot [rad].
+        torque_limit: What the drives give at most [N·m].
+        torque_saturation: Torque at which a motor's iron is saturated [N·m].
+        noise_kept: Share of a motor's torque noise that is kept from tick to tick.
+        noise_fresh: Standard deviation of what is added to it [N·m].
+    """
+
+    motor_1: int
+    motor_2: int
+    offset_1: float
+    offset_2: float
+    motor_scale: float
+    yaw_scale: float
+    pitch_scale: float
+    motors_round: bool
+    yaw_rounds: bool
+    pitch_rounds: bool
+    overspeed: float
+    boom_arc: bool
+    boom_length: float
+    pivot_height: float
+    turn: float
+    torque_limit: float
+    torque_saturation: float
+    noise_kept: float
+    noise_fresh: float
+
+
+@as_written
+def read_counts(devices, qpos, qvel, touch):
+    """Encoder counts of motors and boom, contact force [N], and how the reading went.
+
+    Args:
+        devices: Record of `Devices`.
+        qpos: MuJoCo's coordinates.
+        qvel: Their rates.
+        touch: The contact force; shape (1,) [N].
+    """
+    rig = devices[0]
+    yaw, pitch = boom_angles(rig, qpos)
+    motor_1 = (qpos[rig.motor_1] + rig.offset_1) * rig.motor_scale
+    motor_2 = (qpos[rig.motor_2] + rig.offset_2) * rig.motor_scale
+    yaw, pitch = yaw * rig.yaw_scale, pitch * rig.pitch_scale
+    outcome = READ
+    if not np.isfinite(motor_1 + motor_2 + yaw + pitch):
+        outcome = OUT_OF_REACH
+    elif max(abs(qvel[rig.motor_1]), abs(qvel[rig.motor_2])) > rig.overspeed:
+        outcome = TOO_FAST
+    if rig.motors_round:
+        motor_1, motor_2 = np.rint(motor_1), np.rint(motor_2)
+    if rig.yaw_rounds:
+        yaw = np.rint(yaw)
+    if rig.pitch_rounds:
+        pitch = np.rint(pitch)
+    return (motor_1, motor_2, yaw, pitch, touch[0]), outcome
+
+
+@as_written
+def boom_angles(devices, qpos):
+    """Yaw and pitch at the boom's root [rad]; NaN where the boom does not reach."""
+    if devices.boom_arc:
+        return qpos[0], qpos[1]
+    sine = (qpos[1] - devices.pivot_height) / devices.boom_length
+    return qpos[0] / devices.boom_length, np.arcsin(sine) if abs(sine) <= 1.0 else np.nan
+
+
+@as_written
+def drive(devices, torque_1, torque_2, noise, ctrl, force, touch, waves, foot, ground):
+    """Gives MuJoCo a tick's torques, their noise and, while the foot is in the air, the ground's height.
+
+    Args:
+        devices: Record of `Devices`.
+        torque_1: Torque commanded to motor 1 [N·m].
+        torque_2: Torque commanded to motor 2 [N·m].
+        noise: A standard normal number for each motor; shape (2,).
+        ctrl: What the actuators are commanded [N·m].
+        force: Forces on MuJoCo's coordinates from outside; those on the motors are the noise [N·m].
+        touch: The contact force; shape (1,) [N].
+        waves: Of the ground, as in `ground_under`.
+        foot: Position of the foot in MuJoCo's frame [m]; shape (3,).
+        ground: Position of the ground [m]; shape (3,).
+
+    Returns:
+        The torques within the drives' limit [N·m]; NaN where one is not finite, and then nothing was given.
+    """
+    rig = devices[0]
+    if not (np.isfinite(torque_1) and np.isfinite(torque_2)):
+        return np.nan, np.nan
+    limit = rig.torque_limit
+    torque_1, torque_2 = min(max(torque_1, -limit), limit), min(max(torque_2, -limit), limit)
+    ctrl[0], ctrl[1] = _saturated(rig, torque_1), _saturated(rig, torque_2)
+    force[rig.motor_1] = rig.noise_kept * force[rig.motor_1] + rig.noise_fresh * noise[0]
+    force[rig.motor_2] = rig.noise_kept * force[rig.motor_2] + rig.noise_fresh * noise[1]
+    if len(waves) > 0 and touch[0] == 0.0:
+        ground[2] = ground_under(devices, waves, foot)
+    return torque_1, torque_2
+
+
+@as_written
+def _saturated(devices, torque):
+    """What a motor's iron makes of a torque command [N·m]."""
+    most = devices.torque_saturation
+    return most * np.tanh(torque / most) if most < np.inf else torque
+
+
+@as_written
+def ground_under(devices, waves, foot):
+    """Height of the ground under the foot [m].
+
+    Args:
+        devices: Record of `Devices`.
+        waves: Number of waves a turn, phase [rad] and amplitude [m] of each wave of the ground; shape (w, 3).
+        foot: Position of the foot in MuJoCo's frame [m]; shape (3,).
+    """
+    rig = devices[0]
+    yaw = np.arctan2(foot[0], -foot[1]) if rig.boom_arc else foot[0] / rig.boom_length
+    yaw += rig.turn
+    height = 0.0
+    for wave in range(len(waves)):
+        height += waves[wave, 2] * np.sin(waves[wave, 0] * yaw + waves[wave, 1])
+    return height

@@ -1,0 +1,62 @@
+"""The twin behind the drives of an emulated ring, and the devices of that ring."""
+
+from operator import attrgetter
+
+from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.drive import Drive, DriveSettings
+from stepgap.rigs.ethercat.emulator.machine import Machine
+from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
+from stepgap.rigs.ethercat.emulator.terminals import AnalogInput, Coupler, Encoder
+from stepgap.rigs.rig import Torques
+from stepgap.robots.hopper.sensors import HopperReading
+from stepgap.robots.hopper.twin.twin import Twin
+
+
+def hopper_devices(settings: RingSettings, period: float) -> list[Device]:
+    """The hopper's ring in order: `drive_1`, `drive_2`, `coupler`, `boom_horizontal`, `boom_vertical`, `contact_force`.
+
+    Args:
+        settings: Torque and force scales.
+        period: Of a tick [s].
+    """
+    drive = DriveSettings(rated_torque=settings.rated_torque, largest_torque=settings.largest_torque, period=period)
+    return [
+        *(Drive(f"drive_{motor}", drive, attrgetter(f"motor_{motor}")) for motor in (1, 2)),
+        Coupler("coupler"),
+        *(Encoder(name, attrgetter(name)) for name in ("boom_horizontal", "boom_vertical")),
+        AnalogInput("contact_force", attrgetter("contact_force"), settings.force_resolution),
+    ]
+
+
+class TwinMachine(Machine):
+    """The MuJoCo twin behind the drives.
+
+    Args:
+        twin: Its sensors must count, not be exact, since a ring carries whole counts; exact ones are rounded.
+    """
+
+    def __init__(self, twin: Twin):
+        self._twin = twin
+
+    @property
+    def period(self) -> float:
+        """Time of a tick [s]."""
+        return self._twin.sensor_model.tick
+
+    def devices(self, settings: RingSettings) -> list[Device]:
+        """Two drives, a coupler, two boom encoders and an analog input."""
+        return hopper_devices(settings, self.period)
+
+    def start(self) -> HopperReading:
+        """The twin in its starting pose, held."""
+        self._twin.connect()
+        return self._twin.read()
+
+    def tick(self, torques: Torques) -> HopperReading:
+        """One tick of the twin.
+
+        Raises:
+            RigFault: A motor runs away, or the motion has left what can be measured.
+        """
+        self._twin.write(torques)
+        return self._twin.read()

@@ -1,0 +1,57 @@
+"""Where the time of a run goes: the parts add up, and the bare physics moves the robot as the run did."""
+
+from time import process_time
+
+import numpy as np
+import pytest
+
+from stepgap.bench.run import LOADING, PARTS, RecordedTwin, Sampler, bench_run, describe_run
+from stepgap.experiment.settings import read_experiment
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.robots.hopper.hop_control import HopperControl
+
+
+def hop(settings):
+    """Some seconds of hopping."""
+    twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(1))
+    with RigPlant(twin, HopperControl(settings.robot, settings.gains, settings.command)) as plant:
+        plant.start()
+        for _ in range(20):
+            plant.take_step(np.array([-7.0, -6.0]))
+
+
+def test_the_parts_add_up_and_hopping_is_hopping():
+    settings = read_experiment(None, [])
+    hop(settings)  # compiled code is loaded
+    result = bench_run(settings, lambda: hop(settings))
+    seconds = result["seconds"]
+    assert sum(seconds.values()) == pytest.approx(result["total"])
+    hopping = sum(seconds[part] for part in ("physics", "control tick", "rest of the twin"))
+    assert hopping > 0.7 * result["total"]
+    assert seconds["physics"] == pytest.approx(hopping / result["hopping_to_physics"])
+    assert result["hopping_to_physics"] > 1
+    assert "times the mj_step calls" in describe_run(result)
+
+
+def test_bare_physics_moves_the_robot_as_the_recorded_ticks_did():
+    settings = read_experiment(None, [])
+    twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(1))
+    with RigPlant(twin, HopperControl(settings.robot, settings.gains, settings.command), twin.keep) as plant:
+        plant.start()
+        twin.record()
+        plant.take_step(np.array([-7.0, -6.0]))
+        assert len(twin.given) == twin.ticks > 500
+        assert twin.bare_time() > 0
+        twin.given[100] = (5.0, *twin.given[100][1:])
+        with pytest.raises(AssertionError, match="as they did"):
+            twin.bare_time()
+
+
+def test_what_runs_is_told_by_the_files_of_its_functions():
+    sampler, begin = Sampler(), process_time()
+    with sampler.running():
+        while process_time() - begin < 0.05:
+            pass
+    assert set(sampler.counts) == {"rest"}
+    assert 10 <= sampler.counts["rest"] <= 100
+    assert PARTS[0][0] == LOADING

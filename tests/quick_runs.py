@@ -1,0 +1,29 @@
+"""Parts of `stepgap run` that take long and have tests of their own, left out for tests of other parts."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.report import WrittenReport, drawing
+
+
+def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
+    """A run takes its noise floor for known; to measure it takes as long as a deployment."""
+    patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, 0.01]))
+
+
+def leave_out_report(patch: pytest.MonkeyPatch) -> None:
+    """A run writes an empty report."""
+
+    def report_run(folder: Path, *_: object) -> WrittenReport:
+        (folder / "report.html").touch()
+        return WrittenReport(folder / "report.html", ())
+
+    patch.setattr("stepgap.cli.run_report.report_run", report_run)
+
+
+def leave_out_files_of_figures(patch: pytest.MonkeyPatch) -> None:
+    """Figures are drawn for the page alone; their PNG and PDF files are empty."""
+    saved = drawing._saved
+    patch.setattr(drawing, "_saved", lambda figure, form: saved(figure, form) if form == "svg" else b"")

@@ -1,0 +1,515 @@
+"""The hopper's control in plain Python: the slow and independent reference of the compiled tick.
+
+It is the code that the compiled tick has replaced: lists of samples, `np.polyfit`, and an object whose methods are
+called one after another in every tick. Only the torque laws and the leg's geometry are those of the package.
+"""
+
+from math import inf, isfinite, isnan, nan, sin, tau
+from typing import NamedTuple
+
+import numpy as np
+
+from stepgap.rigs.rig import HEALTHY, Health, RigFault
+from stepgap.robots.hopper.dynamics import leg_inertia, masses_of
+from stepgap.robots.hopper.estimator import APEX_DROP, SPEED_DELAY
+from stepgap.robots.hopper.joint_control import flight_torque, joint_law, stance_torque
+from stepgap.robots.hopper.leg import foot, four_bar
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.parameters import Gains, RobotParameters
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.reduced import uprightness
+from stepgap.robots.hopper.safety import BRAKED, Limited, Motion
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.step import Array, StepStatus
+
+STEP_TIMEOUT, LANDING_DAMPING = 4.0, 0.5
+
+Torques = tuple[float, float]
+
+
+class FlightFit:
+    """Line and parabola through the samples of one flight.
+
+    Samples are of the hip with the leg's motion taken out: x + S sin α₁ / m_x and y − S cos α₁ / m_y
+    move as a free body does.
+    """
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._xs: list[float] = []
+        self._ys: list[float] = []
+        self._sum_t = self._sum_x = self._sum_tt = self._sum_tx = 0.0
+        self._highest = -np.inf
+
+    def add(self, time: float, x: float, y: float) -> None:
+        """Takes the sample at a time since take-off [s], with x relative to take-off [m] and y [m]."""
+        self._times.append(time)
+        self._xs.append(x)
+        self._ys.append(y)
+        self._sum_t += time
+        self._sum_x += x
+        self._sum_tt += time * time
+        self._sum_tx += time * x
+        self._highest = max(self._highest, y)
+
+    @property
+    def apex_passed(self) -> bool:
+        """The hip has come down again by APEX_DROP."""
+        return bool(self._ys) and self._ys[-1] < self._highest - APEX_DROP
+
+    def speed(self) -> float:
+        """Forward speed of the free body [m/s]; NaN before SPEED_DELAY, or of fewer samples than a parabola needs."""
+        count = len(self._times)
+        if count < 3 or self._times[-1] < SPEED_DELAY:
+            return nan
+        return (count * self._sum_tx - self._sum_t * self._sum_x) / (count * self._sum_tt - self._sum_t**2)
+
+    def apex_height(self) -> float:
+        """Highest point of the fitted parabola [m]."""
+        times = np.array(self._times)
+        centre = times.mean()
+        curvature, slope, level = np.polyfit(times - centre, self._ys, 2)
+        return float(level - slope**2 / (4 * curvature)) if curvature < 0 else nan
+
+
+class JointRates:
+    """Rates of the leg angles from motor counts, over the last `span` readings and the time that these took.
+
+    Without a new reading they stay. Of a motion whose acceleration is at most a, they are wrong by no more than a times
+    the age of the oldest of those readings, beside what the counts round.
+    """
+
+    def __init__(self, span: int = 2):
+        self._past: list[tuple[float, float, float]] = []
+        self._span, self._rates = span, (0.0, 0.0)
+
+    def update(self, time: float, alpha_1: float, alpha_2: float) -> tuple[float, float]:
+        """Takes a reading's time [s] and angles [rad]; returns (α̇₁, α̇₂) [rad/s], zero until there are enough."""
+        past = self._past
+        if past and time <= past[-1][0]:
+            return self._rates
+        past.append((time, alpha_1, alpha_2))
+        if len(past) > self._span:
+            before, old_1, old_2 = past.pop(0)
+            took = round(time - before, 12)  # or the time since the start would show in the last digits
+            self._rates = (alpha_1 - old_1) / took, (alpha_2 - old_2) / took
+        return self._rates
+
+
+def next_phase(
+    phase: Phase,
+    *,
+    apex_passed: bool,
+    contact_force: float,
+    touchdown_force: float,
+    leg_length: float,
+    takeoff_length: float,
+    hip_rate: float,
+) -> Phase:
+    """The phase that follows at this tick.
+
+    A body that comes down with the foot still on the ground has not flown: the leg pushes on.
+
+    Args:
+        phase: Present phase.
+        apex_passed: The apex of the present flight is behind.
+        contact_force: Ground force on the foot [N].
+        touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
+        leg_length: ℓ [m].
+        takeoff_length: ℓ at which the leg leaves the ground [m] (Sec. 3.4).
+        hip_rate: ẏ [m/s].
+    """
+    if phase == Phase.ASCENT and apex_passed:
+        return Phase.THRUST if contact_force > touchdown_force else Phase.DESCENT
+    if phase == Phase.ASCENT:
+        return phase
+    if phase == Phase.DESCENT:
+        return Phase.COMPRESSION if contact_force > touchdown_force else phase
+    if phase == Phase.COMPRESSION:
+        return Phase.THRUST if hip_rate > 0 else phase
+    airborne = leg_length >= takeoff_length or contact_force <= 0
+    return Phase.ASCENT if airborne else phase
+
+
+class Watch(NamedTuple):
+    """What the check remembers from tick to tick; a new one starts with motors limp.
+
+    Attributes:
+        torque_1: Last torque of motor 1 [N·m].
+        torque_2: Last torque of motor 2 [N·m].
+        lost: Frames lost in a row.
+        stale: Stale readings in a row.
+        late: Ticks missed in a row.
+        stopped: Why the motors brake or are off for good.
+        braked: Ticks since then.
+    """
+
+    torque_1: float = 0.0
+    torque_2: float = 0.0
+    lost: int = 0
+    stale: int = 0
+    late: int = 0
+    stopped: Limited = Limited.NOTHING
+    braked: int = 0
+
+
+class Checked(NamedTuple):
+    """Torques that may be written [N·m], why they differ from those asked, and the watch for the next tick."""
+
+    torque_1: float
+    torque_2: float
+    limited: Limited
+    watch: Watch
+
+
+def check_torque(
+    limits: SafetyLimits, watch: Watch, motion: Motion, health: Health, torque_1: float, torque_2: float
+) -> Checked:
+    """Limits the torques. Where something is wrong, and from then on, they brake for a while or are zero.
+
+    Args:
+        limits: What is allowed.
+        watch: Of the tick before.
+        motion: Of this tick.
+        health: Of this tick.
+        torque_1: Torque asked of motor 1 [N·m].
+        torque_2: Torque asked of motor 2 [N·m].
+    """
+    lost = stale = late = 0
+    stopped = watch.stopped
+    if health is not HEALTHY:
+        lost = watch.lost + 1 if health.frame_lost else 0
+        stale = watch.stale + 1 if health.stale else 0
+        late = watch.late + health.late if health.late else 0
+        stopped |= _unhealthy(limits, health, lost, stale, late)
+    if beyond := _out_of_range(limits, motion, torque_1 + torque_2):
+        stopped |= beyond
+    if stopped:
+        after = Watch(0.0, 0.0, lost, stale, late, stopped, watch.braked + 1)
+        torque_1, torque_2 = _brake(limits, watch, motion) if brakes(limits, after) else (0.0, 0.0)
+        return Checked(torque_1, torque_2, stopped, after._replace(torque_1=torque_1, torque_2=torque_2))
+
+    limited = Limited.NOTHING
+    if motion.alpha_2 < limits.stretch_angle and torque_1 < torque_2:
+        torque_1 = torque_2 = 0.5 * (torque_1 + torque_2)
+        limited |= Limited.STRETCH
+    most = limits.torque
+    if abs(torque_1) > most or abs(torque_2) > most:
+        torque_1, torque_2 = _within(most, torque_1), _within(most, torque_2)
+        limited |= Limited.TORQUE
+    step = limits.torque_step
+    if abs(torque_1 - watch.torque_1) > step or abs(torque_2 - watch.torque_2) > step:
+        torque_1, torque_2 = _within(step, torque_1, watch.torque_1), _within(step, torque_2, watch.torque_2)
+        limited |= Limited.TORQUE_STEP
+    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late))
+
+
+def brakes(limits: SafetyLimits, watch: Watch) -> bool:
+    """Whether a stopped robot's motors still brake."""
+    return bool(watch.stopped) and not watch.stopped & ~BRAKED and watch.braked <= limits.brake_ticks
+
+
+def _brake(limits: SafetyLimits, watch: Watch, motion: Motion) -> tuple[float, float]:
+    """Torques against the motors' turning, within limits [N·m]: what drives a motor on goes at once, a brake grows."""
+    speed_1, speed_2 = motion.rate_1 + motion.rate_2, motion.rate_1 - motion.rate_2
+    return _brake_motor(limits, watch.torque_1, speed_1), _brake_motor(limits, watch.torque_2, speed_2)
+
+
+def _brake_motor(limits: SafetyLimits, before: float, speed: float) -> float:
+    brake = _within(limits.torque, -limits.brake_damping * speed)
+    return _within(abs(brake), _within(limits.torque_step, brake, before if before * brake > 0 else 0.0))
+
+
+def _within(most: float, value: float, centre: float = 0.0) -> float:
+    """The value, or what is nearest to it no farther than `most` from the centre."""
+    return min(centre + most, max(centre - most, value))
+
+
+def _out_of_range(limits: SafetyLimits, motion: Motion, torques: float) -> Limited:
+    """Why the motion or the torques, given as their sum, cannot go on."""
+    alpha_1, alpha_2, rate_1, rate_2, leg_length, hip_height = motion
+    if not isfinite(torques + alpha_1 + alpha_2 + rate_1 + rate_2 + leg_length + hip_height):
+        return Limited.NOT_FINITE
+    reason = Limited.NOTHING
+    if abs(rate_1) + abs(rate_2) > limits.joint_speed:
+        reason |= Limited.JOINT_SPEED
+    if abs(alpha_1) > limits.lean_angle or alpha_2 > limits.fold_angle:
+        reason |= Limited.JOINT_ANGLE
+    if not limits.shortest_leg <= leg_length <= limits.longest_leg:
+        reason |= Limited.LEG_LENGTH
+    if not limits.lowest_hip <= hip_height <= limits.highest_hip:
+        reason |= Limited.HIP_HEIGHT
+    return reason
+
+
+def _unhealthy(limits: SafetyLimits, health: Health, lost: int, stale: int, late: int) -> Limited:
+    """Why the tick's health, its bad ticks in a row counted, cannot go on."""
+    reason = Limited.NOTHING
+    if lost > limits.lost_frames:
+        reason |= Limited.LOST_FRAMES
+    if stale > limits.stale_ticks:
+        reason |= Limited.STALE
+    if late > limits.late_ticks:
+        reason |= Limited.LATE
+    if health.emergency_stop:
+        reason |= Limited.EMERGENCY_STOP
+    return reason
+
+
+class LegState(NamedTuple):
+    """What the joint encoders say of the leg and, if the foot stands still, of the hip.
+
+    Attributes:
+        length: ℓ [m].
+        hip_rate: ẏ of the hip over a standing foot [m/s].
+        shift_x: Forward offset of the free body from the hip, S sin α₁ / m_x [m].
+        shift_y: Upward offset, −S cos α₁ / m_y [m].
+    """
+
+    length: float
+    hip_rate: float
+    shift_x: float
+    shift_y: float
+
+
+def _leg_state(masses, alpha_1, alpha_2, rate_1, rate_2):
+    bar = four_bar(masses.leg, alpha_2)
+    toe = foot(masses.leg, bar, alpha_1)
+    moment = leg_inertia(masses, bar, alpha_2).s
+    return (
+        bar.length,
+        -(toe.y_1 * rate_1 + toe.y_2 * rate_2),
+        moment * np.sin(alpha_1) / masses.x,
+        -moment * np.cos(alpha_1) / masses.y,
+    )
+
+
+def _stance_torque(law, alpha_1, alpha_2, force_x, force_y):
+    bar = four_bar(law.leg, alpha_2)
+    toe = foot(law.leg, bar, alpha_1)
+    return stance_torque(law, bar, toe, np.sin(alpha_1), np.cos(alpha_1), force_x, force_y)
+
+
+def _lost_force(law, alpha_1, alpha_2, lost_1, lost_2):
+    """Force on the body that torques (lost_1, lost_2) make in stance: the inverse of τ = −Jᵀ force."""
+    toe = foot(law.leg, four_bar(law.leg, alpha_2), alpha_1)
+    q_1, q_2 = lost_1 + lost_2, lost_1 - lost_2
+    determinant = toe.x_1 * toe.y_2 - toe.x_2 * toe.y_1
+    return (toe.y_1 * q_2 - toe.y_2 * q_1) / determinant, (toe.x_2 * q_1 - toe.x_1 * q_2) / determinant
+
+
+class FinishedHop(NamedTuple):
+    """What is known when an apex has just been passed.
+
+    Attributes:
+        state: At the apex; shape (2,).
+        lost: Command force lost on the way there [N]; shape (2,).
+        place: Yaw of the boom [rad].
+    """
+
+    state: Array
+    lost: Array
+    place: float
+
+
+class ReferenceControl:
+    """The joint control of Sec. 4.1 from sensor values, hop by hop.
+
+    A hop ends when the apex has just been passed; a command acts from mid-stance to take-off.
+
+    Args:
+        layout: How to read the sensors.
+        robot: The robot the rig is taken to be.
+        gains: Joint controller.
+        limits: What the safety function allows.
+    """
+
+    def __init__(self, layout: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
+        self._layout, self._limits = layout, limits
+        self._law, self._masses = joint_law(robot, gains), masses_of(robot)
+        self._time = self._due = self._sampled = 0.0
+        self._phase, self._phase_start = Phase.DESCENT, 0.0
+        self._speed, self._x_start, self._yaw = 0.0, 0.0, 0.0
+        self._fit, self._rates = FlightFit(), JointRates()
+        self._watch, self._reason = Watch(), StepStatus.OK
+        self._begin_hop()
+
+    def _begin_hop(self) -> None:
+        self._lost_x = self._lost_y = 0.0
+        self._push_ticks, self._left_ground = 0, False
+        self._deadline = self._time + STEP_TIMEOUT
+
+    @property
+    def time(self) -> float:
+        """When this tick began, since the start [s]."""
+        return self._time
+
+    @property
+    def due(self) -> float:
+        """When the next tick is to begin, since the start [s]."""
+        return self._due
+
+    @property
+    def phase(self) -> Phase:
+        """Of the present tick."""
+        return self._phase
+
+    @property
+    def takes_command(self) -> bool:
+        """Whether this hop's command can still act in full: mid-stance is ahead."""
+        return self._phase in (Phase.DESCENT, Phase.COMPRESSION) and not self._left_ground
+
+    @property
+    def brakes(self) -> bool:
+        """Whether the safety function has stopped the robot and its motors brake still."""
+        return brakes(self._limits, self._watch)
+
+    @property
+    def reason(self) -> StepStatus:
+        """OK while the robot hops; why not, else."""
+        return self._reason
+
+    def await_release(self) -> None:
+        """Begins a first hop: the robot is held in the air, and may be for as long as it takes."""
+        self._phase = Phase.DESCENT
+        self._begin_hop()
+        self._deadline = inf
+
+    def begin_tick(self, late: float = 0.0) -> None:
+        """Moves time on to a tick; one that begins more than a tick late [s] moves all later ones."""
+        tick, self._time = self._layout.tick, self._due + late
+        self._due = (self._time if late > tick else self._due) + tick
+
+    def sense(self, reading: HopperReading, *, stale: bool = False, age: float = 0.0) -> Motion:
+        """Takes the sensor values of this tick and moves on to the next phase where it is due.
+
+        Args:
+            reading: The sensor values.
+            stale: They are those of the tick before once more.
+            age: By how much a reading that is not is older than this tick [s].
+
+        Raises:
+            RigFault: One is no number.
+        """
+        layout = self._layout
+        if not isfinite(sum(reading)):
+            raise RigFault(f"the sensors tell what is no number: {reading}")
+        self._sampled = self._sampled if stale else self._time - age
+        phi_1 = reading.motor_1 * tau / layout.motor_counts
+        phi_2 = reading.motor_2 * tau / layout.motor_counts
+        alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)
+        rate_1, rate_2 = self._rates.update(self._sampled, alpha_1, alpha_2)
+        self._yaw = reading.boom_horizontal * tau / layout.boom_counts_horizontal
+        x = layout.boom_length * self._yaw
+        y = layout.pivot_height + layout.boom_length * sin(reading.boom_vertical * tau / layout.boom_counts_vertical)
+        self._leg = leg = LegState(*_leg_state(self._masses, alpha_1, alpha_2, rate_1, rate_2))
+        self._reading, before = reading, self._phase
+        if self._phase in (Phase.ASCENT, Phase.DESCENT) and not stale:
+            self._fit.add(self._sampled - self._phase_start, x - self._x_start + leg.shift_x, y + leg.shift_y)
+        self._update_phase(reading.contact_force, x)
+        self._left_ground = self._left_ground or before == Phase.THRUST != self._phase
+        self._motion = Motion(alpha_1, alpha_2, rate_1, rate_2, leg.length, y)
+        return self._motion
+
+    def hop_torque(self, command: tuple[float, float]) -> Torques:
+        """Torques [N·m] of the hop with a command force (fx, fy) [N], which acts after mid-stance."""
+        if self._phase not in (Phase.COMPRESSION, Phase.THRUST):
+            return self.posture_torque()
+        force_x, force_y = command if self._phase == Phase.THRUST else (0.0, 0.0)
+        return _stance_torque(self._law, self._motion.alpha_1, self._motion.alpha_2, force_x, force_y)
+
+    def posture_torque(self) -> Torques:
+        """Torques [N·m] that hold the landing posture."""
+        motion = self._motion
+        return flight_torque(
+            self._law, motion.alpha_1, motion.alpha_2, motion.rate_1, motion.rate_2, self._flight_speed()
+        )
+
+    def landing_torque(self, share: float) -> Torques:
+        """Torques [N·m] that end the hopping: posture in the air; on the ground a damped spring that fades away.
+
+        Args:
+            share: Of the time that landing may take, how much is over; at 1 only damping is left.
+        """
+        if self._phase not in (Phase.COMPRESSION, Phase.THRUST):
+            return self.posture_torque()
+        motion, spring = self._motion, max(0.0, 1.0 - share)
+        torque_1, torque_2 = _stance_torque(self._law, motion.alpha_1, motion.alpha_2, 0.0, 0.0)
+        return (
+            spring * torque_1 - LANDING_DAMPING * (motion.rate_1 + motion.rate_2),
+            spring * torque_2 - LANDING_DAMPING * (motion.rate_1 - motion.rate_2),
+        )
+
+    def check(self, asked: Torques, health: Health = HEALTHY) -> Checked:
+        """What of the torques may be written [N·m]."""
+        checked = check_torque(self._limits, self._watch, self._motion, health, asked[0], asked[1])
+        self._watch = checked.watch
+        return checked
+
+    def close_tick(self, asked: Torques, applied: Torques, checked: Checked) -> None:
+        """Takes what was really applied [N·m] and judges the tick."""
+        motion = self._motion
+        if self._phase == Phase.THRUST:
+            self._count_loss(asked[0] - applied[0], asked[1] - applied[1])
+        if checked.limited and checked.limited.stops:
+            self._reason = StepStatus.STOPPED
+        elif uprightness(self._law.leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0:
+            self._reason = StepStatus.FELL
+
+    def finished_hop(self) -> FinishedHop | None:
+        """The hop that has just ended at an apex, or None.
+
+        A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
+        """
+        if self._reason == StepStatus.OK and self._left_ground and self._phase == Phase.DESCENT:
+            state = self._apex()
+            if np.isfinite(state).all():
+                finished = FinishedHop(state, self.lost_command(), self._yaw)
+                self._begin_hop()
+                return finished
+        if self._time > self._deadline:
+            self._reason = StepStatus.NO_APEX if self._left_ground else StepStatus.NO_TAKE_OFF
+        return None
+
+    def lost_command(self) -> Array:
+        """Mean command force that limits took away while this hop's command acted [N]; shape (2,)."""
+        return np.array([self._lost_x, self._lost_y]) / max(1, self._push_ticks)
+
+    def _apex(self) -> Array:
+        """State at the apex just passed; NaN of a flight that is too short to tell."""
+        speed = self._fit.speed()
+        if isnan(speed):
+            return np.full(2, np.nan)
+        self._speed = speed
+        return np.array([speed, self._fit.apex_height() - self._leg.shift_y])
+
+    def _update_phase(self, contact_force: float, x: float) -> None:
+        """Moves on to the next phase where it is due."""
+        leg, layout = self._leg, self._layout
+        phase = next_phase(
+            self._phase,
+            apex_passed=self._fit.apex_passed,
+            contact_force=contact_force,
+            touchdown_force=layout.touchdown_force,
+            leg_length=leg.length,
+            takeoff_length=layout.takeoff_length,
+            hip_rate=leg.hip_rate,
+        )
+        if phase == Phase.COMPRESSION != self._phase:
+            self._deadline = min(self._deadline, self._time + STEP_TIMEOUT)
+        if phase == Phase.ASCENT != self._phase:
+            self._fit, self._phase_start, self._x_start = FlightFit(), self._sampled, x
+        self._phase = phase
+
+    def _flight_speed(self) -> float:
+        """Speed for the landing angle: that of this flight, or of the last apex while it is too short."""
+        speed = self._fit.speed()
+        return self._speed if isnan(speed) else speed
+
+    def _count_loss(self, lost_1: float, lost_2: float) -> None:
+        """Adds up the command force that limits took away while the command acted."""
+        self._push_ticks += 1
+        if lost_1 or lost_2:
+            lost_x, lost_y = _lost_force(self._law, self._motion.alpha_1, self._motion.alpha_2, lost_1, lost_2)
+            self._lost_x += lost_x
+            self._lost_y += lost_y

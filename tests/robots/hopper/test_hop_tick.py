@@ -1,0 +1,229 @@
+"""The compiled tick beside a slow reference in plain Python, and what makes it fit for a real-time process."""
+
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import njit
+from numpy.testing import assert_allclose
+
+from stepgap.base.compiled import AS_WRITTEN
+from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.tick_control import NO_COMMAND, Mode, Order, TickFlag
+from stepgap.rigs.rig import HEALTHY, LOST, Health
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.estimator import FlightFit, apex_height, with_sample
+from stepgap.robots.hopper.hop_control import HopControl, HopperControl
+from stepgap.robots.hopper.hop_state import HopState
+from stepgap.robots.hopper.hop_tick import tick
+from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.safety import Limited
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.step import StepStatus
+from tests.robots.hopper.reference_control import ReferenceControl
+
+ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
+LAYOUT = HopperSensorModel(
+    tick=1e-3,
+    boom_length=1.854,
+    pivot_height=0.4,
+    motor_counts=16384.0,
+    boom_counts_horizontal=5000.0,
+    boom_counts_vertical=16384.0,
+    touchdown_force=5.0,
+    takeoff_length=0.287,
+)
+TIGHT = SafetyLimits(
+    torque=30.0,
+    torque_step=5.0,
+    joint_speed=80.0,
+    lean_angle=1.2,
+    fold_angle=2.5,
+    longest_leg=0.31,
+    lowest_hip=0.1,
+    highest_hip=0.9,
+)
+LOOSE = SafetyLimits(torque=40.0, joint_speed=inf)
+
+STAGES = ((Mode.LAND, 7000, 2000), (Mode.STEP, 400, 6600), (Mode.POSTURE, 100, 200), (Mode.LIMP, 0, 100))
+"""Mode, first tick and length of the stages of a deployment, the last one first."""
+
+
+class Both:
+    """The compiled control and the reference, ticked with the same inputs and compared."""
+
+    def __init__(self, layout, limits):
+        self.layout = layout
+        self.tested = HopControl(layout, ROBOT, GAINS, limits)
+        self.reference = ReferenceControl(layout, ROBOT, GAINS, limits)
+        self.mode, self.applied, self.command, self.seen = Mode.STEP, (0.0, 0.0), None, set()
+
+    def tick(self, reading, order, health=HEALTHY, cut=1.0):
+        """One tick, after which the motors give a part of the torque; whether both still hop."""
+        reference = self.reference
+        reference.begin_tick()
+        (torque_1, torque_2), flags = self.tested.tick(reference.time, reading, order, self.applied, health)
+        reference.sense(reading, stale=health.stale)
+        if order.mode == Mode.STEP and self.mode != Mode.STEP:
+            reference.await_release()
+            self.command = None
+        self.mode = order.mode
+        asked = self._asked(order)
+        checked = reference.check(asked if order.mode != Mode.LIMP else (0.0, 0.0), health)
+        self.applied = (cut * checked.torque_1, cut * checked.torque_2)
+        reference.close_tick(asked, self.applied, checked)
+        assert_allclose((torque_1, torque_2), (checked.torque_1, checked.torque_2), rtol=1e-9, atol=1e-9)
+        self._compare(asked, checked)
+        self.seen.add((order.mode, Phase(reference.phase), StepStatus(reference.reason), checked.limited))
+        if order.mode == Mode.STEP and not checked.limited.stops:
+            self._compare_end(flags)
+        assert bool(flags & TickFlag.FAILED) == (reference.reason != StepStatus.OK)
+        assert bool(flags & TickFlag.STOPPED) == checked.limited.stops
+        assert bool(flags & TickFlag.BRAKES) == (checked.limited.stops and reference.brakes)
+        assert bool(flags & TickFlag.TAKES_COMMAND) == reference.takes_command
+        return reference.reason == StepStatus.OK
+
+    def _asked(self, order):
+        reference = self.reference
+        if order.mode == Mode.POSTURE:
+            torque_1, torque_2 = reference.posture_torque()
+            return order.share * torque_1, order.share * torque_2
+        if order.mode == Mode.LAND:
+            return reference.landing_torque(order.share)
+        if order.mode == Mode.STEP and self.command is None and reference.takes_command:
+            self.command = None if np.isnan(order.command[0]) else order.command
+        return reference.hop_torque(self.command or (0.0, 0.0))
+
+    def _compare(self, asked, checked):
+        row = dict(zip(self.tested.units, self.tested.row((0.0, 0.0)), strict=True))
+        assert_allclose((row["asked_1"], row["asked_2"]), asked, rtol=1e-9, atol=1e-9)
+        assert row["phase"] == self.reference.phase
+        assert row["limited"] == checked.limited
+
+    def _compare_end(self, flags):
+        finished = self.reference.finished_hop()
+        assert bool(flags & TickFlag.STEP_ENDED) == (finished is not None)
+        if finished:
+            found = self.tested.finished_step()
+            assert_allclose(found.state, finished.state, rtol=1e-9, atol=1e-9)
+            assert_allclose(found.lost, finished.lost, rtol=1e-9, atol=1e-9)
+            assert found.place == finished.place
+            assert_allclose(found.command, self.command or NO_COMMAND)
+            self.command = None
+
+
+def test_on_the_twin_it_does_what_the_reference_does():
+    """Also where motors give less than asked, frames are lost, and the robot is let go and landed."""
+    rng, twin = np.random.default_rng(1), Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=0.5)
+    twin.connect()
+    both, heights, reading = Both(twin.sensor_model, LOOSE), set(), twin.read()
+    for number in range(9000):
+        mode, begin, length = next(stage for stage in STAGES if number >= stage[1])
+        order = Order(mode, min(1.0, (number - begin) / length), (-5.0, -4.0) if rng.random() < 0.5 else NO_COMMAND)
+        lost = number % 97 == 96
+        reading = reading if lost else twin.read()
+        both.tick(reading, order, LOST if lost else HEALTHY, cut=0.98)
+        twin.write(both.applied)
+        heights.add(both.tested.finished_step().state[1])
+    ended = np.isfinite(list(heights)).sum()
+    assert ended >= 6
+    assert {mode for mode, *_ in both.seen} == set(Mode)
+    assert {phase for _, phase, *_ in both.seen} == set(Phase)
+
+
+def random_reading(rng, number):
+    """A leg that is bent and stretched, and a hip that goes up and down, with noise and now and then nonsense."""
+    swing = np.sin(number / 90.0)
+    fold, lean = 0.85 + 0.5 * swing + rng.normal(0, 0.02), rng.normal(0, 0.05)
+    counts = np.array([lean + fold, lean - fold]) * 16384 / (2 * np.pi)
+    force = max(0.0, rng.normal(-300 * swing, 10))
+    heights = 16384 / (2 * np.pi) * (0.08 + 0.12 * swing)
+    values = [*np.rint(counts).tolist(), float(round(number / 30)), float(round(heights)), force]
+    if rng.random() < 5e-4:
+        values[rng.integers(4)] *= 50
+    return HopperReading(*values)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_sequences_give_what_the_reference_gives(seed):
+    rng, both = np.random.default_rng(seed), Both(LAYOUT, TIGHT if seed % 2 else LOOSE)
+    mode = Mode.STEP
+    for number in range(4000):
+        if rng.random() < 0.002:
+            mode = Mode(rng.integers(4))
+        lost, stale, late, stop = (rng.random(4) < [0.02, 0.02, 0.01, 1e-4]).tolist()
+        health = Health(lost, stale, int(late), stop)
+        command = tuple(rng.normal(0, 8, 2).tolist()) if rng.random() < 0.5 else NO_COMMAND
+        both.tick(random_reading(rng, number), Order(mode, rng.random(), command), health, cut=rng.uniform(0.8, 1))
+    assert len(both.seen) > 4
+
+
+@pytest.mark.parametrize("sensor", HopperReading._fields)
+@pytest.mark.parametrize("bad", [nan, inf])
+def test_a_reading_that_is_not_finite_gives_no_torque_and_changes_nothing(sensor, bad):
+    control = HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
+    before = control.look(HopperReading(100.0, -100.0, 0.0, 0.0, 0.0))
+    reading = HopperReading(100.0, -100.0, 0.0, 0.0, 0.0)._replace(**{sensor: bad})
+    torques, flags = control.tick(1.0, reading, Order(Mode.STEP, 1.0, (0.0, 0.0)), (0.0, 0.0))
+    assert (torques, flags) == ((0.0, 0.0), TickFlag.UNREADABLE)
+    assert_allclose(np.array(flat(control.state)), np.array(flat(before)))
+
+
+def flat(state):
+    """All numbers of a state."""
+    return [number for value in state for number in (flat(value) if isinstance(value, tuple) else [value])]
+
+
+def test_a_torque_that_is_no_number_stops_the_robot():
+    control = HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
+    order = Order(Mode.STEP, nan, (0.0, 0.0))._replace(mode=Mode.POSTURE)
+    torques, flags = control.tick(0.0, HopperReading(1000.0, -1000.0, 0.0, 100.0, 0.0), order, (0.0, 0.0))
+    assert torques == (0.0, 0.0)
+    assert flags & TickFlag.STOPPED
+    assert control.stopped == "not finite"
+    assert Limited(control.state.watch.stopped) == Limited.NOT_FINITE
+
+
+def test_sums_of_powers_fit_as_well_as_all_samples():
+    """Up to a flight of a second, three times the longest of the reference."""
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        count, duration = int(rng.integers(10, 1000)), 0.0
+        times = np.cumsum(rng.uniform(0.5e-3, 1.5e-3, count))
+        heights = rng.uniform(0.2, 0.9) + rng.uniform(0, 3) * times - rng.uniform(2, 10) / 2 * times**2
+        heights += rng.normal(0, 1e-3, count)
+        fit = FlightFit()
+        for time, height in zip(times.tolist(), heights.tolist(), strict=True):
+            fit = with_sample(fit, time, 0.0, height)
+        a, b, c = np.polyfit(times - times.mean(), heights, 2)
+        duration = times[-1]
+        if a < -0.5 and duration > 0.05:
+            assert apex_height(fit) == pytest.approx(c - b * b / (4 * a), rel=1e-9, abs=1e-10)
+
+
+def test_the_tick_allocates_no_memory_and_needs_no_interpreter_lock():
+    HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
+    compiled: Any = tick
+    fresh = njit(**AS_WRITTEN)(compiled.py_func)  # code from the cache cannot be looked at
+    fresh.compile(compiled.signatures[0])
+    (code,) = fresh.inspect_llvm().values()
+    parts = [part for part in code.split("define ") if "cpython" not in part.partition("{")[0]]
+    body = max(parts, key=len)  # but for the entrance from Python, which makes objects of the results
+    assert "fmul" in body
+    assert "alloc(" not in body.replace("alloca(", "")
+    assert "NRT_" not in body
+    assert compiled.targetoptions["nogil"]
+
+
+def test_two_controls_do_not_disturb_each_other():
+    twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
+    with RigPlant(twin, HopperControl(ROBOT, GAINS, BOUNDS)) as plant:
+        plant.start()
+        HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).look(HopperReading(0.0, 0.0, 0.0, 0.0, 50.0))
+        assert plant.take_step(np.array([-4.0, -3.0])).status == StepStatus.OK
+    fresh = HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).state
+    assert_allclose(np.array(flat(fresh)), np.array(flat(HopState())))
