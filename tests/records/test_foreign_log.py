@@ -151,7 +151,7 @@ def test_what_is_wrong_with_a_file_is_named(text: str | bytes, words: str) -> No
 
 
 def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foreign_log, "LARGEST_FILE", 20)
+    monkeypatch.setattr(foreign_log, "LARGEST_LOG", 20)
     (tmp_path / "log.csv").write_text("v,y,v2,y2,f\n1,2,3,4,5\n")
     with pytest.raises(RecordError, match="larger than 20 bytes"):
         read_foreign_logs([tmp_path / "log.csv"], WHOLE)
