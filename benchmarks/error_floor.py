@@ -83,7 +83,7 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
     rig, twin = remade_rig(settings, last)
     plant = Repeating(plant_on(settings, rig), twin, random_stream(settings.seed, last, 2))
     with threadpool_limits(limits=1, user_api="blas"):  # as in a run, or last digits differ
-        learner = Learner(nominal, before, settings.learning, last)
+        learner = Learner.start(nominal, before, settings.learning, last)
         with closing(deploy(learner, plant, reference, last)) as steps:
             again = StepLog(nominal.space, steps)
     if [*map(row_of, again)] != [*map(row_of, recorded.of_iteration(last))]:

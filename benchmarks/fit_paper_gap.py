@@ -30,12 +30,13 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import SETTLING_STEPS, paper_reference
-from stepgap.experiment.deployment import Deployment, deploy, summarise
+from stepgap.experiment.deployment import deploy, summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.paper import NO_GP
+from stepgap.records.summary import Deployment
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -101,9 +102,9 @@ def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) 
     nominal = ApexMap(robot, gains, bounds)
     ground = GroundProfile(gap, robot.boom_length, random_stream(seed))
     rng = random_stream(seed, 0)
-    turn = rng.uniform(0, tau)
-    twin = Twin(robot, gap, rng, ground=ground, turn=turn)
-    uncorrected = Learner(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
+    floor_yaw = rng.uniform(0, tau)
+    twin = Twin(robot, gap, rng, ground=ground, floor_yaw=floor_yaw)
+    uncorrected = Learner.start(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
     steps = deploy(uncorrected, RigPlant(twin, HopperControl(robot, gains, bounds)), reference, iteration=0)
     with threadpool_limits(limits=1, user_api="blas"), closing(steps):
         log = StepLog(nominal.space, islice(steps, most_steps))

@@ -1,4 +1,4 @@
-"""What learning from hop to hop costs: taking in a step and planning the next one, while fits go on beside.
+"""What learning from hop to hop costs: taking in a step and planning the next one, while fits run in the background.
 
 A model whose body is heavier stands for the robot. Between two steps a little is computed every millisecond, as a
 control loop does, for as long as a hop lasts, so that a fit in the background has the time that it would have.
@@ -17,9 +17,10 @@ from time import perf_counter, sleep
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.control.careful_controller import CarefulController
+from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
+from stepgap.learning.background import BackgroundThread
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -39,7 +40,7 @@ def hops(nominal: ApexMap, count: int, seed: int) -> list[LoggedStep]:
     steps: list[LoggedStep] = []
     while len(steps) < count:
         plant = ModelPlant(heavier, np.array([0.0, 0.55]), NOISE, np.random.default_rng([seed, len(steps)]))
-        uncorrected = Learner(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
+        uncorrected = Learner.start(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
         steps += islice(deploy(uncorrected, plant, paper_reference(), iteration=0), count - len(steps))
     return steps
 
@@ -47,14 +48,15 @@ def hops(nominal: ApexMap, count: int, seed: int) -> list[LoggedStep]:
 def measure(nominal: ApexMap, known: list[LoggedStep], new: list[LoggedStep], hop: float) -> list[float]:
     """Seconds from a measured apex to the next command, for each of the new steps."""
     seconds = []
-    with Learner(nominal, StepLog(nominal.space, known), LearningSettings(online=True), 0) as learner:
+    learner = Learner.start(nominal, StepLog(nominal.space, known), LearningSettings(online=True), 0)
+    with BackgroundThread() as background:
         for logged in new:
             begin = perf_counter()
-            learner.observe(logged)
-            controller = CarefulController(learner.step_map(), nominal, learner.failures)
+            learner = learner.after(logged)
+            controller = CautiousController(learner.step_map(), nominal, learner.failures)
             controller(logged.record.next_state, logged.target, guess=logged.record.command)
             seconds.append(perf_counter() - begin)
-            learner.fit_beside()
+            background.compute(learner.pending)
             _tick_for(hop, nominal)
     return seconds
 

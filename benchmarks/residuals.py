@@ -13,9 +13,9 @@ import numpy as np
 
 from stepgap import ApexMap
 from stepgap.experiment.settings import read_experiment
+from stepgap.learning.entry_points import residual_models
 from stepgap.learning.learner import Learner
-from stepgap.learning.residual_fit import CANDIDATES
-from stepgap.learning.settings import Features, LearningSettings, ResidualKind
+from stepgap.learning.settings import AUTO, Features, LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array
@@ -25,13 +25,13 @@ def scores(nominal: ApexMap, learning: LearningSettings, log: StepLog, iteration
     """What was fitted, its RMSE on a deployment (n,), and its mean log density there, summed over the state."""
     before = StepLog(log.space, (logged for logged in log if logged.iteration < iteration))
     rest, std = [], []
-    with Learner(nominal, before, learning, iteration) as learner:
-        name = learner.residual.name
-        for logged in log.of_iteration(iteration).completed():
-            step_map, record = learner.step_map(), logged.record
-            rest.append(record.next_state - step_map(record.state, record.applied))
-            std.append(np.hypot(step_map.std(record.state, record.applied), step_map.noise_std))
-            learner.observe(logged)
+    learner = Learner.start(nominal, before, learning, iteration)
+    name = learner.residual.name
+    for logged in log.of_iteration(iteration).completed():
+        step_map, record = learner.step_map(), logged.record
+        rest.append(record.next_state - step_map(record.state, record.applied))
+        std.append(np.hypot(step_map.std(record.state, record.applied), step_map.noise_std))
+        learner = learner.after(logged)
     density = np.mean(-0.5 * np.square(np.divide(rest, std)) - np.log(std) - 0.5 * np.log(2 * np.pi), axis=0)
     return name, np.sqrt(np.mean(np.square(rest), axis=0)), float(density.sum())
 
@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", type=Path)
     parser.add_argument("--features", default="none")
     options = parser.parse_args()
-    kinds = cast(tuple[ResidualKind, ...], (*CANDIDATES, "auto"))
+    kinds = [*(model.name for model in residual_models() if model.candidate), AUTO]
     found: dict[tuple[str, bool], list[Array]] = {}
     print("run, redeployment, residual: RMSE of each coordinate, log score")
     for run in options.runs:
@@ -53,7 +53,7 @@ def main() -> None:
             for kind in kinds:
                 learning = LearningSettings(residual=kind, features=cast(Features, options.features))
                 name, rmse, score = scores(nominal, learning, log, number)
-                label = f"auto: {name}" if kind == "auto" else name
+                label = f"auto: {name}" if kind == AUTO else name
                 print(f"{run.name} {number} {label:40s}", *(f"{1e3 * x:7.2f}e-3" for x in rmse), f"{score:7.3f}")
                 found.setdefault((kind, number > 1), []).append(np.append(rmse, score))
     for later in (False, True):

@@ -88,7 +88,7 @@ def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
     expected = ApexMap()(START, [-0.2 * 30, 0.1 * 20])
     np.testing.assert_allclose(seen, [*expected, 0.3, 0.6], rtol=0, atol=1e-12)
     np.testing.assert_allclose(info["predicted"], expected, atol=1e-12)
-    assert "place" not in info  # a map has none
+    assert "yaw" not in info  # a map has none
     assert reward == pytest.approx(-(((expected[0] - 0.2) / 0.2) ** 2) - ((expected[1] - 0.58) / 0.06) ** 2)
     assert (fell, at_end, info["status"]) == (False, False, "ok")
 
@@ -206,10 +206,10 @@ def test_it_goes_into_gymnasiums_wrappers_and_vectors() -> None:
     envs.close()
 
 
-def test_the_twins_steps_tell_the_place() -> None:
+def test_the_steps_of_the_twin_have_a_yaw() -> None:
     env = made(reference=REFERENCE)
     env.reset(seed=0)
-    assert np.isfinite(env.step(np.zeros(2))[4]["place"])
+    assert np.isfinite(env.step(np.zeros(2))[4]["yaw"])
 
 
 def test_any_robot_goes_in() -> None:

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from stepgap.control.careful_controller import CarefulController
+from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
@@ -137,11 +137,11 @@ def test_control_knows_it(runner: StepMap) -> None:
     state, target = np.array([1.1, 0.59]), np.array([1.2, 0.6])
     plan = StepController(runner)(state, target)
     assert plan.reached
-    careful = CarefulController(runner, runner, np.empty((0, 4)))(state, target)
-    np.testing.assert_allclose(careful.command, plan.command, rtol=1e-4)
+    cautious = CautiousController(runner, runner, np.empty((0, 4)))(state, target)
+    np.testing.assert_allclose(cautious.command, plan.command, rtol=1e-4)
     gait = fixed_point(runner, target)
     assert abs(gait.command[1]) < 1e-3  # the model needs no push to go on
-    assert np.isclose(np.abs(gait.multipliers), 1, atol=1e-4).any()  # energy neither grows nor dies out
+    assert np.isclose(np.abs(gait.floquet_multipliers), 1, atol=1e-4).any()  # energy neither grows nor dies out
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,8 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
       `MISSED` for every step that it takes away.
     - Terminated by a fall, truncated at the reference's end.
     - Info of a step: `command` and `applied` [command units]; `status`, `ok` or why there was no apex; `predicted`, the
-      nominal map's next state for what was applied, if it has one; `place`, where on its round the robot is [rad], if
-      the plant measures it; `fault`, what the plant says of its end, if it does.
+      nominal map's next state for what was applied, if it has one; `yaw` at the next apex [rad], if the plant
+      measures it; `fault`, what the plant says of its end, if it does.
 
     Args:
         make_plant: Makes the plant of one episode from the environment's random generator.
@@ -106,7 +106,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         predicted, status = self.nominal.evaluate(record.state, record.applied)
         info = {"command": record.command, "applied": record.applied, "status": record.status.label}
         info |= {"predicted": predicted} if status == StepStatus.OK else {}
-        info |= {"place": record.place_after} if isfinite(record.place_after) else {}
+        info |= {"yaw": record.yaw_after} if isfinite(record.yaw_after) else {}
         info |= {"fault": self._plant.fault} if self._plant.fault else {}
         fell = record.status != StepStatus.OK
         if fell:
@@ -171,7 +171,7 @@ def hopper_env(
         gap = PRESETS[gap]()
 
     def make_plant(rng: np.random.Generator) -> Plant:
-        return RigPlant(Twin(robot, gap, rng, turn=rng.uniform(0, tau)), HopperControl(robot, gains, bounds))
+        return RigPlant(Twin(robot, gap, rng, floor_yaw=rng.uniform(0, tau)), HopperControl(robot, gains, bounds))
 
     make_plant(np.random.default_rng(0))  # whatever is wrong with the twin is said now
     return StepEnv(make_plant, nominal, reference)

@@ -262,11 +262,11 @@ class StepRecord:
         applied: Command the joints received after every limit; shape (m,). Learning uses this one.
         next_state: State at the next apex, as measured; NaN if there was none; shape (n,).
         status: How it ended.
-        place_after: Where on its round the robot is at the next apex [rad], such as the yaw of its boom; NaN of a plant
-            that does not measure it, and where there was no apex. No part of the state, and its zero is arbitrary.
+        yaw_after: Yaw at the next apex [rad], such as that of a boom; NaN if the plant does not measure it, or if there
+            was no apex. It is not part of the state, and its zero is arbitrary.
 
     Raises:
-        ValueError: The place is infinite.
+        ValueError: The yaw is infinite.
     """
 
     state: Array
@@ -274,8 +274,8 @@ class StepRecord:
     applied: Array
     next_state: Array
     status: StepStatus
-    place_after: float = np.nan
+    yaw_after: float = np.nan
 
     def __post_init__(self) -> None:
-        if np.isinf(self.place_after):
-            raise ValueError(f"place_after = {self.place_after}, but it must be an angle, or NaN where it is not known")
+        if np.isinf(self.yaw_after):
+            raise ValueError(f"yaw_after = {self.yaw_after}, but it must be an angle, or NaN where it is not known")

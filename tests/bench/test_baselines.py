@@ -14,14 +14,14 @@ NOMINAL = ApexMap()
 def steps_of(truth: StepMap, count: int, noise: float = 0.0) -> StepLog:
     """Random steps of a map."""
     rng = np.random.default_rng(0)
-    log = StepLog(NOMINAL.space)
+    steps: list[LoggedStep] = []
     for number in range(1, count + 1):
         state = rng.uniform([0.05, 0.56], [0.35, 0.62])
         command = rng.uniform([-8, -12], [4, 4])
         next_state = truth(state, command) + noise * rng.standard_normal(2) * [0.01, 0.002]
         record = StepRecord(state, command, command, next_state, StepStatus.OK)
-        log.append(LoggedStep(0, number, state, state, np.zeros(2), record))
-    return log
+        steps.append(LoggedStep(0, number, state, state, np.zeros(2), record))
+    return StepLog(NOMINAL.space, steps)
 
 
 def test_the_adjusted_map_has_the_derivative_of_its_values() -> None:
@@ -37,16 +37,15 @@ def test_the_integral_follows_a_constant_error() -> None:
     shift = np.array([0.05, -0.02])
     truth = AdjustedMap(NOMINAL, shift)
     log = steps_of(truth, 3)
-    learner = IntegralCorrection(NOMINAL, StepLog(NOMINAL.space))
+    learner = IntegralCorrection.start(NOMINAL, StepLog(NOMINAL.space))
     state, command = [0.2, 0.58], [2.0, -5.0]
-    with learner:
-        for count, logged in enumerate(log, start=1):
-            learner.observe(logged)
-            added = learner.step_map()(state, command) - NOMINAL(state, command)
-            np.testing.assert_allclose(added, (1 - (1 - INTEGRAL_GAIN) ** count) * shift)
+    for count, logged in enumerate(log, start=1):
+        learner = learner.after(logged)
+        added = learner.step_map()(state, command) - NOMINAL(state, command)
+        np.testing.assert_allclose(added, (1 - (1 - INTEGRAL_GAIN) ** count) * shift)
     state, command = list(log)[-1].record.state, list(log)[-1].record.command
-    with IntegralCorrection(NOMINAL, log) as told:
-        np.testing.assert_allclose(told.step_map()(state, command), learner.step_map()(state, command))
+    known_before = IntegralCorrection.start(NOMINAL, log)
+    np.testing.assert_allclose(known_before.step_map()(state, command), learner.step_map()(state, command))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])

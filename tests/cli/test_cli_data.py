@@ -41,7 +41,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n")
     with pytest.MonkeyPatch.context() as patch:
         leave_out_report(patch)
-        patch.setattr("stepgap.experiment.plants.measure_repeatability", lambda *_: np.array([0.01, np.nan]))
+        patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, np.nan]))
         paths = ["--reference", str(folder / "targets.csv"), "--out", str(folder / "run")]
         main(["run", *paths, "--iterations", "1", "--seed", "5", "--quiet"])
     return folder / "run"

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stepgap.control.limit_cycle import fixed_point, free_fixed_point, multipliers, reachable_set
+from stepgap.control.limit_cycle import fixed_point, floquet_multipliers, free_fixed_point, reachable_set
 from stepgap.step import Array, Codes, Quantity, StepFailed, StepSpace, StepStatus
 from tests.control.maps import FX, ClosedFormMap, LossyHopper, NeverWorks, RedundantMap, ScalarMap, StumblingHopper
 
@@ -32,7 +32,7 @@ def test_fixed_point_holds_the_target_with_the_closed_form_command():
 def test_multipliers_are_those_of_the_closed_form():
     step_map = LossyHopper()
     cycle = fixed_point(step_map, [0.2, 0.58])
-    np.testing.assert_allclose(cycle.multipliers, [step_map.keep, 1 - step_map.loss], atol=1e-8)
+    np.testing.assert_allclose(cycle.floquet_multipliers, [step_map.keep, 1 - step_map.loss], atol=1e-8)
     assert cycle.stable
 
 
@@ -41,7 +41,7 @@ def test_complex_multipliers_decide_stability(stretch, stable):
     cycle = free_fixed_point(Spiral(stretch), [0.5])
     assert cycle.held
     assert cycle.stable is stable
-    np.testing.assert_allclose(sorted(cycle.multipliers, key=np.imag), stretch * np.exp([-1j, 1j]), atol=1e-8)
+    np.testing.assert_allclose(sorted(cycle.floquet_multipliers, key=np.imag), stretch * np.exp([-1j, 1j]), atol=1e-8)
 
 
 def test_unstable_fixed_point_is_held_all_the_same():
@@ -49,7 +49,7 @@ def test_unstable_fixed_point_is_held_all_the_same():
     cycle = fixed_point(step_map, [0.2, 0.58])
     assert cycle.held
     assert not cycle.stable
-    assert cycle.multipliers[0] == pytest.approx(1.2)
+    assert cycle.floquet_multipliers[0] == pytest.approx(1.2)
 
 
 def test_state_that_cannot_be_held_says_where_it_goes():
@@ -66,7 +66,7 @@ def test_state_that_cannot_be_held_says_where_it_goes():
 def test_more_commands_than_states_hold_too():
     cycle = fixed_point(RedundantMap(), [0.2, 0.58])
     assert cycle.held
-    np.testing.assert_allclose(cycle.multipliers, [0.6, 0.6], atol=1e-8)
+    np.testing.assert_allclose(cycle.floquet_multipliers, [0.6, 0.6], atol=1e-8)
 
 
 @pytest.mark.parametrize("command", [(0, 0), (3, 8), (-4, -3)])
@@ -102,7 +102,7 @@ def test_multipliers_beside_failing_steps_are_nan():
         def status(self, state: Array, command: Array) -> Codes:
             return np.where(state[..., 0] > 0.2, StepStatus.FELL, super().status(state, command))
 
-    assert np.isnan(multipliers(OnEdge(), [0.2, 0.58], [0, 0])).all()
+    assert np.isnan(floquet_multipliers(OnEdge(), [0.2, 0.58], [0, 0])).all()
 
 
 def test_reachable_set_holds_the_grid_and_marks_failures():

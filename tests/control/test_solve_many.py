@@ -4,8 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stepgap.control.solve_many import box_steps, solve_many
-from stepgap.control.step_controller import StepController, box_step
+from stepgap.control.gauss_newton import box_step, box_steps
+from stepgap.control.solve_many import solve_many
+from stepgap.control.step_controller import StepController
 from stepgap.step import Array, StepMap, StepStatus, box_grid
 from tests.control.maps import (
     CountingMap,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepgap.control.careful_controller import CarefulController
+from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.exploration import calibrating_plan, goals_of
@@ -34,7 +34,7 @@ def test_a_calibrating_step_teaches_more_than_the_middle_of_the_bounds() -> None
     residual = fitted(hops(REALITY, 6, seed=0))
     step_map = CorrectedMap(NOMINAL, residual)
     goals, state = goals_of(REFERENCE, step_map), np.array([0.2, 0.58])
-    plan = calibrating_plan(CarefulController(step_map, NOMINAL, NO_FAILURES), residual, state, goals)
+    plan = calibrating_plan(CautiousController(step_map, NOMINAL, NO_FAILURES), residual, state, goals)
     chosen = goals.uncertainty_after(residual, np.append(state, plan.command))
     middle = goals.uncertainty_after(residual, np.append(state, NOMINAL.space.command_centre))
     assert chosen < middle < goals.uncertainty_after(residual)
@@ -42,7 +42,7 @@ def test_a_calibrating_step_teaches_more_than_the_middle_of_the_bounds() -> None
 
 def test_calibrating_steps_come_first_and_stay_within_what_the_reference_needs() -> None:
     plant = ModelPlant(REALITY, np.array([0.1, 0.55]), NOISE, np.random.default_rng(0))
-    learner = Learner(NOMINAL, log_of([]), LearningSettings(calibration=10), iteration=0)
+    learner = Learner.start(NOMINAL, log_of([]), LearningSettings(calibration=10), iteration=0)
     steps = list(deploy(learner, plant, REFERENCE, 0, calibration=10))
     assert [logged.step for logged in steps] == list(range(-9, len(REFERENCE) + 1))
     lower, upper = REFERENCE.targets.min(axis=0), REFERENCE.targets.max(axis=0)
@@ -53,7 +53,7 @@ def test_calibrating_steps_come_first_and_stay_within_what_the_reference_needs()
 
 def tracked_error(calibration: int) -> np.ndarray:
     plant = ModelPlant(REALITY, np.array([0.1, 0.55]), NOISE, np.random.default_rng(1))
-    learner = Learner(NOMINAL, log_of([]), LearningSettings(calibration=calibration), iteration=0)
+    learner = Learner.start(NOMINAL, log_of([]), LearningSettings(calibration=calibration), iteration=0)
     tracked = [logged for logged in deploy(learner, plant, REFERENCE, 0, calibration) if logged.step > 0]
     error = [logged.record.next_state - logged.target for logged in tracked]
     return np.sqrt(np.mean(np.square(error), axis=0))

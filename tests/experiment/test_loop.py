@@ -10,26 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.base.files import write_whole
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment import loop
-from stepgap.experiment.deployment import Deployment, deploy, summarise
-from stepgap.experiment.loop import (
-    Observer,
-    repeatability,
-    run,
-    write_whole,
-)
+from stepgap.experiment.deployment import deploy, estimate_noise_floor, summarise
+from stepgap.experiment.loop import Observer, run
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
-from stepgap.learning.observations import next_context
+from stepgap.learning.observations import next_history
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
+from stepgap.records.summary import Deployment
 from stepgap.rigs.rig import RigFault
 from stepgap.step import Array, Codes, StepMap, StepRecord, StepStatus
 from tests.control.maps import LossyHopper, NeverWorks, StumblingHopper
@@ -120,13 +117,15 @@ def test_nothing_completed_has_no_error() -> None:
         assert measure.shape == (2,)
 
 
-def test_repeatability_is_the_noise_of_the_plant() -> None:
+def test_the_noise_floor_is_the_noise_of_the_plant() -> None:
     reference = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (2, (0.2, 0.58))], steps=2000)
     plant = plant_of(REALITY)(np.random.default_rng(1))
-    steps = list(deploy(Learner(NOMINAL, in_space([]), ALWAYS, 0), plant, reference, 0))
-    assert repeatability(in_space(steps), reference) == pytest.approx(NOISE, rel=0.05)
-    assert np.isnan(repeatability(in_space(steps[:9]), reference)).all(), "4 steady steps cannot tell 5 coefficients"
-    assert np.isnan(repeatability(in_space([]), reference)).all()
+    steps = list(deploy(Learner.start(NOMINAL, in_space([]), ALWAYS, 0), plant, reference, 0))
+    assert estimate_noise_floor(in_space(steps), reference) == pytest.approx(NOISE, rel=0.05)
+    assert np.isnan(estimate_noise_floor(in_space(steps[:9]), reference)).all(), (
+        "4 steady steps cannot tell 5 coefficients"
+    )
+    assert np.isnan(estimate_noise_floor(in_space([]), reference)).all()
 
 
 # What is learnt
@@ -151,9 +150,9 @@ def test_learning_closes_the_gap(tmp_path: Path) -> None:
 
 
 def test_nothing_learnt_leaves_the_nominal_map() -> None:
-    assert Learner(NOMINAL, in_space([]), ALWAYS, 1).residual.kind == "none"
+    assert Learner.start(NOMINAL, in_space([]), ALWAYS, 1).residual.kind == "none"
     failing = in_space([logged(1, (0.1, 0.5), (0.1, 0.5))])
-    assert Learner(NeverWorks(), failing, ALWAYS, 1).residual.kind == "none"
+    assert Learner.start(NeverWorks(), failing, ALWAYS, 1).residual.kind == "none"
 
 
 def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
@@ -166,8 +165,8 @@ def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
         assert deployment.residual == f"{saved['kind']} with previous error"
         for row, logged in enumerate(log):
             if logged.iteration == deployment.iteration:
-                context = next_context(in_space(log[:row]), NOMINAL, logged.iteration)
-                expected = CorrectedMap(NOMINAL, residual.given(context))
+                history = next_history(in_space(log[:row]), NOMINAL, logged.iteration)
+                expected = CorrectedMap(NOMINAL, residual.conditioned_on(history))
                 predicted = expected(logged.record.state, logged.record.command)
                 np.testing.assert_allclose(logged.predicted, predicted, rtol=1e-9, atol=1e-9)
 
@@ -195,7 +194,7 @@ def deployment(speed: float, height: float = 0.0, falls: int = 0) -> Deployment:
 )
 def test_when_redeploying_is_worth_it(errors: list[float], goes_on: bool) -> None:
     done = [deployment(0.0 if math.isinf(error) else error, falls=int(math.isinf(error))) for error in errors]
-    assert loop._worth_going_on(done, np.array([1.0, 1.0]), least_gain=0.01) is goes_on
+    assert loop._still_improves(done, np.array([1.0, 1.0]), least_gain=0.01) is goes_on
 
 
 def test_it_stops_when_nothing_is_gained(tmp_path: Path) -> None:
@@ -270,7 +269,7 @@ def test_a_measured_repeatability_is_recorded_and_measured_once(tmp_path: Path) 
         return np.array([0.003, np.nan])
 
     for _ in range(2):
-        run(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, tmp_path, 3, measure_spread=measure)
+        run(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, tmp_path, 3, measure_noise_floor=measure)
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert summary["repeatability"] == {"speed": 0.003, "height": None}
         assert summary["repeatability_measured"] is True
@@ -279,6 +278,30 @@ def test_a_measured_repeatability_is_recorded_and_measured_once(tmp_path: Path) 
     assert drawn == random_stream(3, 2, 1).random()
     learned = json.loads((tmp_path / "models" / "iteration_2.json").read_text())
     assert step_map.residual.to_dict() == learned
+
+
+def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tmp_path: Path) -> None:
+    """The map at the end of the last deployment, with the disturbance estimated by then, whoever executed its steps."""
+    maps: list[CorrectedMap] = []
+
+    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
+        assert isinstance(step_map, CorrectedMap)
+        maps.append(step_map)
+        if len(maps) == 1:
+            raise KeyboardInterrupt
+        return np.array([0.003, 0.001])
+
+    def go(folder: Path) -> bytes:
+        folder.mkdir(exist_ok=True)
+        run(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, folder, 3, measure_noise_floor=measure)
+        return (folder / "summary.json").read_bytes()
+
+    with pytest.raises(KeyboardInterrupt):
+        go(tmp_path / "interrupted")
+    assert go(tmp_path / "interrupted") == go(tmp_path / "whole")
+    point = np.array([0.15, 0.57]), np.array([1.0, 2.0])
+    _, resumed, whole = (step_map(*point).tolist() for step_map in maps)
+    assert resumed == whole
 
 
 def test_every_step_is_on_disk_before_anyone_hears_of_it(tmp_path: Path) -> None:

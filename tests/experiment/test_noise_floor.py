@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepgap.control.reference import Reference
-from stepgap.experiment.noise_floor import measure_repeatability
+from stepgap.experiment.noise_floor import measure_noise_floor
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -24,7 +24,7 @@ SILENT = replace(RealityGap(), torque_noise=0.0, ground_roughness=0.0, ground_sl
 def measured(gap: RealityGap, seed: int = 1) -> Array:
     twin = Twin(ROBOT, gap, np.random.default_rng(0))
     plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds()))
-    return measure_repeatability(plant, twin, NOMINAL, REFERENCE, np.random.default_rng(seed))
+    return measure_noise_floor(plant, twin, NOMINAL, REFERENCE, np.random.default_rng(seed))
 
 
 def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
@@ -47,4 +47,4 @@ def test_more_noise_spreads_in_proportion() -> None:
 def test_a_robot_that_cannot_hop_on_has_none() -> None:
     twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
     plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds(fy_lower=-200, fy_upper=-190)))
-    assert np.isnan(measure_repeatability(plant, twin, NeverWorks(), REFERENCE, np.random.default_rng(0))).all()
+    assert np.isnan(measure_noise_floor(plant, twin, NeverWorks(), REFERENCE, np.random.default_rng(0))).all()

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.experiment.loop import Deployment, Observer
+from stepgap.experiment.loop import Observer
 from stepgap.experiment.plants import plant_on, remade_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.experiment.tick_recorder import HopCount, TickRecorder
 from stepgap.learning.step_log import LoggedStep
+from stepgap.records.summary import Deployment
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
 from stepgap.robots.hopper.sensors import HopperReading

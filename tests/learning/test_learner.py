@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepgap.learning.background import BackgroundThread
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.learner import WATCHED, Learner
+from stepgap.learning.learner import MONITORED_STEPS, Learner
 from stepgap.learning.observations import observe
 from stepgap.learning.residual_fit import fit_residual
-from stepgap.learning.settings import LearningSettings, ResidualKind
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 from tests.control.maps import LossyHopper
@@ -38,15 +39,15 @@ def log_of(steps: list[LoggedStep]) -> StepLog:
     return StepLog(NOMINAL.space, steps)
 
 
-def taught(learner: Learner, steps: list[LoggedStep]) -> Learner:
-    with learner:
+def after(learner: Learner, steps: list[LoggedStep]) -> Learner:
+    with BackgroundThread() as background:
         for logged in steps:
-            learner.fit_beside()
-            learner.observe(logged)
+            background.compute(learner.pending)
+            learner = learner.after(logged)
     return learner
 
 
-def fitted(steps: list[LoggedStep], kind: ResidualKind = DEFAULT):
+def fitted(steps: list[LoggedStep], kind: str = DEFAULT):
     return fit_residual(kind, observe(log_of(steps), NOMINAL))
 
 
@@ -55,53 +56,68 @@ POINTS = np.random.default_rng(9).uniform([0.0, 0.54, -10, -15], [0.4, 0.62, 10,
 
 def test_before_a_deployment_it_knows_the_log() -> None:
     steps = hops(REALITY, 40, seed=0)
-    learner = Learner(NOMINAL, log_of(steps), LearningSettings(), iteration=1)
+    learner = Learner.start(NOMINAL, log_of(steps), LearningSettings(), iteration=1)
     np.testing.assert_array_equal(learner.residual.mean(POINTS), fitted(steps).mean(POINTS))
 
 
 def test_offline_a_deployment_teaches_nothing() -> None:
     steps = hops(REALITY, 40, seed=0)
-    learner = Learner(NOMINAL, log_of(steps), LearningSettings(), iteration=1)
-    before = learner.residual.mean(POINTS)
-    taught(learner, hops(REALITY, 30, seed=1, iteration=1))
-    np.testing.assert_array_equal(learner.residual.mean(POINTS), before)
+    learner = Learner.start(NOMINAL, log_of(steps), LearningSettings(), iteration=1)
+    later = after(learner, hops(REALITY, 30, seed=1, iteration=1))
+    np.testing.assert_array_equal(later.residual.mean(POINTS), learner.residual.mean(POINTS))
 
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "gp", "auto"])
-def test_online_the_error_falls_from_hop_to_hop(kind: ResidualKind) -> None:
-    learner = Learner(NOMINAL, log_of([]), replace(ONLINE, residual=kind), iteration=0)
+def test_online_the_error_falls_from_hop_to_hop(kind: str) -> None:
+    learner = Learner.start(NOMINAL, log_of([]), replace(ONLINE, residual=kind), iteration=0)
     truth = REALITY.evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state
 
-    def error() -> Array:
-        missed = learner.step_map().evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state - truth
-        return np.sqrt(np.mean(missed**2, axis=0))
+    def error(learner: Learner) -> Array:
+        innovations = learner.step_map().evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state - truth
+        return np.sqrt(np.mean(innovations**2, axis=0))
 
-    at_first = error()
-    taught(learner, hops(REALITY, 60, seed=2))
-    assert (error() < (0.9 if kind == "constant" else 0.35) * at_first).all()
+    later = after(learner, hops(REALITY, 60, seed=2))
+    assert (error(later) < (0.9 if kind == "constant" else 0.35) * error(learner)).all()
 
 
 def test_the_newest_step_counts_for_the_next_one() -> None:
-    learner = Learner(NOMINAL, log_of(hops(REALITY, 30, seed=0)), ONLINE, iteration=1)
+    learner = Learner.start(NOMINAL, log_of(hops(REALITY, 30, seed=0)), ONLINE, iteration=1)
     (logged,) = hops(REALITY, 1, seed=7, iteration=1)
     point = np.concatenate([logged.record.state, logged.record.applied])
-    with learner:
-        before = learner.residual
-        learner.observe(logged)
-        error = logged.record.next_state - NOMINAL(logged.record.state, logged.record.applied)
-        np.testing.assert_allclose(learner.residual.mean(POINTS), before.append(point, error).mean(POINTS), atol=1e-12)
+    error = logged.record.next_state - NOMINAL(logged.record.state, logged.record.applied)
+    expected = learner.residual.append(point, error).mean(POINTS)
+    np.testing.assert_allclose(learner.after(logged).residual.mean(POINTS), expected, atol=1e-12)
 
 
 def test_the_same_steps_give_the_same_model_however_long_fits_take() -> None:
     steps = hops(REALITY, 50, seed=3)
-    one, other = (taught(Learner(NOMINAL, log_of([]), ONLINE, 0), steps).residual.mean(POINTS) for _ in range(2))
+    start = Learner.start(NOMINAL, log_of([]), ONLINE, 0)
+    alone = start
+    for logged in steps:
+        alone = alone.after(logged)
+    one, other = (after(start, steps).residual.mean(POINTS) for _ in range(2))
     np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(one, alone.residual.mean(POINTS), err_msg="without a thread")
+
+
+def test_a_learner_stays_what_it_was() -> None:
+    """From one learner two futures, of which neither changes it or the other."""
+    start = after(
+        Learner.start(NOMINAL, log_of(hops(REALITY, 30, seed=0)), ONLINE, 1), hops(REALITY, 4, 7, iteration=1)
+    )
+    before = start.residual.mean(POINTS)
+    (one,), (other,) = (hops(reality, 1, seed=8, iteration=1, first=5) for reality in (REALITY, NOMINAL))
+    futures = [start.after(logged).residual.mean(POINTS) for logged in (one, other, one)]
+    np.testing.assert_array_equal(start.residual.mean(POINTS), before)
+    np.testing.assert_array_equal(futures[0], futures[2])
+    assert (futures[0] != futures[1]).any()
+    assert (len(start.log), len(start.after(one).log)) == (34, 35)
 
 
 def test_a_fit_that_is_taken_over_knows_every_step() -> None:
     """While it went on, steps came in; the next fit begins only later."""
     known, new = hops(REALITY, 40, seed=0), hops(REALITY, 6, seed=7, iteration=1)
-    learner = taught(Learner(NOMINAL, log_of(known), ONLINE, iteration=1), new)
+    learner = after(Learner.start(NOMINAL, log_of(known), ONLINE, iteration=1), new)
     for regression in learner.residual.regressions:
         assert isinstance(regression, GaussianProcessRegression)
         assert len(regression.process.points) == 46
@@ -110,47 +126,41 @@ def test_a_fit_that_is_taken_over_knows_every_step() -> None:
     for logged in new[4:]:
         record = logged.record
         error = record.next_state - NOMINAL(record.state, record.applied)
-        expected = expected.given(context).append(np.concatenate([record.state, record.applied]), error)
+        expected = expected.conditioned_on(context).append(np.concatenate([record.state, record.applied]), error)
     np.testing.assert_array_equal(learner.residual.mean(POINTS), expected.mean(POINTS))
 
 
 def test_calibration_teaches_its_steps_and_no_more() -> None:
     settings = LearningSettings("gp", calibration=12)
-    learner = Learner(NOMINAL, log_of([]), settings, iteration=0)
+    start = Learner.start(NOMINAL, log_of([]), settings, iteration=0)
     steps = hops(REALITY, 12, seed=4, first=-11)
-    taught(learner, steps)
-    known = learner.residual.mean(POINTS)
+    known = after(start, steps).residual.mean(POINTS)
     np.testing.assert_allclose(known, fitted(steps, "gp").mean(POINTS), rtol=1e-3, atol=1e-5)
-    learner = Learner(NOMINAL, log_of([]), settings, iteration=0)
-    taught(learner, hops(REALITY, 32, seed=4, first=-11))
-    np.testing.assert_allclose(learner.residual.mean(POINTS), known, atol=1e-12)
+    later = after(start, hops(REALITY, 32, seed=4, first=-11))
+    np.testing.assert_allclose(later.residual.mean(POINTS), known, atol=1e-12)
 
 
 def test_a_correction_that_predicts_worse_is_left_out_until_it_is_better() -> None:
-    learner = Learner(NOMINAL, log_of(hops(REALITY, 40, seed=0)), LearningSettings(), iteration=1)
-    with learner:
-        assert learner.step_map().residual.kind == DEFAULT
-        for logged in hops(NOMINAL, WATCHED, seed=5, iteration=1):
-            learner.observe(logged)
-        assert learner.step_map().residual.kind == "none"
-        for logged in hops(REALITY, WATCHED, seed=6, iteration=1, first=WATCHED + 1):
-            learner.observe(logged)
-        assert learner.step_map().residual.kind == DEFAULT
+    learner = Learner.start(NOMINAL, log_of(hops(REALITY, 40, seed=0)), LearningSettings(), iteration=1)
+    assert learner.step_map().residual.kind == DEFAULT
+    learner = after(learner, hops(NOMINAL, MONITORED_STEPS, seed=5, iteration=1))
+    assert learner.step_map().residual.kind == "none"
+    learner = after(learner, hops(REALITY, MONITORED_STEPS, seed=6, iteration=1, first=MONITORED_STEPS + 1))
+    assert learner.step_map().residual.kind == DEFAULT
 
 
 def test_a_correction_is_judged_with_the_shift_that_it_is_deployed_with() -> None:
     """The robot errs the other way round by now: what was learnt is wrong, what drifts makes up for it."""
     robot, opposite = LossyHopper(drift=0.1), LossyHopper(drift=0.02)
-    learner = Learner(NOMINAL, log_of(hops(robot, 40, seed=0)), LearningSettings(), iteration=1)
-    with learner:
-        left_out, corrected, uncorrected = 0, [], []
-        for logged in hops(opposite, 100, seed=5, iteration=1):
-            record, deployed = logged.record, learner.step_map()
-            learner.observe(logged)
-            if logged.step > 3 * WATCHED:
-                left_out += deployed.residual.kind == "none"
-                corrected.append(record.next_state - deployed(record.state, record.applied))
-                uncorrected.append(record.next_state - NOMINAL(record.state, record.applied))
+    learner = Learner.start(NOMINAL, log_of(hops(robot, 40, seed=0)), LearningSettings(), iteration=1)
+    left_out, corrected, uncorrected = 0, [], []
+    for logged in hops(opposite, 100, seed=5, iteration=1):
+        record, deployed = logged.record, learner.step_map()
+        learner = learner.after(logged)
+        if logged.step > 3 * MONITORED_STEPS:
+            left_out += deployed.residual.kind == "none"
+            corrected.append(record.next_state - deployed(record.state, record.applied))
+            uncorrected.append(record.next_state - NOMINAL(record.state, record.applied))
     scale = NOMINAL.space.state_scale
     assert left_out == 0
     assert np.linalg.norm(corrected / scale) < 0.3 * np.linalg.norm(uncorrected / scale)
@@ -159,47 +169,48 @@ def test_a_correction_is_judged_with_the_shift_that_it_is_deployed_with() -> Non
 def test_steps_that_failed_are_remembered() -> None:
     (logged,) = hops(REALITY, 1, seed=0)
     failed = replace(logged, record=replace(logged.record, next_state=np.full(2, np.nan), status=StepStatus.FELL))
-    learner = Learner(NOMINAL, log_of([failed]), LearningSettings(), iteration=1)
+    learner = Learner.start(NOMINAL, log_of([failed]), LearningSettings(), iteration=1)
     np.testing.assert_array_equal(learner.failures, [[*failed.record.state, *failed.record.applied]])
-    assert Learner(NOMINAL, log_of([]), LearningSettings(), iteration=1).failures.shape == (0, 4)
+    empty = Learner.start(NOMINAL, log_of([]), LearningSettings(), iteration=1)
+    assert empty.failures.shape == (0, 4)
+    np.testing.assert_array_equal(empty.after(failed).failures, learner.failures)
 
 
 def leaning(reality: StepMap, seed: int, iteration: int) -> list[LoggedStep]:
-    """Hops on a boom that leans: the place adds a wave to the speed, its zero elsewhere in each deployment."""
-    place = 10.0 * seed
+    """Hops on a boom that leans: a sine of the yaw is added to the speed, with another zero in each deployment."""
+    yaw = 10.0 * seed
     rng, steps = np.random.default_rng([seed, 1]), []
     for logged in hops(reality, 200, seed=seed, iteration=iteration):
-        added = np.array([0.02 * np.sin(place), 0.0])
-        place += rng.uniform(0.05, 0.35)
-        record = replace(logged.record, next_state=logged.record.next_state + added, place_after=place)
+        added = np.array([0.02 * np.sin(yaw), 0.0])
+        yaw += rng.uniform(0.05, 0.35)
+        record = replace(logged.record, next_state=logged.record.next_state + added, yaw_after=yaw)
         steps.append(replace(logged, record=record))
     return steps
 
 
-def test_what_a_place_adds_is_no_error_of_the_map_and_followed_there() -> None:
-    """Steps are judged from a known place on; the wave's own RMS is 14 mm/s, the noise 4."""
+def test_what_depends_on_the_yaw_is_no_error_of_the_map_and_is_followed() -> None:
+    """After a known yaw; the RMS of the sine is 14 mm/s, that of the noise 4 mm/s."""
     known = leaning(REALITY, 1, 0) + leaning(REALITY, 2, 1)
     rms: dict[bool, tuple[float, float]] = {}
     for drift in (True, False):
-        learner = Learner(NOMINAL, log_of(known), LearningSettings(drift=drift), 2)
-        points, missed = POINTS[:, :2], []
+        learner = Learner.start(NOMINAL, log_of(known), LearningSettings(drift=drift), 2)
+        points, innovations = POINTS[:, :2], []
         learnt = learner.residual.mean(POINTS) - (REALITY(points, POINTS[:, 2:]) - NOMINAL(points, POINTS[:, 2:]))
-        with learner:
-            for logged in leaning(REALITY, 3, 2):
-                record = logged.record
-                missed.append(record.next_state - learner.step_map()(record.state, record.applied))
-                learner.observe(logged)
-        rms[drift] = float(np.std(learnt[:, 0])), float(np.std(np.array(missed)[60:, 0]))
+        for logged in leaning(REALITY, 3, 2):
+            record = logged.record
+            innovations.append(record.next_state - learner.step_map()(record.state, record.applied))
+            learner = learner.after(logged)
+        rms[drift] = float(np.std(learnt[:, 0])), float(np.std(np.array(innovations)[60:, 0]))
     assert rms[True][0] < 0.7 * rms[False][0]
     assert rms[True][1] < 0.006 < 0.013 < rms[False][1]
 
 
-def test_without_a_correction_what_a_place_adds_is_noise() -> None:
+def test_without_a_correction_what_depends_on_the_yaw_is_noise() -> None:
     """Nothing is followed then, so that a step scatters by it; of a robot that is the model, `auto` takes none, too."""
     known = leaning(NOMINAL, 1, 0) + leaning(NOMINAL, 2, 1)
     errors = observe(log_of(known), NOMINAL).error
     for kind in ("none", "auto"):
-        residual = Learner(NOMINAL, log_of(known), LearningSettings(residual=kind), 2).residual
+        residual = Learner.start(NOMINAL, log_of(known), LearningSettings(residual=kind), 2).residual
         assert residual.kind == "none"
         np.testing.assert_allclose(residual.noise_std, np.sqrt(np.mean(errors**2, axis=0)), rtol=0.1)
 
@@ -211,8 +222,8 @@ def test_a_drift_within_the_deployment_is_followed_if_asked_to() -> None:
         for logged in hops(REALITY, 30, seed=8, iteration=1)
     ]
     for drift in (True, False):
-        learner = taught(Learner(NOMINAL, log_of(known), LearningSettings(drift=drift), 1), drifting)
+        learner = after(Learner.start(NOMINAL, log_of(known), LearningSettings(drift=drift), 1), drifting)
         added = learner.step_map().offset
         np.testing.assert_allclose(added, shifted if drift else 0.0, atol=0.01)
-    uncorrected = taught(Learner(NOMINAL, log_of([]), LearningSettings(), 0), drifting)
+    uncorrected = after(Learner.start(NOMINAL, log_of([]), LearningSettings(), 0), drifting)
     np.testing.assert_array_equal(uncorrected.step_map().offset, np.zeros(2))

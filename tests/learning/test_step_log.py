@@ -21,14 +21,14 @@ def step(iteration: int = 0, number: int = 1, status: StepStatus = StepStatus.OK
     return LoggedStep(iteration, number, np.array([0.2, 0.58]), np.array([0.2, 0.58]), np.zeros(2), record)
 
 
-def test_the_place_of_a_step_is_where_the_one_before_ended() -> None:
+def test_the_yaw_of_a_step_is_where_the_one_before_ended() -> None:
     first = [step(), step(number=2), step(number=3)]
-    places = [0.5, math.nan, 7.0]
-    known = [replace(s, record=replace(s.record, place_after=place)) for s, place in zip(first, places, strict=True)]
-    np.testing.assert_array_equal(StepLog(SPACE, [*known, step(1, 1)]).place, [math.nan, 0.5, math.nan, math.nan])
-    assert StepLog(SPACE).place.shape == (0,)
+    yaws = [0.5, math.nan, 7.0]
+    known = [replace(s, record=replace(s.record, yaw_after=yaw)) for s, yaw in zip(first, yaws, strict=True)]
+    np.testing.assert_array_equal(StepLog(SPACE, [*known, step(1, 1)]).yaw, [math.nan, 0.5, math.nan, math.nan])
+    assert StepLog(SPACE).yaw.shape == (0,)
     left_out = StepLog(SPACE, [known[0], known[2]])
-    np.testing.assert_array_equal(left_out.place, [math.nan, math.nan])
+    np.testing.assert_array_equal(left_out.yaw, [math.nan, math.nan])
 
 
 def test_the_log_by_columns() -> None:

@@ -46,23 +46,23 @@ def test_steps_are_chained_and_record_what_was_asked_and_applied(make_plant):
             state = record.next_state
 
 
-def test_the_place_of_a_step_is_the_boom_at_its_end():
+def test_the_yaw_after_a_step_is_that_of_the_boom():
     twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0), start_speed=0.3)
     with RigPlant(twin, CONTROL) as plant:
         plant.start()
         for _ in range(3):
-            place = plant.take_step(COMMAND).place_after
-            assert abs(place - twin.true_state().boom[0]) < 2 * np.pi / 5000 + 1e-3  # a count, and a tick's way
-            assert place > 0.1
+            yaw = plant.take_step(COMMAND).yaw_after
+            assert abs(yaw - twin.true_state().boom[0]) < 2 * np.pi / 5000 + 1e-3  # a count, and a tick's way
+            assert yaw > 0.1
 
 
-def test_a_step_without_an_apex_and_a_map_have_no_place():
+def test_a_step_without_an_apex_and_a_map_have_no_yaw():
     with model_plant(0) as plant:
         plant.start()
-        assert np.isnan(plant.take_step(COMMAND).place_after)
+        assert np.isnan(plant.take_step(COMMAND).yaw_after)
     with twin_plant(0) as plant:
         plant.start()
-        assert np.isnan(plant.take_step(np.array([np.nan, 0.0])).place_after)
+        assert np.isnan(plant.take_step(np.array([np.nan, 0.0])).yaw_after)
 
 
 def test_same_seed_same_steps(make_plant):

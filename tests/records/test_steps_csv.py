@@ -43,15 +43,15 @@ def any_step(draw: st.DrawFn) -> LoggedStep:
     status = draw(st.sampled_from(list(StepStatus)))
     next_state = draw(PAIR) if status == StepStatus.OK else NO_STATE
     predicted = draw(st.one_of(PAIR, st.just(NO_STATE)))
-    place = draw(st.one_of(FINITE, st.just(math.nan)))
-    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, place)
+    yaw = draw(st.one_of(FINITE, st.just(math.nan)))
+    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, yaw)
     return LoggedStep(0, 1, draw(PAIR), predicted, draw(PAIR), record)
 
 
 def numbers_of(logged: LoggedStep) -> bytes:
     record = logged.record
     arrays = (record.state, logged.target, record.command, record.applied, record.next_state)
-    return np.concatenate([*arrays, logged.predicted, logged.std, [record.place_after]]).tobytes()
+    return np.concatenate([*arrays, logged.predicted, logged.std, [record.yaw_after]]).tobytes()
 
 
 @given(logged=any_step())
@@ -69,17 +69,17 @@ def test_the_columns_are_the_contract(tmp_path: Path) -> None:
     header, *rows = (tmp_path / "steps.csv").read_text().splitlines()
     assert header == (
         "iteration,step,speed,height,target_speed,target_height,fx,fy,applied_fx,applied_fy,"
-        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,place_after,status"
+        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,yaw_after,status"
     )
     assert header.split(",") == column_names(SPACE)
     assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,0.11,0.55,0.2,0.58,0.0,0.0,nan,ok"
     assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,nan,nan,0.2,0.58,0.0,0.0,nan,fell"
 
 
-def test_an_infinite_place_is_refused() -> None:
+def test_an_infinite_yaw_is_refused() -> None:
     record = step().record
-    with pytest.raises(ValueError, match="place_after = inf, but it must be an angle, or NaN where it is not known"):
-        replace(record, place_after=math.inf)
+    with pytest.raises(ValueError, match="yaw_after = inf, but it must be an angle, or NaN where it is not known"):
+        replace(record, yaw_after=math.inf)
 
 
 def test_each_row_is_on_disk_before_append_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,6 +137,7 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
     ("spoil", "line", "says"),
     [
         (lambda text: text.replace("speed", "pace", 1), 1, "the columns must be iteration,step,speed"),
+        (lambda text: text.replace("yaw_after", "place_after", 1), 1, "column yaw_after was called place_after"),
         (lambda text: "hello", 1, "columns"),
         (lambda text: "\n" + text, 1, "columns"),
         (lambda text: text.replace("0.55", "0.5x", 1), 2, "could not convert"),

@@ -1,19 +1,19 @@
 """What a Gaussian process must be better than: an integrating correction, and the model with identified parameters."""
 
 from dataclasses import dataclass, fields, replace
+from typing import Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.learner import Learner
-from stepgap.learning.residual import no_residual
-from stepgap.learning.settings import LearningSettings
+from stepgap.learning.observations import error_of
+from stepgap.learning.residual import Residual, no_residual
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import RobotParameters
-from stepgap.step import Array, Outcome, StepMap, StepRecord, StepSpace
+from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 INTEGRAL_GAIN = 0.2
 """Share of a step's error that the integrating correction takes in; set once and not tuned."""
@@ -55,33 +55,53 @@ class AdjustedMap(StepMap):
         return jacobian * np.repeat([1.0, self.command_scale], [len(self.space.state), len(self.space.command)])
 
 
-class IntegralCorrection(Learner):
+@final
+@dataclass(frozen=True, eq=False)
+class IntegralCorrection:
     """Adds to the nominal map a constant that follows its errors: b ← b + k (actual − nominal − b) after every step.
 
-    Args:
+    It stands where a `Learner` does; a step that failed does not change b.
+
+    Attributes:
         nominal: Map of the physics model.
-        log: Steps known before the deployment; b has followed them.
+        shift: b; shape (n,).
     """
 
-    def __init__(self, nominal: StepMap, log: StepLog):
-        super().__init__(nominal, log, LearningSettings(residual="none"), iteration=1)
-        self._shift = np.zeros(len(nominal.space.state))
+    nominal: StepMap
+    shift: Array
+
+    @classmethod
+    def start(cls, nominal: StepMap, log: StepLog) -> Self:
+        """The correction before a deployment, with b after the steps of a log."""
+        correction = cls(nominal, np.zeros(len(nominal.space.state)))
         for logged in log.completed():
-            self._follow(logged.record)
+            correction = correction.after(logged)
+        return correction
+
+    @property
+    def residual(self) -> Residual:
+        """No model of the error beside b."""
+        return no_residual(len(self.nominal.space.state), len(self.nominal.space.command))
+
+    @property
+    def failures(self) -> Array:
+        """Steps that failed are not remembered; shape (0, n + m)."""
+        return np.empty((0, sum(self.residual.sizes)))
+
+    @property
+    def pending(self) -> None:
+        """There is nothing to compute in the background."""
 
     def step_map(self) -> CorrectedMap:
-        """The map to plan the next step with; it knows no standard deviation."""
-        sizes = len(self.nominal.space.state), len(self.nominal.space.command)
-        return CorrectedMap(AdjustedMap(self.nominal, self._shift), no_residual(*sizes))
+        """The map to plan the next step with; it has no standard deviation."""
+        return CorrectedMap(AdjustedMap(self.nominal, self.shift), self.residual)
 
-    def observe(self, logged: LoggedStep) -> None:
-        """Takes in the step just executed."""
-        self._follow(logged.record)
-
-    def _follow(self, record: StepRecord) -> None:
-        error = record.next_state - self.nominal.evaluate(record.state, record.applied).next_state
-        if np.isfinite(error).all():
-            self._shift = self._shift + INTEGRAL_GAIN * (error - self._shift)
+    def after(self, logged: LoggedStep) -> Self:
+        """The correction after the step just executed."""
+        error = error_of(logged.record, self.nominal)
+        if not np.isfinite(error).all():
+            return self
+        return replace(self, shift=self.shift + INTEGRAL_GAIN * (error - self.shift))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, requires, version
 
 from stepgap.base.compiled import cache_folder
-from stepgap.experiment.loop import versions_here
+from stepgap.base.versions import versions_here
 
 PURPOSES = {
     "ethercat": "robots with drives and encoders on an EtherCAT bus, and emulated rings",

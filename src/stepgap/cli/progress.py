@@ -11,9 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
-from stepgap.experiment.loop import Deployment, Observer, summary_entry
+from stepgap.experiment.loop import Observer
 from stepgap.learning.step_log import LoggedStep
 from stepgap.records.steps_csv import values_of
+from stepgap.records.summary import Deployment, deployment_entry
 from stepgap.step import StepSpace, StepStatus
 
 
@@ -119,7 +120,7 @@ def telling_events(observer: Observer, space: StepSpace) -> Observer:
         observer.on_step(logged)
 
     def on_deployment(deployment: Deployment) -> None:
-        tell_event("deployment", **summary_entry(deployment, space.state_names))
+        tell_event("deployment", **deployment_entry(deployment, space.state_names))
         observer.on_deployment(deployment)
 
     def on_fault(words: str) -> None:

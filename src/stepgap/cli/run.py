@@ -118,7 +118,7 @@ def run(
                     folder,
                     settings.seed,
                     live.observing(observer) if live else observer,
-                    plants.measure_spread,
+                    plants.measure_noise_floor,
                     plants.replays,
                     known,
                 )

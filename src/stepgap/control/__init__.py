@@ -1,6 +1,7 @@
 """What to command next, of any `StepMap`: no robot is known here.
 
-Read `reference` (what is wanted, step by step), then `step_controller` (the command that brings it about), then
-`solve_many` and `command_table` (the same for many states and targets, and from a grid), then `limit_cycle` (which
-states can be held, whether they are stable, and what lies within reach).
+Read `reference` (what is wanted, step by step), then `step_controller` (the command that brings it about) and
+`cautious_controller` (the command where the map is not certain), then `solve_many` and `command_table` (the same for
+many states and targets, and from a grid), then `limit_cycle` (which states can be held, whether they are stable, and
+the one-step reachable set). All of them minimise by `gauss_newton`, and by `bounded_search` without a good start.
 """

@@ -94,12 +94,12 @@ class CommandTable:
         """Many answers at once, without exceptions; states and targets (…, n) broadcast."""
         points = np.concatenate(np.broadcast_arrays(np.asarray(states, float), np.asarray(targets, float)), axis=-1)
         lower = np.tile([quantity.lower for quantity in self.space.state], 2)
-        place = (points - lower) / np.tile(2 * self.space.state_scale, 2) * (self.points - 1)
-        inside = (np.abs(place - (self.points - 1) / 2) <= (self.points - 1) / 2 * (1 + 1e-12)).all(axis=-1)
-        place = np.clip(place, 0, self.points - 1)
-        place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)  # a node is not its neighbours'
-        corner = np.minimum(place.astype(int), self.points - 2)
-        node, weight = _corners(place - corner, corner, self.points)
+        index = (points - lower) / np.tile(2 * self.space.state_scale, 2) * (self.points - 1)
+        inside = (np.abs(index - (self.points - 1) / 2) <= (self.points - 1) / 2 * (1 + 1e-12)).all(axis=-1)
+        index = np.clip(index, 0, self.points - 1)
+        index = np.where(np.abs(index - np.rint(index)) < 1e-9, np.rint(index), index)  # a node is not its neighbours'
+        corner = np.minimum(index.astype(int), self.points - 2)
+        node, weight = _corners(index - corner, corner, self.points)
         used = weight > 0
 
         def mean(values: Array) -> Array:
@@ -113,13 +113,13 @@ class CommandTable:
         return Answers(command, mean(self.predicted), reached, status)
 
 
-def _corners(place: Array, corner: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64], Array]:
-    """Numbers and weights of the 2ᵈ nodes around a place in its cell (…, d) with its lowest corner; (…, 2ᵈ) each."""
-    d = place.shape[-1]
-    offsets = np.array(list(product((0, 1), repeat=d)))
+def _corners(offset: Array, corner: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64], Array]:
+    """Numbers and weights of the 2ᵈ nodes around a point at an offset (…, d) from a cell's lowest corner; (…, 2ᵈ)."""
+    d = offset.shape[-1]
+    sides = np.array(list(product((0, 1), repeat=d)))
     strides = points ** np.arange(d - 1, -1, -1)
-    weight = np.where(offsets == 1, place[..., None, :], 1 - place[..., None, :]).prod(axis=-1)
-    return (corner @ strides)[..., None] + offsets @ strides, weight
+    weight = np.where(sides == 1, offset[..., None, :], 1 - offset[..., None, :]).prod(axis=-1)
+    return (corner @ strides)[..., None] + sides @ strides, weight
 
 
 def _within(commands: Array, space: StepSpace) -> bool:

@@ -1,11 +1,13 @@
-"""Which states repeat themselves, whether they are stable, and what one step can reach (Sec. 4.2)."""
+"""Which states repeat themselves, whether they are stable, and the one-step reachable set (Sec. 4.2)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepgap.control.step_controller import REACHED, StepController, as_vector, solve
+from stepgap.control.bounded_search import solve
+from stepgap.control.gauss_newton import REACHED
+from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, Codes, StepMap, StepStatus
 
 STATE_BOUND = 10.0
@@ -22,8 +24,9 @@ class FixedPoint:
         next_state: map(X₀, U₀), equal to X₀ if held, else the closest to it; shape (n,).
         held: Whether the state repeats itself.
         distance: From `state` to `next_state` in half ranges, Euclidean.
-        multipliers: Eigenvalues of ∂next/∂state at the fixed command, the largest first; NaN where a failing step
-            nearby leaves no Jacobian. They are Floquet multipliers if the state is held. Shape (n,), complex.
+        floquet_multipliers: Eigenvalues of the Poincaré map's derivative ∂next/∂state at the fixed command, the largest
+            first; NaN where a failing step nearby leaves no Jacobian. They are Floquet multipliers only if the state is
+            held. Shape (n,), complex.
     """
 
     state: Array
@@ -31,17 +34,17 @@ class FixedPoint:
     next_state: Array
     held: bool
     distance: float
-    multipliers: NDArray[np.complex128]
+    floquet_multipliers: NDArray[np.complex128]
 
     @property
     def stable(self) -> bool:
         """Whether the state is held and small errors of it die out while the command stays the same."""
-        return self.held and bool((np.abs(self.multipliers) < 1).all())
+        return self.held and bool((np.abs(self.floquet_multipliers) < 1).all())
 
 
 @dataclass(frozen=True, eq=False)
 class ReachableSet:
-    """What one step from one state can reach, on a grid over the command bounds.
+    """One-step reachable set: the next states from one state, on a grid over the command bounds.
 
     Attributes:
         commands: Shape (s, …, s, m), one axis for each command.
@@ -85,7 +88,12 @@ def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = 
     state = as_vector("target", target, len(step_map.space.state))
     plan = StepController(step_map)(state, state, guess)
     return FixedPoint(
-        state, plan.command, plan.predicted, plan.reached, plan.distance, multipliers(step_map, state, plan.command)
+        state,
+        plan.command,
+        plan.predicted,
+        plan.reached,
+        plan.distance,
+        floquet_multipliers(step_map, state, plan.command),
     )
 
 
@@ -112,17 +120,19 @@ def free_fixed_point(step_map: StepMap, command: ArrayLike, guess: ArrayLike | N
         state = centre + scale * point
         return (step_map.evaluate(state, command).next_state - state) / scale
 
-    def slope(point: Array) -> Array:
+    def jacobian(point: Array) -> Array:
         matrix = step_map.jacobian(centre + scale * point, command)[:, :n]
         return matrix * scale / scale[:, None] - np.eye(n)
 
-    state = centre + scale * solve(drift, slope, start, bound=STATE_BOUND).point
+    state = centre + scale * solve(drift, jacobian, start, bound=STATE_BOUND).point
     next_state = step_map(state, command)
     distance = float(np.linalg.norm((next_state - state) / scale))
-    return FixedPoint(state, command, next_state, distance <= REACHED, distance, multipliers(step_map, state, command))
+    return FixedPoint(
+        state, command, next_state, distance <= REACHED, distance, floquet_multipliers(step_map, state, command)
+    )
 
 
-def multipliers(step_map: StepMap, state: ArrayLike, command: ArrayLike) -> NDArray[np.complex128]:
+def floquet_multipliers(step_map: StepMap, state: ArrayLike, command: ArrayLike) -> NDArray[np.complex128]:
     """Eigenvalues of ∂next/∂state at a fixed command, the largest first; shape (n,), NaN where there is no Jacobian."""
     n = len(step_map.space.state)
     matrix = step_map.jacobian(state, command)[:, :n]
@@ -133,7 +143,7 @@ def multipliers(step_map: StepMap, state: ArrayLike, command: ArrayLike) -> NDAr
 
 
 def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> ReachableSet:
-    """All next states from one state, over an even grid of the command bounds.
+    """The one-step reachable set: all next states from one state, over an even grid of the command bounds.
 
     Args:
         step_map: The map.

@@ -159,19 +159,19 @@ def parse_reference(text: str, space: StepSpace, source: str = "reference") -> R
     return Reference(names, np.array(targets)[:, [header.index(name) for name in names]])
 
 
-def numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], place: str) -> list[float]:
+def numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: str) -> list[float]:
     """The numbers in a row of CSV, one for each quantity.
 
     Raises:
-        ValueError: Naming the place and column, and what would be right.
+        ValueError: Naming source and column, and what would be right.
     """
     if len(row) != len(quantities):
         names = ",".join(quantity.name for quantity in quantities)
-        raise ValueError(f"{place}: {len(row)} values; it must have {len(quantities)}, one for each of {names}")
-    return [_number(cell, quantity, place) for cell, quantity in zip(row, quantities, strict=True)]
+        raise ValueError(f"{source}: {len(row)} values; it must have {len(quantities)}, one for each of {names}")
+    return [_number(cell, quantity, source) for cell, quantity in zip(row, quantities, strict=True)]
 
 
-def _number(cell: str, quantity: Quantity, place: str) -> float:
+def _number(cell: str, quantity: Quantity, source: str) -> float:
     """The finite number in a cell."""
     try:
         value = float(cell)
@@ -180,7 +180,7 @@ def _number(cell: str, quantity: Quantity, place: str) -> float:
     if not np.isfinite(value):
         example = (quantity.lower + quantity.upper) / 2
         raise ValueError(
-            f"{place}, column {quantity.name!r}: {cell.strip()!r:.40}; "
+            f"{source}, column {quantity.name!r}: {cell.strip()!r:.40}; "
             f"it must be a finite number in {quantity.unit}, for example {example:g}"
         )
     return value

@@ -1,47 +1,22 @@
 """One deployment: track a reference with what is known of the map, step by step, and measure how well."""
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from typing import Protocol, Self
 
 import numpy as np
 
-from stepgap.control.careful_controller import CarefulController, CarefulPlan
+from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.reference import Reference
 from stepgap.experiment.exploration import calibrating_plan, goals_of
-from stepgap.learning.learner import Learner
+from stepgap.learning.background import BackgroundThread, Deferred
+from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
-from stepgap.step import Array, StepFailed, StepStatus
+from stepgap.records.summary import Deployment
+from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 Steps = Generator[LoggedStep, None, None]
 """Steps as they are executed; closing it stops the plant."""
-
-
-@dataclass(frozen=True, eq=False)
-class Deployment:
-    """Tracking errors of one deployment, next state − target, over the steps that ended with an apex.
-
-    Attributes:
-        iteration: Its number.
-        residual: Kind of the residual model that the controller used.
-        steps: Steps executed, those of a calibration included, of which no errors are counted.
-        falls: Steps that ended without an apex; at most one, because the deployment ends with it.
-        rmse: Root-mean-square error; shape (n,).
-        mae: Mean absolute error; shape (n,).
-        bias: Mean error; shape (n,).
-        steady_rmse: RMSE over `Reference.steady`; NaN where there are none; shape (n,).
-        transient_rmse: RMSE over `Reference.transient`; shape (n,).
-    """
-
-    iteration: int
-    residual: str
-    steps: int
-    falls: int
-    rmse: Array
-    mae: Array
-    bias: Array
-    steady_rmse: Array
-    transient_rmse: Array
 
 
 def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment:
@@ -66,41 +41,89 @@ def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment
     )
 
 
-def deploy(learner: Learner, plant: Plant, reference: Reference, iteration: int, calibration: int = 0) -> Steps:
+def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
+    """Standard deviation of the next state at equal state and command, from steady steps [state units]; shape (n,).
+
+    Estimated from one deployment: the residual standard error of the next state after a linear fit in state and
+    command. Where the map bends, that is more than the true noise. NaN where the steps are too few.
+    """
+    numbers = set((reference.steady + 1).tolist())
+    steady = StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))
+    inputs = np.hstack([np.ones((len(steady), 1)), steady.state, steady.applied])
+    degrees_of_freedom = len(steady) - inputs.shape[1]
+    if degrees_of_freedom < 1:
+        return np.full(len(steps.space.state), np.nan)
+    fitted = inputs @ np.linalg.lstsq(inputs, steady.next_state, rcond=None)[0]
+    return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / degrees_of_freedom)
+
+
+class AdaptiveMap(Protocol):
+    """What a deployment needs to know of the map between two steps; a `Learner` is one."""
+
+    @property
+    def nominal(self) -> StepMap:
+        """Map of the physics model."""
+        ...
+
+    @property
+    def residual(self) -> Residual:
+        """Model of actual − nominal for the step to come."""
+        ...
+
+    @property
+    def failures(self) -> Array:
+        """Points (state, command) of the steps that failed; shape (k, n + m)."""
+        ...
+
+    @property
+    def pending(self) -> Deferred[Residual] | None:
+        """What a thread may compute while the robot hops."""
+        ...
+
+    def step_map(self) -> StepMap:
+        """The map to plan the next step with."""
+        ...
+
+    def after(self, logged: LoggedStep) -> Self:
+        """The map after the step just executed."""
+        ...
+
+
+def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: int, calibration: int = 0) -> Steps:
     """Tracks the reference with the map as it is known at each step, until its end or a fall.
 
     Args:
-        learner: Says what is known, and is told of every step.
+        learner: What is known before the first step.
         plant: Executes the steps.
         reference: What to track, from step 1 on.
         iteration: Number of the deployment.
         calibration: Steps before that, numbered up to 0, whose commands are chosen for what they teach.
     """
     command = None
-    with learner, plant:
+    with BackgroundThread() as background, plant:
         state = plant.start()
         for number in range(1 - calibration, len(reference) + 1):
-            controller = CarefulController(learner.step_map(), learner.nominal, learner.failures)
+            controller = CautiousController(learner.step_map(), learner.nominal, learner.failures)
             if number < 1:
                 goals = goals_of(reference, controller.step_map)
                 plan = calibrating_plan(controller, learner.residual, state, goals)
             else:
                 plan = tracking_plan(controller, state, reference.targets[number - 1], command)
-            learner.fit_beside()
+            background.compute(learner.pending)  # now that the command is out, so that it delays none
             record = plant.take_step(plan.command)
             target = reference.targets[number - 1] if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
             yield logged
             if record.status != StepStatus.OK:
                 return
-            learner.observe(logged)
+            learner = learner.after(logged)
             state, command = record.next_state, plan.command
 
 
-def tracking_plan(controller: CarefulController, state: Array, target: Array, guess: Array | None) -> CarefulPlan:
+def tracking_plan(controller: CautiousController, state: Array, target: Array, guess: Array | None) -> CautiousPlan:
     """The command for a target; the middle of the bounds where the map knows none that makes a step."""
     try:
         return controller(state, target, guess=guess)
     except StepFailed:
         command = controller.step_map.space.command_centre
-        return CarefulPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))
+        return CautiousPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepgap.control.careful_controller import CarefulController, CarefulPlan
+from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.learning.residual import Residual
@@ -57,7 +57,7 @@ def goals_of(reference: Reference, step_map: StepMap) -> Goals:
     return Goals(np.array(points), np.array(weights, float), step_map.space.state_scale)
 
 
-def calibrating_plan(controller: CarefulController, residual: Residual, state: Array, goals: Goals) -> CarefulPlan:
+def calibrating_plan(controller: CautiousController, residual: Residual, state: Array, goals: Goals) -> CautiousPlan:
     """The safe command that, with the one after it, leaves the least uncertainty at the goals.
 
     It leads to a state in the range of the goals, or as near to it as one can be had.
@@ -82,4 +82,4 @@ def calibrating_plan(controller: CarefulController, residual: Residual, state: A
         return min(goals.uncertainty_after(residual, here, point) for point in onward)
 
     best = min(allowed.tolist(), key=left)
-    return CarefulPlan(safe[best], ends[best], controller.step_std(state, safe[best]))
+    return CautiousPlan(safe[best], ends[best], controller.step_std(state, safe[best]))

@@ -1,6 +1,7 @@
-"""How well the twin repeats a step: what a controller that knows neither its noise nor the place cannot beat.
+"""The noise floor of the twin: how much the next state scatters when a step is repeated.
 
-One that follows what the place adds, as `learning.drift` does, can.
+A controller that knows neither the noise nor the yaw cannot track better on average; one that estimates the disturbance
+(`learning.disturbance`) can.
 """
 
 from copy import deepcopy
@@ -14,8 +15,8 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
-PLACES = 20
-"""Targets of the reference, at most, at which a step is repeated; spread evenly."""
+MOST_TARGETS = 20
+"""Targets of the reference, at most, at which a step is repeated; they are spread evenly."""
 
 SETTLING = 6
 """Steps towards a target before the one that is repeated."""
@@ -24,29 +25,29 @@ REPEATS = 12
 """How often it is repeated."""
 
 
-def measure_repeatability(
+def measure_noise_floor(
     plant: RigPlant, twin: Twin, step_map: StepMap, reference: Reference, rng: np.random.Generator
 ) -> Array:
     """Pooled standard deviation of the next state when the twin repeats a step [state units]; shape (n,).
 
     Held equal are the command, the true motion of robot, boom and drives at the apex, and all that the controller
-    remembers, so the measured state, too. Fresh are the torque noise, its present value included, and the place: the
-    floor is turned by any angle, because yaw is no part of the state. The spread is that of the measured next state.
-    Where what the place adds is followed from hop to hop, tracking errors may come out a little smaller.
+    remembers, so the measured state, too. Drawn again are the torque noise, its present value included, and the yaw:
+    the floor is turned by any angle, because the yaw is not part of the state. The spread is that of the measured next
+    state. Where the yaw-dependent disturbance is estimated, tracking errors may be a little smaller.
 
     Args:
         plant: Hops the twin.
         twin: The one that `plant` hops.
         step_map: Its step controller leads to the targets.
         reference: Whose targets are held.
-        rng: Draws noise and places of the repeated steps.
+        rng: Draws noise and yaw of the repeated steps.
 
     Returns:
         NaN where no step could be repeated twice.
     """
     starts = np.unique([0, *reference.changes])
-    chosen = starts[np.unique(np.linspace(0, len(starts) - 1, PLACES).round().astype(int))]
-    controller, deviations, freedom = StepController(step_map), [np.zeros((0, len(reference.names)))], 0
+    chosen = starts[np.unique(np.linspace(0, len(starts) - 1, MOST_TARGETS).round().astype(int))]
+    controller, deviations, degrees_of_freedom = StepController(step_map), [np.zeros((0, len(reference.names)))], 0
     with plant:
         state = plant.start()
         for target in reference.targets[chosen]:
@@ -54,17 +55,17 @@ def measure_repeatability(
                 record = plant.take_step(_command(controller, state, target))
                 state = record.next_state
                 if record.status != StepStatus.OK:
-                    return _pooled(deviations, freedom)
+                    return _pooled(deviations, degrees_of_freedom)
             command = _command(controller, state, target)
             found = np.array([repeated(plant, twin, command, rng, rng.uniform(0, tau)) for _ in range(REPEATS)])
             found = found[np.isfinite(found).all(axis=1)]
             if len(found) > 1:
                 deviations.append(found - found.mean(axis=0))
-                freedom += len(found) - 1
-    return _pooled(deviations, freedom)
+                degrees_of_freedom += len(found) - 1
+    return _pooled(deviations, degrees_of_freedom)
 
 
-def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, turn: float = 0.0) -> Array:
+def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, floor_yaw: float = 0.0) -> Array:
     """Next state of a copy of the plant that takes the step with other noise; the plant itself stays at the apex.
 
     Args:
@@ -72,9 +73,9 @@ def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generat
         twin: The one that `plant` hops.
         command: Of the step; shape (m,).
         rng: Draws the copy's noise.
-        turn: Angle by which the floor is turned under the copy [rad].
+        floor_yaw: Angle by which the floor is turned under the copy [rad].
     """
-    return deepcopy(plant, {id(twin): twin.fork(rng, turn=turn)}).take_step(command).next_state
+    return deepcopy(plant, {id(twin): twin.fork(rng, floor_yaw=floor_yaw)}).take_step(command).next_state
 
 
 def _command(controller: StepController, state: Array, target: Array) -> Array:
@@ -85,6 +86,6 @@ def _command(controller: StepController, state: Array, target: Array) -> Array:
         return controller.step_map.space.command_centre
 
 
-def _pooled(deviations: list[Array], freedom: int) -> Array:
+def _pooled(deviations: list[Array], degrees_of_freedom: int) -> Array:
     squares = np.sum(np.vstack(deviations) ** 2, axis=0)
-    return np.sqrt(squares / freedom) if freedom else np.full_like(squares, np.nan)
+    return np.sqrt(squares / degrees_of_freedom) if degrees_of_freedom else np.full_like(squares, np.nan)

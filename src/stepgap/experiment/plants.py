@@ -12,8 +12,8 @@ import numpy as np
 
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
-from stepgap.experiment.loop import MeasureSpread, deployment_generator
-from stepgap.experiment.noise_floor import measure_repeatability
+from stepgap.experiment.loop import MeasureNoiseFloor, deployment_generator
+from stepgap.experiment.noise_floor import measure_noise_floor
 from stepgap.experiment.settings import EMULATED_RING, TWIN, Experiment, InputError
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.plant import Plant
@@ -46,12 +46,12 @@ class Plants(NamedTuple):
     Attributes:
         make: Makes the plant of one deployment from its random generator.
         replays: The same generator gives the same steps again.
-        measure_spread: Measures the repeatability, where that can be done.
+        measure_noise_floor: Measures the noise floor, where that can be done.
     """
 
     make: Callable[[np.random.Generator], Plant]
     replays: bool
-    measure_spread: MeasureSpread | None = None
+    measure_noise_floor: MeasureNoiseFloor | None = None
 
 
 def choose_plants(
@@ -81,18 +81,18 @@ def choose_plants(
     make_twin = partial(_twin, settings, _ground(settings))
     twin = make_twin(np.random.default_rng(0))
 
-    def measure_spread(step_map: StepMap, rng: np.random.Generator) -> Array:
+    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
         twin = make_twin(rng)
-        return measure_repeatability(plant_on(settings, twin), twin, step_map, reference, rng)
+        return measure_noise_floor(plant_on(settings, twin), twin, step_map, reference, rng)
 
     if settings.plant == TWIN:
-        return Plants(lambda rng: plant_on(settings, make_twin(rng), on_tick), True, measure_spread)
+        return Plants(lambda rng: plant_on(settings, make_twin(rng), on_tick), True, measure)
     bus = _bus(settings, twin)
 
     def make_on_ring(rng: np.random.Generator) -> Plant:
         return plant_on(settings, RingRig(partial(_machine, settings, rng), RING, bus, settings.robot), on_tick)
 
-    return Plants(make_on_ring, True, measure_spread)
+    return Plants(make_on_ring, True, measure)
 
 
 def remade_rig(settings: Experiment, iteration: int) -> tuple[Rig, Twin]:
@@ -115,9 +115,9 @@ def _ground(settings: Experiment) -> GroundProfile:
 
 
 def _twin(settings: Experiment, ground: GroundProfile, rng: np.random.Generator) -> Twin:
-    turn = rng.uniform(0, tau)  # or every deployment would meet every target at the same place, and learn that
+    floor_yaw = rng.uniform(0, tau)  # or every deployment would meet every target at the same yaw, and learn that
     try:
-        return Twin(settings.robot, settings.gap, rng, ground=ground, turn=turn)
+        return Twin(settings.robot, settings.gap, rng, ground=ground, floor_yaw=floor_yaw)
     except ValueError as error:
         raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None
 

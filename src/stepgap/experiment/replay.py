@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.experiment.loop import versions_here
+from stepgap.base.versions import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
 from stepgap.experiment.settings import Experiment, InputError, read_experiment
 from stepgap.learning.step_log import LoggedStep

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepgap.experiment.loop import Deployment, Observer
+from stepgap.experiment.loop import Observer
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.summary import Deployment
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 

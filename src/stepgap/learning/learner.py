@@ -1,155 +1,227 @@
-"""What is known of the map's error at every step: a residual fitted to a log, watched, and on request learning on."""
+"""What is known of the map's error at every step: a residual fitted to a log, monitored, and updated if wanted."""
 
-from collections import deque
-from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from math import nan
-from typing import Self
+from typing import Self, final
 
 import numpy as np
 
+from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.drift import Drift
-from stepgap.learning.observations import context_after, error_of, next_context, observe
-from stepgap.learning.place_effects import without_place_effects
+from stepgap.learning.disturbance import DisturbanceFilter, without_yaw_dependence
+from stepgap.learning.observations import error_of, history_after, next_history, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 
-WATCHED = 10
-"""Steps over which a correction is compared with the nominal map."""
-SIGNIFICANT = 2.0
-"""Standard errors by which it must have predicted worse to be left out."""
-GROWTH = 1.1
-"""Factor by which the steps must have grown in number before the next fit begins."""
-FITTED_A_HOP = 150
-"""Steps that a fit handles, at least, while the robot hops once."""
-
-Lesson = tuple[Array, Array, Array]
-"""Context, point and error of a step that is learnt from."""
+MONITORED_STEPS = 10
+"""Number of latest steps over which a correction is compared with the nominal map."""
+SIGNIFICANCE = 2.0
+"""A correction is left out when it predicted worse than the nominal map by this number of standard errors."""
+REFIT_GROWTH = 1.1
+"""A new fit begins when the number of steps has grown by this factor."""
+FITTED_PER_HOP = 150
+"""Number of steps that a fit can handle, at least, while the robot hops once."""
 
 
-class Learner:
-    """The corrected map from step to step of one deployment.
+@final
+@dataclass(frozen=True, eq=False)
+class Monitor:
+    """Whether a correction predicts the next state better than the nominal map.
 
-    A correction that predicted the last steps significantly worse than the nominal map is left out until it predicts
-    better again, and it is shifted by what drifts, from hop to hop and from place to place. Learning online, every step
-    enters the model before the next is planned, and the hyper-parameters are fitted anew beside the hopping: a fit
-    begins when the command is out, so that it delays none, and is taken over a fixed number of steps later, however
-    long it took, so that the same steps give the same commands.
-
-    Args:
-        nominal: Map of the physics model.
-        log: Steps known before the deployment.
-        learning: What models the error, and whether steps of this deployment are learnt from.
-        iteration: Number of the deployment.
+    Attributes:
+        advantages: Squared error of the nominal map minus that of the corrected map, for the latest steps.
     """
 
-    def __init__(self, nominal: StepMap, log: StepLog, learning: LearningSettings, iteration: int):
-        self.nominal, self._learning = nominal, learning
-        self._iteration, self._lessons = iteration, learning.lessons(iteration)
-        self._log = StepLog(log.space, log)
-        self._residual = self._fitted(self._log, None)
-        self._drift, self._place = Drift.none(len(log.space.state)), nan
-        self._advantage: deque[float] = deque(maxlen=WATCHED)
-        self._pool = ThreadPoolExecutor(1)
-        self._fit: Future[Residual] | None = None
-        self._due, self._next_fit = 0, max(1.0, GROWTH * len(log))
-        self._context = next_context(self._log, nominal, iteration)
-        self._failures = [_point_of(step.record) for step in log if step.record.status != StepStatus.OK]
-        self._since: list[Lesson] = []
+    advantages: tuple[float, ...] = ()
 
-    def __enter__(self) -> Self:
-        return self
+    def updated(self, nominal_error: Array, corrected_error: Array) -> "Monitor":
+        """After a step that the two maps predicted with these scaled errors; shape (n,)."""
+        advantage = float(np.sum(nominal_error**2) - np.sum(corrected_error**2))
+        return Monitor((*self.advantages, advantage)[-MONITORED_STEPS:])
 
-    def __exit__(self, *exc_info: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
+    @property
+    def worse(self) -> bool:
+        """Whether the correction was significantly worse over the latest steps."""
+        advantages = np.array(self.advantages)
+        if len(advantages) < MONITORED_STEPS:
+            return False
+        return bool(advantages.sum() < -SIGNIFICANCE * np.sqrt(np.sum(advantages**2)))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """New hyper-parameters on their way.
+
+    Attributes:
+        residual: Fitted to the steps known when the fit began, and updated with those since.
+        due: Number of known steps at which it replaces the present residual.
+    """
+
+    residual: Deferred[Residual]
+    due: int
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Learner:
+    """What is known between two steps of a deployment; `Learner.start` makes the first one, `after` the next one.
+
+    A correction that predicted the latest steps significantly worse than the nominal map is left out until it predicts
+    better again. It is shifted by the estimated disturbance. A learner that learns online updates
+    its residual with every step before the next one is planned, and also finds new hyper-parameters: the fit is
+    deferred, so that a `BackgroundThread` can compute `pending` while the robot hops, and its result is taken over a
+    fixed number of steps later. So the same steps give the same learner, however long a fit takes.
+
+    Attributes:
+        nominal: Map of the physics model.
+        settings: What models the error, and whether steps of this deployment are learnt from.
+        iteration: Number of the deployment.
+        log: All steps known.
+        model: The residual without the history of the step to come.
+        history: That history, as `observations` defines it; shape (2n + m + 1,).
+        failures: Points (state, command) of the steps that failed; shape (k, n + m).
+        steps_to_learn: Number of steps of this deployment that will still be learnt from.
+        disturbance: What depends on time and yaw, not on state and command.
+        monitor: Comparison of the correction with the nominal map.
+        refit: The fit that is running, if there is one.
+        refit_from: Number of known steps from which the next fit may begin.
+    """
+
+    nominal: StepMap
+    settings: LearningSettings
+    iteration: int
+    log: StepLog
+    model: Residual
+    history: Array
+    failures: Array
+    steps_to_learn: float
+    disturbance: DisturbanceFilter
+    monitor: Monitor
+    refit: Refit | None
+    refit_from: float
+
+    @classmethod
+    def start(cls, nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int) -> Self:
+        """The learner before a deployment.
+
+        Args:
+            nominal: Map of the physics model.
+            log: Steps known before the deployment.
+            settings: What models the error, and whether steps of this deployment are learnt from.
+            iteration: Number of the deployment.
+        """
+        space = log.space
+        failures = [_point_of(step.record) for step in log if step.record.status != StepStatus.OK]
+        return cls(
+            nominal=nominal,
+            settings=settings,
+            iteration=iteration,
+            log=log,
+            model=_fitted(nominal, log, settings, iteration, None),
+            history=next_history(log, nominal, iteration),
+            failures=np.array(failures).reshape(len(failures), len(space.state) + len(space.command)),
+            steps_to_learn=settings.steps_to_learn(iteration),
+            disturbance=DisturbanceFilter.initial(len(space.state)),
+            monitor=Monitor(),
+            refit=None,
+            refit_from=max(1.0, REFIT_GROWTH * len(log)),
+        )
 
     @property
     def residual(self) -> Residual:
         """Model of actual − nominal for the step to come."""
-        return self._residual.given(self._context)
+        return self.model.conditioned_on(self.history)
 
     @property
-    def failures(self) -> Array:
-        """Points (state, command) of the steps that failed; shape (k, n + m)."""
-        return np.array(self._failures).reshape(len(self._failures), sum(self._residual.sizes))
+    def yaw(self) -> float:
+        """Yaw at which the step to come starts [rad], NaN where it is not known."""
+        last = self.log.last
+        return last.record.yaw_after if last and last.iteration == self.iteration else nan
+
+    @property
+    def pending(self) -> Deferred[Residual] | None:
+        """The fit that a thread may compute before it is due."""
+        return self.refit and self.refit.residual
 
     def step_map(self) -> CorrectedMap:
         """The map to plan the next step with."""
-        advantage = np.array(self._advantage)
-        worse = len(advantage) == WATCHED and advantage.sum() < -SIGNIFICANT * np.sqrt(np.sum(advantage**2))
-        if worse:
-            return CorrectedMap(self.nominal, no_residual(*self._residual.sizes))
-        residual, offset, share = self.residual, self._drift.offset(self._place), self._drift.std(self._place)
+        if self.monitor.worse:
+            return CorrectedMap(self.nominal, no_residual(*self.model.sizes))
+        residual, offset, share = self.residual, self.disturbance.offset(self.yaw), self.disturbance.std(self.yaw)
         return CorrectedMap(self.nominal, residual, offset, share * residual.noise_std)
 
-    def observe(self, logged: LoggedStep) -> None:
-        """Takes in the step just executed."""
-        record, scale, context = logged.record, self.nominal.space.state_scale, self._context
-        place, self._place = self._place, logged.record.place_after
-        self._log.append(logged)
-        if record.status != StepStatus.OK:
-            self._failures.append(_point_of(record))
+    def after(self, logged: LoggedStep) -> "Learner":
+        """The learner after the step just executed."""
+        record, log = logged.record, StepLog(self.log.space, [*self.log, logged])
         error, point = error_of(record, self.nominal), _point_of(record)
-        self._context = context_after(record, error, self.nominal.space, len(self._log))
+        failed = record.status != StepStatus.OK
+        learner = replace(
+            self,
+            log=log,
+            history=history_after(record, error, self.nominal.space, len(log)),
+            failures=np.vstack([self.failures, point]) if failed else self.failures,
+        )
         if not np.isfinite(error).all():
-            return
-        residual = self._residual.given(context)
-        left = error - residual.mean(point)
-        missed = left - self._drift.offset(place)  # by the correction with the shift that it is deployed with
-        self._advantage.append(float(np.sum((error / scale) ** 2) - np.sum((missed / scale) ** 2)))
-        if self._learning.drift and residual.kind != "none":
-            self._drift = self._drift.followed(left, place)
-        if self._lessons > 0:
-            self._lessons -= 1
-            self._learn((context, point, error))
+            return learner._with_refit()
+        residual, scale = self.residual, self.nominal.space.state_scale
+        remaining = error - residual.mean(point)
+        innovation = remaining - self.disturbance.offset(self.yaw)  # of the correction as it is deployed
+        follows = self.settings.drift and residual.kind != "none"
+        learner = replace(
+            learner,
+            monitor=self.monitor.updated(error / scale, innovation / scale),
+            disturbance=self.disturbance.updated(remaining, self.yaw) if follows else self.disturbance,
+        )
+        if self.steps_to_learn > 0:
+            learner = learner._updated(self.history, point, error)
+        return learner._with_refit()
 
-    def fit_beside(self) -> None:
-        """Begins a fit where the steps have grown in number, and teaches the one that goes on the steps since.
+    def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
+        """After a step was learnt: in the present residual, in that of a fit that is due, or in a last fit to all."""
 
-        To be called when the command is out: while the robot hops there is time for it.
-        """
-        count = len(self._log)
-        if self._fit is not None:
-            self._fit = self._pool.submit(_taught, self._fit, self._since)
-        elif self._lessons > 0 and count >= self._next_fit:
-            self._fit = self._pool.submit(self._fitted, StepLog(self._log.space, self._log), self._residual)
-            self._due = count + 1 + count // FITTED_A_HOP
-            self._next_fit = max(GROWTH * count, self._due + 1)
-        self._since = []
+        def update(residual: Residual) -> Residual:
+            return residual.conditioned_on(history).append(point, error)
 
-    def _learn(self, lesson: Lesson) -> None:
-        """Lets a step enter the model: the present one, that of the last fit, or of a fit that is now due."""
-        self._since.append(lesson)
-        if not self._lessons > 0:
-            self._residual, self._fit = self._fitted(self._log, self._residual), None
-        elif self._fit is not None and len(self._log) >= self._due:
-            self._residual, self._fit = _taught(self._fit, self._since), None
-        else:
-            context, point, error = lesson
-            self._residual = self._residual.given(context).append(point, error)
+        remaining = self.steps_to_learn - 1
+        if remaining == 0:
+            model = _fitted(self.nominal, self.log, self.settings, self.iteration, self.model)
+            return replace(self, steps_to_learn=0, model=model, refit=None)
+        learner = replace(self, steps_to_learn=remaining)
+        if self.refit is None:
+            return replace(learner, model=update(self.model))
+        pending = self.refit.residual.then(update)
+        if len(self.log) >= self.refit.due:
+            return replace(learner, model=pending.result(), refit=None)
+        return replace(learner, model=update(self.model), refit=Refit(pending, self.refit.due))
 
-    def _fitted(self, log: StepLog, start: Residual | None) -> Residual:
-        learning, errors = self._learning, observe(log, self.nominal)
-        kind = learning.residual if len(errors) else "none"
-        if learning.drift and kind != "none":
-            cleaned = without_place_effects(errors, self._iteration)
-            residual = fit_residual(kind, cleaned, learning.features, learning.memory, start)
-            if residual.kind != "none":
-                return residual
-            kind = "none"  # without a correction nothing is followed: what the place adds is noise
-        return fit_residual(kind, errors, learning.features, learning.memory, start)
+    def _with_refit(self) -> "Learner":
+        """With a fit that begins now, if the number of steps has grown enough and no other one is running."""
+        count = len(self.log)
+        if self.refit or self.steps_to_learn == 0 or count < self.refit_from:
+            return self
+        known = self.nominal, self.log, self.settings, self.iteration, self.model
+        due = count + 1 + count // FITTED_PER_HOP
+        refit = Refit(Deferred(lambda: _fitted(*known)), due)
+        return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
 
 
-def _taught(fit: Future[Residual], lessons: Sequence[Lesson]) -> Residual:
-    """What a fit gives, with the steps since."""
-    residual = fit.result()
-    for context, point, error in lessons:
-        residual = residual.given(context).append(point, error)
-    return residual
+def _fitted(
+    nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int, start: Residual | None
+) -> Residual:
+    """The residual of all steps known; the search for hyper-parameters begins at those of `start`."""
+    errors = observe(log, nominal)
+    kind = settings.residual if len(errors) else "none"
+    if settings.drift and kind != "none":
+        cleaned = without_yaw_dependence(errors, iteration)
+        residual = fit_residual(kind, cleaned, settings.features, settings.memory, start)
+        if residual.kind != "none":
+            return residual
+        kind = "none"  # without a correction no disturbance is estimated: it is noise
+    return fit_residual(kind, errors, settings.features, settings.memory, start)
 
 
 def _point_of(record: StepRecord) -> Array:

@@ -32,16 +32,16 @@ class LoggedStep:
 
 
 class StepLog:
-    """Steps in the order in which they were executed.
+    """Steps in the order in which they were executed; immutable, `log + steps` is a longer one.
 
     Args:
         space: Names of their state and command.
-        steps: What is known already.
+        steps: Those in it.
     """
 
     def __init__(self, space: StepSpace, steps: Iterable[LoggedStep] = ()):
         self.space = space
-        self._steps = list(steps)
+        self._steps = tuple(steps)
 
     def __len__(self) -> int:
         return len(self._steps)
@@ -49,9 +49,14 @@ class StepLog:
     def __iter__(self) -> Iterator[LoggedStep]:
         return iter(self._steps)
 
-    def append(self, logged: LoggedStep) -> None:
-        """Adds a step."""
-        self._steps.append(logged)
+    def __add__(self, steps: Iterable[LoggedStep]) -> "StepLog":
+        """These steps, then others."""
+        return StepLog(self.space, (*self._steps, *steps))
+
+    @property
+    def last(self) -> LoggedStep | None:
+        """The latest step; None if there is none."""
+        return self._steps[-1] if self._steps else None
 
     def of_iteration(self, iteration: int) -> "StepLog":
         """The steps of one deployment."""
@@ -76,9 +81,9 @@ class StepLog:
         return sum(logged.record.status != StepStatus.OK for logged in self._steps)
 
     @property
-    def place(self) -> Array:
-        """Places at the start of each step [rad], NaN where they are not known; shape (N,)."""
-        before = np.roll([logged.record.place_after for logged in self._steps], 1)
+    def yaw(self) -> Array:
+        """Yaw at the start of each step [rad], NaN where it is not known; shape (N,)."""
+        before = np.roll([logged.record.yaw_after for logged in self._steps], 1)
         return np.where(self.follows, before, np.nan)
 
     @property
@@ -133,6 +138,5 @@ def joined(logs: Sequence[StepLog]) -> StepLog:
     whole = StepLog(logs[0].space)
     for log in logs:
         first = max(whole.iterations, default=-1) + 1
-        for logged in log:
-            whole.append(replace(logged, iteration=logged.iteration + first))
+        whole += [replace(logged, iteration=logged.iteration + first) for logged in log]
     return whole

@@ -73,8 +73,8 @@ class RigPlant(Plant):
         state = self._state
         if np.isnan(within).any():
             self._status = StepStatus.INVALID
-        self._state, _, lost, place = self._step(tuple(within.tolist()))
-        return StepRecord(state, asked, within - lost, self._state, self._status, place)
+        self._state, _, lost, yaw = self._step(tuple(within.tolist()))
+        return StepRecord(state, asked, within - lost, self._state, self._status, yaw)
 
     def stop(self) -> None:
         """Torque off."""

@@ -70,13 +70,13 @@ class FinishedStep(NamedTuple):
         state: At its end; shape (n,), NaN of a step that failed.
         command: The command that acted; shape (m,), NaN where none came in time.
         lost: Part of the command that limits took away on the way there; shape (m,).
-        place: Yaw of the boom at its end [rad]; NaN of a step that failed.
+        yaw: Of the robot at its end [rad]; NaN of a step that failed.
     """
 
     state: Array
     command: Array
     lost: Array
-    place: float
+    yaw: float
 
 
 class TickControl(ABC):

@@ -16,7 +16,7 @@ from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
 from stepgap.records.paper import STATE_NAMES
 from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
-from stepgap.records.summary import LARGEST_NUMBER, FinishedDeployment, Summary, read_summary
+from stepgap.records.summary import LARGEST_NUMBER, Deployment, Summary, read_summary
 from stepgap.step import Array, StepSpace
 
 
@@ -54,7 +54,7 @@ class RunRecord:
     cut_off: bool = False
 
     @property
-    def deployments(self) -> tuple[FinishedDeployment, ...]:
+    def deployments(self) -> tuple[Deployment, ...]:
         """The finished ones, rising."""
         return self.summary.deployments
 

@@ -4,7 +4,7 @@ import errno
 import fcntl
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +39,7 @@ def column_names(space: StepSpace) -> list[str]:
         *command,
         *(f"applied_{name}" for name in command),
         *(f"{kind}_{name}" for kind in ("next", "predicted", "std") for name in state),
-        "place_after",
+        "yaw_after",
         "status",
     ]
 
@@ -59,7 +59,7 @@ def _values(logged: LoggedStep) -> list[int | float | str]:
     before = (record.state, logged.target, record.command, record.applied)
     after = (record.next_state, logged.predicted, logged.std)
     numbers = np.concatenate(before + after).tolist()
-    return [logged.iteration, logged.step, *numbers, float(record.place_after), record.status.label]
+    return [logged.iteration, logged.step, *numbers, float(record.yaw_after), record.status.label]
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
@@ -72,14 +72,14 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
     n, m = len(space.state), len(space.command)
     numbers = np.array([float(cell) for cell in cells[2:-1]])
     parts = np.split(numbers, np.cumsum([n, n, m, m, n, n, n]))
-    state, target, command, applied, next_state, predicted, std, (place,) = parts
+    state, target, command, applied, next_state, predicted, std, (yaw,) = parts
     status = StepStatus[cells[-1].upper()]
     known = [state, target, command, applied, std]
     if status == StepStatus.OK:
         known.append(next_state)
     if not np.isfinite(np.concatenate(known)).all():
         raise ValueError("a number is not finite")
-    record = StepRecord(state, command, applied, next_state, status, float(place))
+    record = StepRecord(state, command, applied, next_state, status, float(yaw))
     return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
 
 
@@ -109,6 +109,7 @@ def space_of_header(path: Path) -> StepSpace:
         header = file.readline(LONGEST_HEADER).decode(errors="replace").rstrip("\r\n").split(",")
     if header == [""]:
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
+    check_not_older(header, path)
     for n in range(1, min(MOST_COORDINATES, len(header) // 5) + 1):
         m = (len(header) - 4 - 5 * n) // 2
         state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
@@ -117,13 +118,22 @@ def space_of_header(path: Path) -> StepSpace:
             return space
     raise ValueError(
         f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
-        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, place_after, "
+        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, yaw_after, "
         "status"
     )
 
 
 def _coordinate(name: str) -> Quantity:
     return Quantity(name, UNITS.get(name, ""), -1.0, 1.0)
+
+
+def check_not_older(header: Sequence[str], path: Path) -> None:
+    """Raises RecordError if a header names a column as only earlier versions of StepGap did."""
+    if "place_after" in header:
+        raise RecordError(
+            f"{path}, line 1: recorded by an older version of StepGap, in which the column yaw_after was called "
+            "place_after; run its experiment.toml again, or read the steps alone after renaming the column"
+        )
 
 
 def text_of(log: StepLog) -> str:
@@ -207,6 +217,7 @@ def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedSt
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: not a text file in UTF-8 ({error.reason})") from None
     if lines[:1] != [header]:
+        check_not_older(lines[0].split(",") if lines else [], path)
         raise RecordError(f"{path}, line 1: the columns must be {header}")
     last = None
     for number, line in enumerate(lines[1:], start=2):

@@ -1,17 +1,18 @@
-"""`summary.json` of a run folder, read strictly."""
+"""`summary.json` of a run folder: how well each deployment tracked, written whole and read strictly."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
+from stepgap.base.files import write_whole
 from stepgap.step import Array
 
 SCHEMA = 1
-"""Version of `summary.json` that is read."""
+"""Version of `summary.json`."""
 
 MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
 """Tracking errors in `summary.json`, each one number per state coordinate."""
@@ -27,22 +28,50 @@ LARGEST_NUMBER = 1e9
 
 
 @dataclass(frozen=True, eq=False)
-class FinishedDeployment:
-    """One entry of `iterations`.
+class Deployment:
+    """Tracking errors of one deployment, next state − target, over the steps that ended with an apex.
+
+    An error is NaN where there are no such steps.
 
     Attributes:
         iteration: Its number, from 0.
         residual: Name of the residual model that the controller used.
-        steps: Steps executed.
-        falls: Steps that ended without an apex.
-        errors: For each of `MEASURES` the error of every state coordinate, NaN where unknown; shape (n,).
+        steps: Number of steps executed; it includes those before step 1, whose errors do not count.
+        falls: Steps that ended without an apex; at most one, because the deployment ends with it.
+        rmse: Root-mean-square error; shape (n,).
+        mae: Mean absolute error; shape (n,).
+        bias: Mean error; shape (n,).
+        steady_rmse: RMSE over `Reference.steady`; shape (n,).
+        transient_rmse: RMSE over `Reference.transient`; shape (n,).
     """
 
     iteration: int
     residual: str
     steps: int
     falls: int
-    errors: Mapping[str, Array]
+    rmse: Array
+    mae: Array
+    bias: Array
+    steady_rmse: Array
+    transient_rmse: Array
+
+    @property
+    def errors(self) -> Mapping[str, Array]:
+        """The error of every state coordinate (n,), by the name of the measure."""
+        return {measure: getattr(self, measure) for measure in MEASURES}
+
+
+@dataclass(frozen=True)
+class WarmStart:
+    """Which steps were known before a run.
+
+    Attributes:
+        steps: How many.
+        steps_sha256: Their digest.
+    """
+
+    steps: int
+    steps_sha256: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +79,59 @@ class Summary:
     """The content of `summary.json`; without arguments, that of a run of which no deployment is finished.
 
     Attributes:
-        seed: Of all randomness.
-        deployments: Those that are finished, rising.
+        seed: Random seed of the run.
+        deployments: Those that are finished, in rising order.
         repeatability: Spread of the next state at equal state and command, NaN where unknown; shape (n,).
         measured: Whether the repeatability was measured by repeating steps, not estimated from steady ones.
         versions: Of the software, as far as recorded.
         steps_sha256: Digest of the steps that the deployments are made of; empty if not recorded.
+        warm_start: The steps known before the run; None if there were none.
     """
 
     seed: int | None = None
-    deployments: tuple[FinishedDeployment, ...] = ()
+    deployments: tuple[Deployment, ...] = ()
     repeatability: Array | None = None
     measured: bool = False
     versions: tuple[tuple[str, str], ...] = ()
     steps_sha256: str = ""
+    warm_start: WarmStart | None = None
+
+
+def write_summary(path: Path, summary: Summary, names: Sequence[str]) -> None:
+    """Writes `summary.json`; NaN becomes null.
+
+    Args:
+        path: The file.
+        summary: Its content, with at least one deployment and the repeatability.
+        names: State coordinates of the run.
+    """
+    known = np.full(len(names), np.nan) if summary.repeatability is None else summary.repeatability
+    content = {
+        "schema": SCHEMA,
+        "seed": summary.seed,
+        "iterations": [deployment_entry(deployment, names) for deployment in summary.deployments],
+        "repeatability": _by_name(names, known),
+        "repeatability_measured": summary.measured,
+        "steps_sha256": summary.steps_sha256,
+        **({"warm_start": asdict(summary.warm_start)} if summary.warm_start else {}),
+        "versions": dict(summary.versions),
+    }
+    write_whole(path, json.dumps(content, indent=1))
+
+
+def deployment_entry(deployment: Deployment, names: Sequence[str]) -> dict[str, Any]:
+    """What `summary.json` says of a deployment; `names` are those of the state coordinates. NaN becomes null."""
+    return {
+        "iteration": deployment.iteration,
+        "residual": deployment.residual,
+        "steps": deployment.steps,
+        "falls": deployment.falls,
+        **{measure: _by_name(names, error) for measure, error in deployment.errors.items()},
+    }
+
+
+def _by_name(names: Sequence[str], values: Array) -> dict[str, float | None]:
+    return {name: float(value) if np.isfinite(value) else None for name, value in zip(names, values, strict=True)}
 
 
 def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json") -> Summary:
@@ -99,6 +167,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
         fields.get("repeatability_measured") is True,
         tuple((name, str(version)) for name, version in versions.items()),
         str(fields.get("steps_sha256", "")),
+        _warm_start(fields.get("warm_start"), source),
     )
 
 
@@ -134,43 +203,50 @@ def read_text(path: Path, largest: int) -> str | None:
         raise ValueError(f"{path}: not a text file ({error.reason}); it must be the one that the run wrote") from None
 
 
-def _deployment(entry: Any, names: tuple[str, ...], place: str, source: str) -> FinishedDeployment:
-    fields, place = _fields(entry, place, source), f"{source}: {place}"
+def _deployment(entry: Any, names: tuple[str, ...], key: str, source: str) -> Deployment:
+    fields, source = _fields(entry, key, source), f"{source}: {key}"
     residual = fields.get("residual")
     if not isinstance(residual, str) or len(residual) > LONGEST_NAME:
-        raise ValueError(f"{place}: residual is {_short(residual)}, but it must be a short text such as 'gp'")
-    return FinishedDeployment(
-        iteration=_whole(fields, "iteration", 0, place),
+        raise ValueError(f"{source}: residual is {_short(residual)}, but it must be a short text such as 'gp'")
+    return Deployment(
+        iteration=_whole(fields, "iteration", 0, source),
         residual=residual,
-        steps=_whole(fields, "steps", 1, place),
-        falls=_whole(fields, "falls", 0, place),
-        errors={measure: _errors(fields, measure, names, place) for measure in MEASURES},
+        steps=_whole(fields, "steps", 1, source),
+        falls=_whole(fields, "falls", 0, source),
+        **{measure: _errors(fields, measure, names, source) for measure in MEASURES},
     )
 
 
-def _fields(value: Any, what: str, place: str) -> dict[str, Any]:
+def _warm_start(entry: Any, source: str) -> WarmStart | None:
+    if entry is None:
+        return None
+    fields = _fields(entry, "warm_start", source)
+    return WarmStart(_whole(fields, "steps", 1, f"{source}: warm_start"), str(fields.get("steps_sha256", "")))
+
+
+def _fields(value: Any, what: str, source: str) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ValueError(f"{place}: {what} is {_short(value)}, but it must be an object, {{…}}")
+        raise ValueError(f"{source}: {what} is {_short(value)}, but it must be an object, {{…}}")
     return value
 
 
-def _whole(fields: Mapping[str, Any], key: str, least: int, place: str) -> int:
+def _whole(fields: Mapping[str, Any], key: str, least: int, source: str) -> int:
     value = fields.get(key)
     if type(value) is not int or not least <= value < 2**63:
-        raise ValueError(f"{place}: {key} is {_short(value)}, but it must be a whole number from {least}")
+        raise ValueError(f"{source}: {key} is {_short(value)}, but it must be a whole number from {least}")
     return value
 
 
-def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], place: str) -> Array:
+def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source: str) -> Array:
     """One number or null for every state coordinate; shape (n,)."""
-    values = _fields(fields.get(key), key, place)
+    values = _fields(fields.get(key), key, source)
     if set(values) != set(names):
         wanted = ", ".join(names)
-        raise ValueError(f"{place}: {key} is of {_short(list(values))}, but it must be of {wanted}, as in steps.csv")
+        raise ValueError(f"{source}: {key} is of {_short(list(values))}, but it must be of {wanted}, as in steps.csv")
     for name, value in values.items():
         known = isinstance(value, (int, float)) and not isinstance(value, bool)
         if value is not None and not (known and abs(value) <= LARGEST_NUMBER):
-            raise ValueError(f"{place}: {key} of {name} is {_short(value)}, but it must be a number or null")
+            raise ValueError(f"{source}: {key} of {name} is {_short(value)}, but it must be a number or null")
     return np.array([np.nan if values[name] is None else float(values[name]) for name in names])
 
 

@@ -18,7 +18,7 @@ def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) 
         f"command U0    {_named(space.command_names, point.command, [q.unit for q in space.command])}",
     ]
     if point.held:
-        sizes = ", ".join(f"{abs(multiplier):.3f}" for multiplier in point.multipliers)
+        sizes = ", ".join(f"{abs(multiplier):.3f}" for multiplier in point.floquet_multipliers)
         lines.append(f"multipliers   |λ| = {sizes}: {'stable' if point.stable else 'not stable'} at a constant command")
     else:
         lines.append(
@@ -64,7 +64,7 @@ def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) ->
     circle.plot(np.cos(angle), np.sin(angle), color="0.4", lw=1)
     circle.axhline(0, color="0.85", lw=0.8, zorder=0)
     circle.axvline(0, color="0.85", lw=0.8, zorder=0)
-    circle.plot(point.multipliers.real, point.multipliers.imag, "s", ms=7, color="#0072B2")
+    circle.plot(point.floquet_multipliers.real, point.floquet_multipliers.imag, "s", ms=7, color="#0072B2")
     verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
     circle.set(aspect="equal", xlabel="real part", ylabel="imaginary part", title=f"Multipliers ({verdict})")
     return figure
@@ -88,7 +88,12 @@ def reference_gait_figure(gait: ReferenceGait) -> Figure:
             linewidth=1.3,
             label=f"border of what the {each.name} map reaches",
         )
-        found = [(row, abs(value)) for row, point in enumerate(each.points, 1) if point for value in point.multipliers]
+        found = [
+            (row, abs(value))
+            for row, point in enumerate(each.points, 1)
+            if point
+            for value in point.floquet_multipliers
+        ]
         mark = {"color": look["color"], "marker": look["marker"], "markerfacecolor": "none", "linestyle": ""}
         sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"multipliers, {each.name} map")
     plane.plot(*gait.targets.T, ".", color=BLACK, label="targets")

@@ -4,7 +4,7 @@ import numpy as np
 
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
-from stepgap.records.summary import FinishedDeployment
+from stepgap.records.summary import Deployment
 from stepgap.step import Array, Quantity, StepStatus
 
 
@@ -58,7 +58,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
     return found
 
 
-def improvement(first: FinishedDeployment, last: FinishedDeployment, measure: str) -> Array:
+def improvement(first: Deployment, last: Deployment, measure: str) -> Array:
     """By what factor an error fell, NaN where unknown; shape (n,)."""
     before, after = first.errors[measure], last.errors[measure]
     return np.divide(before, after, out=np.full(len(before), np.nan), where=(before > 0) & (after > 0))
@@ -76,7 +76,7 @@ def decimal(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}".replace("-", "−")
 
 
-def _change(first: FinishedDeployment, last: FinishedDeployment, row: int, quantity: Quantity) -> str:
+def _change(first: Deployment, last: Deployment, row: int, quantity: Quantity) -> str:
     parts = []
     for measure in ("rmse", "mae"):
         before, after = first.errors[measure][row], last.errors[measure][row]
@@ -129,7 +129,7 @@ def _count(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
 
 
-def _ended(record: RunRecord, deployment: FinishedDeployment) -> str:
+def _ended(record: RunRecord, deployment: Deployment) -> str:
     """How a deployment was aborted."""
     status = list(record.steps.of_iteration(deployment.iteration))[-1].record.status
     how = "fell" if status == StepStatus.FELL else f"ended without an apex ({status.label})"

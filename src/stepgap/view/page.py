@@ -193,7 +193,8 @@ class Page:
     def _label(self, iteration: int) -> str:
         if iteration > 0:
             return f"{iteration}: corrected map"
-        return "0: learning from the start" if self._source.settings.learning.lessons(0) else "0: uncorrected map"
+        learns = self._source.settings.learning.steps_to_learn(0)
+        return "0: learning from the start" if learns else "0: uncorrected map"
 
     def _show_motion(self) -> None:
         source, player = self._source, self.player

@@ -15,7 +15,7 @@ from stepgap.base.output_files import words_of
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import logged_ticks, replayed_hops, sensor_model_of
 from stepgap.experiment.settings import InputError, read_experiment
-from stepgap.learning.learner import next_context
+from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.ticks.tick_ring import TickRing
@@ -136,7 +136,7 @@ class Source:
             if logged is steps[number - 1]:
                 break
             before.append(logged)
-        return residual.given(next_context(StepLog(self.space, before), self.nominal, iteration))
+        return residual.conditioned_on(next_history(StepLog(self.space, before), self.nominal, iteration))
 
     def poll(self) -> bool:
         """Reads what is new; gives whether there were new steps."""

@@ -31,12 +31,12 @@ def test_a_new_board_asks_for_nothing_and_has_no_command():
 
 
 @given(st.integers(0, 2**31), st.floats(), st.floats(), st.floats())
-def test_what_one_posts_the_other_reads_under_its_number_alone(boards, number, fx, fy, place):
+def test_what_one_posts_the_other_reads_under_its_number_alone(boards, number, fx, fy, yaw):
     here, there = boards
     here.post_command(number, fx, fy)
     np.testing.assert_array_equal(there.command(number), (fx, fy))
     assert there.command(number + 1) is None
-    hop = Hop(number, fx, fy, -fy, -fx, place, StepStatus.NO_APEX)
+    hop = Hop(number, fx, fy, -fy, -fx, yaw, StepStatus.NO_APEX)
     there.post_hop(hop)
     np.testing.assert_array_equal(here.hop(number), hop)
     assert here.hop(number + 1) is None

@@ -77,7 +77,7 @@ def check_off(ring):
 
 
 def test_it_hops_lands_and_keeps_every_tick(tmp_path):
-    asked, places = [], []
+    asked, yaws = [], []
     with live_ring(make_machine=RecordedTwin) as ring:
         with RealtimePlant(SETUP, tmp_path, lambda: asked.append("hold the robot")) as plant:
             state = plant.start()
@@ -89,12 +89,12 @@ def test_it_hops_lands_and_keeps_every_tick(tmp_path):
                 np.testing.assert_array_equal(record.command, COMMAND)
                 state = record.next_state
                 assert 0.5 < state[1] < 0.7
-                places.append(record.place_after)
+                yaws.append(record.yaw_after)
         assert plant.fault == ""
         check_off(ring)
         given = np.array(ring.look().torques)
     rows = logged(tmp_path)
-    assert np.isin(places, rows[:, COLUMN["boom_horizontal"]] * 2 * np.pi / 5000).all()
+    assert np.isin(yaws, rows[:, COLUMN["boom_horizontal"]] * 2 * np.pi / 5000).all()
     np.testing.assert_allclose(np.diff(rows[:, 0]), 1e-3)
     states = [RigState(state).name for state in dict.fromkeys(rows[:, COLUMN["state"]])]
     assert states == ["CALIBRATE", "READY", "STAND", "HOP", "STOP", "OFF"]

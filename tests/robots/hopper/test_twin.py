@@ -457,12 +457,12 @@ def test_a_fork_on_a_turned_floor_meets_it_where_it_is_turned_to():
     gap = replace(NONE, boom_arc=True, ground_friction=0.5, ground_slope=0.02)
     twin = make(gap, start_height=0.5)
     ahead = twin.true_state().foot[0]  # the foot protrudes
-    fork = twin.fork(np.random.default_rng(0), turn=pi / 2)
+    fork = twin.fork(np.random.default_rng(0), floor_yaw=pi / 2)
     before, after = twin.true_state(), fork.true_state()
     assert before.ground_height == pytest.approx(ahead * np.tan(0.02), rel=0.05)
     assert after.ground_height == pytest.approx(ROBOT.boom_length * np.tan(0.02), rel=1e-3)
     assert after.qpos.tolist() == before.qpos.tolist()
-    assert make(gap, start_height=0.5, turn=pi / 2).true_state().ground_height == after.ground_height
+    assert make(gap, start_height=0.5, floor_yaw=pi / 2).true_state().ground_height == after.ground_height
 
 
 # Rig

@@ -32,7 +32,7 @@ class Field(IntEnum):
     HEIGHT = 8
     APPLIED_FX = 9
     APPLIED_FY = 10
-    PLACE = 11
+    YAW = 11
     REASON = 12
     TICKS = 13
     MISSED_TICKS = 14
@@ -58,7 +58,7 @@ class Hop(NamedTuple):
         height: At the apex [m].
         applied_fx: Forward command force that really acted [N].
         applied_fy: Upward command force that really acted [N].
-        place: Yaw of the boom at the apex [rad]; NaN of a hop that failed.
+        yaw: Of the robot at the apex [rad]; NaN of a hop that failed.
         status: OK, or why there is no apex.
     """
 
@@ -67,7 +67,7 @@ class Hop(NamedTuple):
     height: float
     applied_fx: float
     applied_fy: float
-    place: float
+    yaw: float
     status: StepStatus
 
     @classmethod
@@ -153,7 +153,7 @@ class Board:
         self._words[Field.HOP_NUMBER] = -1
         self._numbers[Field.SPEED], self._numbers[Field.HEIGHT] = hop.speed, hop.height
         self._numbers[Field.APPLIED_FX], self._numbers[Field.APPLIED_FY] = hop.applied_fx, hop.applied_fy
-        self._numbers[Field.PLACE] = hop.place
+        self._numbers[Field.YAW] = hop.yaw
         self._words[Field.REASON] = hop.status
         self._words[Field.HOP_NUMBER] = hop.number
 
@@ -162,8 +162,8 @@ class Board:
         words, numbers = self._words, self._numbers
         if words[Field.HOP_NUMBER] != number:
             return None
-        speed, height, applied_fx, applied_fy, place = numbers[Field.SPEED : Field.REASON].tolist()
-        found = Hop(number, speed, height, applied_fx, applied_fy, place, StepStatus(words[Field.REASON]))
+        speed, height, applied_fx, applied_fy, yaw = numbers[Field.SPEED : Field.REASON].tolist()
+        found = Hop(number, speed, height, applied_fx, applied_fy, yaw, StepStatus(words[Field.REASON]))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:

@@ -191,7 +191,7 @@ class ControlLoop:
         """Tells the process that learns how the hop ended."""
         speed, height = finished.state.tolist()
         fx, fy = (np.nan_to_num(finished.command) - finished.lost).tolist()  # without a command there was no force
-        self._board.post_hop(Hop(self._hop, speed, height, fx, fy, finished.place, self._control.status))
+        self._board.post_hop(Hop(self._hop, speed, height, fx, fy, finished.yaw, self._control.status))
 
     def _repeat(self, now: float) -> bool:
         """A frame between two ticks [s]; False where the rig fails."""

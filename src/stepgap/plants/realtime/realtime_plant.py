@@ -89,7 +89,7 @@ class RealtimePlant(Plant):
         session.board.post_command(self._hop, *within.tolist())
         hop = self._await_hop(session)
         applied = np.array([hop.applied_fx, hop.applied_fy])
-        return StepRecord(state, asked, applied, self._state, hop.status, hop.place)
+        return StepRecord(state, asked, applied, self._state, hop.status, hop.yaw)
 
     def stop(self) -> None:
         """Lands the robot, torque off."""

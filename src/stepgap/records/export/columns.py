@@ -73,6 +73,6 @@ def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
         "step": ("", "number of the step in it, from 1; steps that calibrate come before"),
         **of(space.state, STATE_MEANINGS),
         **of(space.command, COMMAND_MEANINGS),
-        "place_after": ("rad", "where on its round the robot is after the step; NaN where that is not measured"),
+        "yaw_after": ("rad", "yaw after the step; NaN where it is not measured"),
         "status": ("", "how the step ended: ok, or why there was no next apex"),
     }

@@ -73,10 +73,10 @@ def carried_mass(robot: RobotParameters, gap: RealityGap) -> float:
     return gap.body_mass_scale * robot.body_mass + gap.leg_mass_scale * links
 
 
-def gravity(robot: RobotParameters, gap: RealityGap, turn: float = 0.0) -> NDArray[np.float64]:
+def gravity(robot: RobotParameters, gap: RealityGap, floor_yaw: float = 0.0) -> NDArray[np.float64]:
     """Gravity seen from the boom's leaning axis, with the floor turned by an angle [rad]; shape (3,) [m/s²]."""
     tilt = gap.boom_tilt if gap.boom_arc else 0.0
-    return robot.gravity * np.array([sin(tilt) * sin(turn), sin(tilt) * cos(turn), -cos(tilt)])
+    return robot.gravity * np.array([sin(tilt) * sin(floor_yaw), sin(tilt) * cos(floor_yaw), -cos(tilt)])
 
 
 def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False) -> mujoco.MjSpec:

@@ -95,7 +95,7 @@ class Twin(Rig):
         start_speed: Horizontal speed of the hip when let go [m/s].
         hold: Time for which the hip is held [s].
         ground: The floor, where several twins are to hop on the same one.
-        turn: Place on the circle to start from: the angle by which the floor is turned under the robot [rad].
+        floor_yaw: Yaw of the floor where the boom's is zero [rad], so where on the floor the robot starts.
 
     Raises:
         ValueError: An argument is out of range, or the foot would start in the ground.
@@ -111,12 +111,12 @@ class Twin(Rig):
         start_speed: float = 0.0,
         hold: float = 0.3,
         ground: GroundProfile | None = None,
-        turn: float = 0.0,
+        floor_yaw: float = 0.0,
     ):
         require(isfinite(tick) and tick > 0, "tick", tick, "be positive")
         require(isfinite(start_height), "start_height", start_height, "be finite")
         require(isfinite(start_speed), "start_speed", start_speed, "be finite")
-        require(isfinite(turn), "turn", turn, "be finite")
+        require(isfinite(floor_yaw), "floor_yaw", floor_yaw, "be finite")
         require(isfinite(hold) and hold >= 0, "hold", hold, "not be negative")
         self._robot, self._gap, self._rng = robot, gap, rng
         self._start_height, self._start_speed = start_height, start_speed
@@ -129,8 +129,8 @@ class Twin(Rig):
         self._bind()
         self._noise = self._draw_noise()
         self._connected, self._fault, self._hold_left = False, "", 0
-        self._turn_floor(turn)
-        lowest = START_LENGTH + robot.foot_length + max(self._ground.height(turn), 0.0)
+        self._set_floor_yaw(floor_yaw)
+        lowest = START_LENGTH + robot.foot_length + max(self._ground.height(floor_yaw), 0.0)
         rule = f"exceed {lowest:.4g}, or the foot is in the ground"
         require(start_height > lowest, "start_height", start_height, rule)
         self._vertical_coordinate(start_height)
@@ -181,7 +181,7 @@ class Twin(Rig):
         mujoco.mj_resetData(model, data)
         data.qpos[:] = self._start_pose()
         model.eq("hold_boom_vertical").data[0] = data.qpos[1]
-        self._ground_position[2] = self._ground.height(self._turn)
+        self._ground_position[2] = self._ground.height(self._floor_yaw)
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
         self._connected, self._fault = True, ""
@@ -236,18 +236,18 @@ class Twin(Rig):
                 self._let_go()
         return applied
 
-    def fork(self, rng: np.random.Generator, turn: float = 0.0) -> Self:
+    def fork(self, rng: np.random.Generator, floor_yaw: float = 0.0) -> Self:
         """Another twin in the very same motion, down to what is under way in the drives; this one stays as it is.
 
         Args:
             rng: Draws its torque noise, the present value included.
-            turn: Angle by which the floor, and with it gravity's pull around the circle, is turned under it [rad]: as
-                if the robot did the same elsewhere.
+            floor_yaw: Angle by which the floor, and with it gravity's pull around the circle, is turned under it [rad],
+                as if the robot did the same elsewhere.
         """
         twin = copy(self)
         twin._model, twin._data, twin._rng = copy(self._model), copy(self._data), rng
         twin._bind()
-        twin._turn_floor(self._turn + turn)
+        twin._set_floor_yaw(self._floor_yaw + floor_yaw)
         twin._noise = twin._draw_noise()
         if self._gap.torque_noise > 0:
             twin._force[[self._motor_1, self._motor_2]] = self._gap.torque_noise * next(twin._noise)
@@ -330,11 +330,11 @@ class Twin(Rig):
         require(abs(rise) < self._robot.boom_length, "start_height", height, "be within the boom's reach")
         return asin(rise / self._robot.boom_length)
 
-    def _turn_floor(self, turn: float) -> None:
+    def _set_floor_yaw(self, floor_yaw: float) -> None:
         """Turns the floor by an angle under the robot [rad]; the boom's axis leans as the floor does."""
-        self._turn = turn
-        self._model.opt.gravity[:] = gravity(self._robot, self._gap, turn)
-        self._devices = as_record(self._devices_at(turn))
+        self._floor_yaw = floor_yaw
+        self._model.opt.gravity[:] = gravity(self._robot, self._gap, floor_yaw)
+        self._devices = as_record(self._devices_at(floor_yaw))
 
     def _draw_noise(self) -> Iterator[Array]:
         """Standard normal numbers, one for each motor, without end; zeros where the motors have no noise."""

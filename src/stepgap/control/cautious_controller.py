@@ -1,10 +1,14 @@
-"""What to command where a map may be wrong: the least expected squared error, by a step that hardly can fail.
+"""Cautious control: the least expected squared error where a map may be wrong, by a step that is unlikely to fail.
 
-The squared distance of the next state from the target is expected to be |mean − target|² + variance. Where a map knows
-its error well the variance is the same for all commands, and its least is where mean = target (Eq. 13). Where it does
-not, the least lies nearer to the commands that have been tried: the data themselves bound how far a command leaves
-them. The command of the nominal map is always among those compared, so under the map's own uncertainty a correction
-never makes a step worse.
+The squared distance of the next state from the target is expected to be |mean − target|² + variance (cautious
+control in the sense of Åström and Wittenmark, Adaptive Control). Where a map knows its error well, the variance
+is the same for all commands, and the minimum is where mean = target (Eq. 13). Elsewhere the minimum lies nearer
+to the commands that have been tried: the data themselves bound how far a command leaves them. The command of
+the nominal map is always among those compared, so under the map's own uncertainty a correction never makes a
+step worse.
+
+A state is *viable* here if some command makes a step from it (compare Wieber, On the stability of walking
+systems, 2002).
 """
 
 from dataclasses import dataclass
@@ -12,21 +16,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.control.step_controller import StepController, as_vector, descend
+from stepgap.control.gauss_newton import descend
+from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 RISK = 2.0
-"""Standard deviations by which the next state may be off while the robot must still be able to hop on."""
-APART = 0.2
-"""A step is not taken that lies closer than this to one that failed, in every coordinate [half ranges]."""
-SEARCHED = 9
+"""The next state must be viable even if it is off by this number of standard deviations."""
+FAILURE_RADIUS = 0.2
+"""A step closer than this to one that failed, in every coordinate, is not taken [half ranges]."""
+SEARCH_POINTS = 9
 """Commands along each axis of the grid that is searched where no better one is safe."""
-ONWARD = 3
-"""Commands along each axis of which one must lead on from the next state."""
+VIABILITY_POINTS = 3
+"""Commands along each axis of the grid that is searched for one that makes a step from the next state."""
 
 
 @dataclass(frozen=True, eq=False)
-class CarefulPlan:
+class CautiousPlan:
     """A command and what is expected of it.
 
     Attributes:
@@ -41,7 +46,7 @@ class CarefulPlan:
 
 
 @dataclass(frozen=True, eq=False)
-class CarefulController:
+class CautiousController:
     """Finds the safe command of least expected squared distance to the target.
 
     Attributes:
@@ -54,7 +59,7 @@ class CarefulController:
     nominal: StepMap
     failures: Array
 
-    def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> CarefulPlan:
+    def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> CautiousPlan:
         """Plans one step.
 
         Args:
@@ -70,15 +75,17 @@ class CarefulController:
         map_std, noise_std = self.step_map.std(state, exact.command), self.step_map.noise_std
         step_std = np.hypot(map_std, noise_std)
         sure = (map_std <= noise_std).all()  # the map errs less than one measured step scatters
-        if sure and self._leads_on(state, exact.command, exact.predicted, step_std):
-            return CarefulPlan(exact.command, exact.predicted, step_std)
+        if sure and self._is_viable(state, exact.command, exact.predicted, step_std):
+            return CautiousPlan(exact.command, exact.predicted, step_std)
         state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
         commands = np.array([exact.command, *self._cautious_commands(state, target, exact.command)])
         best = self._best(state, target, commands)
         if best is None:
-            best = self._best(state, target, self.step_map.space.command_grid(SEARCHED).reshape(-1, commands.shape[1]))
+            best = self._best(
+                state, target, self.step_map.space.command_grid(SEARCH_POINTS).reshape(-1, commands.shape[1])
+            )
         command = exact.command if best is None else best
-        return CarefulPlan(command, self.step_map(state, command), self.step_std(state, command))
+        return CautiousPlan(command, self.step_map(state, command), self.step_std(state, command))
 
     def step_std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the next state as measured; shape (…, n)."""
@@ -96,17 +103,17 @@ class CarefulController:
         space, n = self.step_map.space, len(target)
         scale = np.concatenate([space.state_scale, space.state_scale])
 
-        def residual(point: Array) -> Array:
+        def root(point: Array) -> Array:
             command = space.command_at(point)
             mean = self.step_map.evaluate(state, command).next_state
             return np.concatenate([mean - target, self.step_map.std(state, command)], axis=-1) / scale
 
-        def slope(point: Array) -> Array:
+        def jacobian(point: Array) -> Array:
             command = space.command_at(point)
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
             return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
 
-        return space.command_at(descend(residual, slope, space.point_of(start), bound=1.0).point)
+        return space.command_at(descend(root, jacobian, space.point_of(start), bound=1.0).point)
 
     def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
         """Of commands (k, m) the safe one of least expected squared distance, None if none is safe."""
@@ -118,21 +125,22 @@ class CarefulController:
         return None
 
     def is_safe(self, state: ArrayLike, command: Array) -> bool:
-        """Whether the step makes an apex from which the robot can hop on, also if it errs, and resembles no failure."""
+        """Whether the step makes an apex, its next state is viable even if it errs, and it resembles no failure."""
         mean, status = self.step_map.evaluate(state, command)
-        return bool(status == StepStatus.OK) and self._leads_on(state, command, mean, self.step_std(state, command))
+        return bool(status == StepStatus.OK) and self._is_viable(state, command, mean, self.step_std(state, command))
 
-    def _leads_on(self, state: ArrayLike, command: Array, mean: Array, std: Array) -> bool:
-        """The same of a step that is predicted to make an apex, with a standard deviation (n,)."""
+    def _is_viable(self, state: ArrayLike, command: Array, mean: Array, std: Array) -> bool:
+        """Whether a step with this mean and standard deviation (n,) ends in a viable state and resembles no failure."""
         space = self.step_map.space
         scale = np.concatenate([space.state_scale, space.command_scale])
-        apart = np.abs(self.failures - np.concatenate([state, command])) / scale
-        if (apart.max(axis=-1, initial=0.0) < APART).any():
+        distance = np.abs(self.failures - np.concatenate([state, command])) / scale
+        if (distance.max(axis=-1, initial=0.0) < FAILURE_RADIUS).any():
             return False
         error = np.diag(RISK * std)
-        places = np.concatenate([mean[None], mean + error, mean - error])
-        stuck = places[self.nominal.evaluate(places, space.command_centre).status != StepStatus.OK]
-        if not len(stuck):
+        next_states = np.concatenate([mean[None], mean + error, mean - error])
+        doubtful = next_states[self.nominal.evaluate(next_states, space.command_centre).status != StepStatus.OK]
+        if not len(doubtful):
             return True
-        onward = self.nominal.evaluate(stuck[:, None], space.command_grid(ONWARD).reshape(-1, len(command))).status
-        return bool((onward == StepStatus.OK).any(axis=1).all())
+        commands = space.command_grid(VIABILITY_POINTS).reshape(-1, len(command))
+        statuses = self.nominal.evaluate(doubtful[:, None], commands).status
+        return bool((statuses == StepStatus.OK).any(axis=1).all())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from stepgap.control.careful_controller import APART, RISK, CarefulController
+from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK, CautiousController
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, Codes, StepMap, StepStatus, difference_jacobian
 from tests.control.maps import ClosedFormMap, LossyHopper
@@ -62,9 +62,9 @@ def commands_on_a_grid(step_map: StepMap, count: int) -> Array:
 
 def test_a_map_that_is_sure_gets_the_exact_command() -> None:
     sure = LossyHopper()
-    careful = CarefulController(sure, sure, NONE)(STATE, TARGET)
-    np.testing.assert_array_equal(careful.command, StepController(sure)(STATE, TARGET).command)
-    np.testing.assert_allclose(careful.predicted, TARGET, atol=1e-6)
+    cautious = CautiousController(sure, sure, NONE)(STATE, TARGET)
+    np.testing.assert_array_equal(cautious.command, StepController(sure)(STATE, TARGET).command)
+    np.testing.assert_allclose(cautious.predicted, TARGET, atol=1e-6)
 
 
 def test_the_gradient_of_the_tests_own_map() -> None:
@@ -79,7 +79,7 @@ def test_an_unsure_map_gets_the_least_expected_squared_distance(seed: int) -> No
     rng = np.random.default_rng(seed)
     guessed = Guessed(tried=tuple(rng.uniform([-10, -15], [10, 15])), growth=tuple(rng.uniform(0.001, 0.02, 2)))
     state, target = rng.uniform([0.0, 0.54], [0.4, 0.62]), rng.uniform([0.0, 0.54], [0.4, 0.62])
-    plan = CarefulController(guessed, LossyHopper(), NONE)(state, target)
+    plan = CautiousController(guessed, LossyHopper(), NONE)(state, target)
     grid = commands_on_a_grid(guessed, 201)
     assert expected(guessed, state, target, plan.command) <= expected(guessed, state, target, grid).min() * (1 + 1e-6)
 
@@ -89,20 +89,20 @@ def test_never_worse_than_the_command_of_the_nominal_map() -> None:
     for _ in range(50):
         guessed = Guessed(tried=tuple(rng.uniform([-10, -15], [10, 15])), growth=tuple(rng.uniform(0.001, 0.05, 2)))
         state, target = rng.uniform([0.0, 0.54], [0.4, 0.62]), rng.uniform([0.0, 0.54], [0.4, 0.62])
-        careful = CarefulController(guessed, nominal, NONE)(state, target).command
+        cautious = CautiousController(guessed, nominal, NONE)(state, target).command
         uncorrected = StepController(nominal)(state, target).command
-        assert expected(guessed, state, target, careful) <= expected(guessed, state, target, uncorrected) + 1e-12
+        assert expected(guessed, state, target, cautious) <= expected(guessed, state, target, uncorrected) + 1e-12
 
 
 def test_a_step_like_one_that_failed_is_not_taken_again() -> None:
     sure = LossyHopper()
     exact = StepController(sure)(STATE, TARGET).command
     failed = np.array([[*STATE, *exact]])
-    plan = CarefulController(sure, sure, failed)(STATE, TARGET)
+    plan = CautiousController(sure, sure, failed)(STATE, TARGET)
     apart = np.abs(plan.command - exact) / sure.space.command_scale
-    assert apart.max() >= APART
+    assert apart.max() >= FAILURE_RADIUS
     grid = commands_on_a_grid(sure, 9)
-    allowed = (np.abs(grid - exact) / sure.space.command_scale).max(axis=1) >= APART
+    allowed = (np.abs(grid - exact) / sure.space.command_scale).max(axis=1) >= FAILURE_RADIUS
     assert expected(sure, STATE, TARGET, plan.command) <= expected(sure, STATE, TARGET, grid[allowed]).min() + 1e-12
 
 
@@ -129,7 +129,7 @@ class GuessedCliff(Guessed):
 
 def test_it_keeps_clear_of_states_from_which_nothing_leads_on() -> None:
     cliff, target = GuessedCliff(growth=(0.0, 0.0), least=0.002), np.array([0.2, 0.618])
-    plan = CarefulController(cliff, cliff.truth, NONE)(STATE, target)
+    plan = CautiousController(cliff, cliff.truth, NONE)(STATE, target)
     np.testing.assert_allclose(plan.std, np.hypot(cliff.std(STATE, plan.command), cliff.noise), rtol=1e-12)
     spread = RISK * plan.std[1]
     assert plan.predicted[1] + spread <= Cliff().edge
@@ -138,5 +138,5 @@ def test_it_keeps_clear_of_states_from_which_nothing_leads_on() -> None:
 
 def test_where_no_command_is_safe_the_one_that_is_best_is_taken() -> None:
     cliff = GuessedCliff(growth=(0.0, 0.0), least=0.5)
-    plan = CarefulController(cliff, cliff.truth, NONE)(STATE, TARGET)
+    plan = CautiousController(cliff, cliff.truth, NONE)(STATE, TARGET)
     assert np.isfinite(plan.command).all()

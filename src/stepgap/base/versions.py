@@ -1,0 +1,12 @@
+"""Versions of the software that a result depends on."""
+
+import platform
+from importlib.metadata import version
+
+RECORDED_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco")
+"""Packages whose versions a run records: with others the same seed may give other last digits."""
+
+
+def versions_here() -> dict[str, str]:
+    """Version of Python and of each recorded package, by its name."""
+    return {"python": platform.python_version(), **{name: version(name) for name in RECORDED_PACKAGES}}

@@ -1,0 +1,238 @@
+"""Bounded least squares: damped Gauss–Newton steps from a start, for one problem and for many at once.
+
+Sought is the point within a box at which a vector-valued function is zero or of least norm. Each step minimises
+the norm of the linearised function within the box (`box_step`, `box_steps`), with Levenberg's damping where it
+did not help before. Broyden's rank-one updates keep the Jacobian, because a new one costs several evaluations.
+
+`descend` solves one problem and asks for another Jacobian where the updated one misleads. `descend_many` takes
+the steps of many problems together, so that each round is one large batch of evaluations, and never asks for
+another Jacobian; what it cannot settle is left to `descend`. A function value that is not finite (a step that
+fails) is worse than any other.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import get_lapack_funcs
+
+from stepgap.step import Array
+
+TOLERANCE = 1e-9
+"""Norm at which a solution is not improved further."""
+REACHED = 1e-6
+"""Norm that counts as zero; an integrated map is not smoother than this."""
+CLOSE_ENOUGH = REACHED / 10
+"""Norm at which one of many solutions is not improved further."""
+FLAT = 1e-10
+"""A point is stationary when the squared norm can fall by no more than this fraction."""
+NEARBY = 1e-3
+"""A Jacobian serves, with Broyden's updates, as exact this far around the point where it was taken."""
+MOST_TRIALS = 40
+MOST_ROUNDS = 20
+MOST_DAMPING = 1e4
+LEAST_DAMPING = 1e-2
+ACCEPTED = 1e-4
+"""A step is taken if the squared norm falls by this fraction of what was expected."""
+(_gesv,) = get_lapack_funcs(("gesv",), dtype=np.float64)
+
+Function = Callable[[Array], Array]
+"""Points (…, k) to values (…, n), NaN where there is none."""
+Jacobian = Callable[[Array], Array]
+"""A point (k,) to the Jacobian of the function (n, k)."""
+ManyFunctions = Callable[[NDArray[np.intp], Array], Array]
+"""Numbers of problems (p,) and a point (p, k) for each to their values (p, n), NaN where there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where a search ended.
+
+    Attributes:
+        point: Shape (k,).
+        distance: Norm of the function there; infinite where it has no value.
+        settled: Whether it is a zero or no direction leads closer; if not, points without a value or strong curvature
+            stood in the way.
+    """
+
+    point: Array
+    distance: float
+    settled: bool
+
+
+def descend(function: Function, jacobian: Jacobian, start: Array, bound: float) -> Solution:
+    """From a start to the nearest least norm within |point| ≤ bound; the answer is never worse than the start."""
+    point = np.clip(start, -bound, bound)
+    value, matrix, origin, damping = function(point), jacobian(point), point, 0.0
+    if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
+        return Solution(point, float(norms(value)), settled=False)
+    for _ in range(MOST_TRIALS):
+        cost = value @ value
+        if cost <= TOLERANCE**2 or damping > MOST_DAMPING:
+            break
+        weight = damping * np.sum(matrix**2) if damping else 0.0
+        step = box_step(matrix, value, -bound - point, bound - point, weight)
+        linear = value + matrix @ step
+        expected = cost - linear @ linear
+        if expected <= FLAT * cost:
+            if _is_near(point, origin):
+                return Solution(point, float(norms(value)), settled=True)
+            matrix, origin, damping = _renewed(jacobian, point, matrix), point, 0.0
+            continue
+        trial = function(point + step)
+        failed = not np.isfinite(trial).all()
+        gain = -np.inf if failed else cost - trial @ trial
+        if not failed:
+            matrix = matrix + (trial - linear)[:, None] * (step / (step @ step))
+        before = point
+        if gain > ACCEPTED * expected:
+            point, value = point + step, trial
+        elif cost <= REACHED**2:
+            break
+        if gain > 0.75 * expected:
+            damping = damping / 8 if damping > LEAST_DAMPING else 0.0
+        elif gain < 0.25 * expected:
+            if failed or _is_near(before, origin):
+                damping = max(8 * damping, LEAST_DAMPING)
+            else:
+                matrix, origin = _renewed(jacobian, point, matrix), point
+    distance = float(norms(value))
+    return Solution(point, distance, settled=distance <= REACHED)
+
+
+def descend_many(
+    functions: ManyFunctions, points: Array, values: Array, matrices: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """From a start for each problem to the nearest least norm within |point| ≤ 1.
+
+    Args:
+        functions: The functions.
+        points: Starts; shape (P, k).
+        values: Of the functions there; shape (P, n).
+        matrices: Their Jacobians there; shape (P, n, k).
+
+    Returns:
+        Points (P, k), values (P, n), and which problems settled (P,).
+    """
+    points, values, matrices = points.copy(), values.copy(), matrices.copy()
+    settled, damping = np.zeros(len(points), bool), np.zeros(len(points))
+    active = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
+    for _ in range(MOST_ROUNDS):
+        point, value, matrix = points[active], values[active], matrices[active]
+        cost = np.sum(value**2, axis=1)
+        step = box_steps(matrix, value, -1 - point, 1 - point, damping[active])
+        linear = value + np.einsum("pnm,pm->pn", matrix, step)
+        expected = cost - np.sum(linear**2, axis=1)
+        done = (cost <= CLOSE_ENOUGH**2) | (expected <= FLAT * cost)
+        settled[active[done]] = True
+        remaining = ~done & (damping[active] <= MOST_DAMPING)
+        active, step, linear = active[remaining], step[remaining], linear[remaining]
+        cost, expected = cost[remaining], expected[remaining]
+        if not active.size:
+            break
+        trial = functions(active, points[active] + step)
+        failed = ~np.isfinite(trial).all(axis=1)
+        gain = np.where(failed, -np.inf, cost - np.sum(trial**2, axis=1))
+        update = (trial - linear)[:, :, None] * step[:, None, :] / np.sum(step**2, axis=1)[:, None, None]
+        matrices[active[~failed]] += update[~failed]
+        better = gain > ACCEPTED * expected
+        points[active[better]] += step[better]
+        values[active[better]] = trial[better]
+        damping[active] = np.where(better, damping[active] / 8, np.maximum(8 * damping[active], LEAST_DAMPING))
+    return points, values, settled
+
+
+def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: float) -> Array:
+    """The p of least |matrix p + value|² + damping |p|² in lower ≤ p ≤ upper, by active sets; shape (k,).
+
+    Args:
+        matrix: Shape (n, k).
+        value: Shape (n,).
+        lower: Not above 0; shape (k,).
+        upper: Not below 0; shape (k,).
+        damping: Not negative.
+    """
+    k = len(lower)
+    if damping == 0.0 and matrix.shape == (k, k):
+        _, _, step, failure = _gesv(matrix, -value)
+        if not failure and ((lower <= step) & (step <= upper)).all():
+            return step
+    matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(k)])
+    value = np.append(value, np.zeros(k))
+    step, free = np.zeros(k), np.ones(k, bool)
+    for _ in range(4 * k + 4):
+        move = np.zeros(k)
+        move[free] = np.linalg.lstsq(matrix[:, free], -(matrix @ step + value), rcond=None)[0]
+        room = np.full(k, np.inf)
+        moving = np.abs(move) > 1e-100
+        room[moving] = (np.where(move > 0, upper, lower) - step)[moving] / move[moving]
+        first = int(np.argmin(room))
+        if room[first] < 1:
+            step = step + room[first] * move
+            step[first], free[first] = (upper if move[first] > 0 else lower)[first], False
+            continue
+        step = step + move
+        gradient = matrix.T @ (matrix @ step + value)
+        outward = np.where(free, 0.0, np.where(step >= upper, gradient, -gradient))
+        worst = int(np.argmax(outward))
+        if outward[worst] <= 1e-14 * np.linalg.norm(matrix) * np.linalg.norm(value):
+            break
+        free[worst] = True
+    return np.clip(step, lower, upper)
+
+
+def box_steps(matrices: Array, values: Array, lower: Array, upper: Array, damping: Array) -> Array:
+    """For every problem the p of least |matrix p + value|² + damping |matrix|² |p|² in lower ≤ p ≤ upper; shape (P, m).
+
+    The least value lies within one of the box's 3ᵐ faces, its inside among them; each is tried.
+
+    Args:
+        matrices: Shape (P, n, m).
+        values: Shape (P, n).
+        lower: Not above 0; shape (P, m).
+        upper: Not below 0; shape (P, m).
+        damping: Not negative; shape (P,).
+    """
+    m = matrices.shape[2]
+    hessian = np.einsum("pni,pnj->pij", matrices, matrices)
+    gradient = np.einsum("pni,pn->pi", matrices, values)
+    size = np.trace(hessian, axis1=1, axis2=2)
+    hessian = hessian + ((damping + 1e-14) * size + 1e-300)[:, None, None] * np.eye(m)
+    best, least = np.zeros_like(lower), np.full(len(values), np.inf)
+    for face in product((0, -1, 1), repeat=m):
+        chosen = np.array(face)
+        step, inside = _on_face(chosen, hessian, gradient, lower, upper)
+        cost = np.einsum("pi,pi->p", gradient + np.einsum("pij,pj->pi", hessian, step) / 2, step)
+        better = inside & (cost < least)
+        best[better], least[better] = step[better], cost[better]
+    return best
+
+
+def _on_face(
+    chosen: NDArray[np.int64], hessian: Array, gradient: Array, lower: Array, upper: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The steps that solve the problem with some coordinates at a bound, and whether they lie in the box."""
+    free, fixed = np.flatnonzero(chosen == 0), np.flatnonzero(chosen)
+    step = np.where(chosen < 0, lower, np.where(chosen > 0, upper, 0.0))
+    if free.size:
+        right_side = gradient[:, free] + np.einsum("pij,pj->pi", hessian[:, free][:, :, fixed], step[:, fixed])
+        step[:, free] = np.linalg.solve(hessian[:, free][:, :, free], -right_side[..., None])[..., 0]
+    return step, np.all((step >= lower) & (step <= upper), axis=1)
+
+
+def _is_near(point: Array, origin: Array) -> bool:
+    return bool(np.abs(point - origin).max() <= NEARBY)
+
+
+def _renewed(jacobian: Jacobian, point: Array, matrix: Array) -> Array:
+    """The Jacobian at a point, or the old one where there is none."""
+    fresh = jacobian(point)
+    return fresh if np.isfinite(fresh).all() else matrix
+
+
+def norms(values: Array) -> Array:
+    """Norms of function values, infinite where there is none; (…, n) to (…)."""
+    length = np.linalg.norm(values, axis=-1)
+    return np.where(np.isfinite(length), length, np.inf)

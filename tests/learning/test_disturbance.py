@@ -1,0 +1,253 @@
+"""The disturbance is followed within a deployment and removed from earlier ones; without one nothing changes."""
+
+from dataclasses import replace
+from math import nan
+from typing import NamedTuple
+
+import numpy as np
+
+from stepgap.learning.disturbance import LEAST_EVIDENCE, RATES, STRENGTHS, DisturbanceFilter, without_yaw_dependence
+from stepgap.learning.observations import Observations
+from stepgap.learning.polynomial import PRIOR_COUNT, PRIOR_STD, monomials
+from stepgap.learning.step_table import Labels
+from stepgap.step import Array
+from tests.learning.test_corrected_map import SPACE
+
+UNKNOWN = np.full(1000, nan)
+NOISE = np.array([0.008, 0.0015])
+SIZES = (120, 90, 150)
+
+
+# Within a deployment
+
+
+def offsets_over(left: np.ndarray, yaws: np.ndarray = UNKNOWN) -> np.ndarray:
+    """The offset before each of the steps that leave these errors (steps, n) at these yaws."""
+    filters, offsets = DisturbanceFilter.initial(left.shape[1]), []
+    for error, yaw in zip(left, yaws, strict=False):
+        offsets.append(filters.offset(yaw))
+        filters = filters.updated(error, yaw)
+    return np.array(offsets)
+
+
+def test_nothing_is_added_before_the_first_step() -> None:
+    for yaw in (nan, 0.0, 1e6):
+        np.testing.assert_array_equal(DisturbanceFilter.initial(3).offset(yaw), np.zeros(3))
+
+
+def test_each_filter_is_the_recursive_regression() -> None:
+    """Oracle: after each step c is the least-squares compromise between the new error and what was known before."""
+    rng = np.random.default_rng(3)
+    left, yaws, filters = rng.normal(0, 1, (40, 2)), rng.uniform(0, 100, 40), DisturbanceFilter.initial(2)
+    yaws[[0, 7, 8]] = nan
+    for error, yaw in zip(left, yaws, strict=True):
+        filters = filters.updated(error, yaw)
+    for rate, (constant, with_yaw) in zip(RATES, zip(*np.split(filters.coefficients, 2), strict=True), strict=True):
+        for size, found in ((1, constant), (3, with_yaw)):
+            known, covariance = np.zeros((size, 2)), np.eye(size)
+            for error, yaw in zip(left, yaws, strict=True):
+                row = np.nan_to_num([1.0, np.sin(yaw), np.cos(yaw)])[:size]
+                precision = np.linalg.inv((1 - rate**2) * covariance + rate**2 * np.eye(size))
+                root = np.linalg.cholesky(precision).T
+                rows, values = np.vstack([root, row]), np.vstack([root @ known, error])
+                known = np.linalg.lstsq(rows, values, rcond=None)[0]
+                covariance = np.linalg.inv(rows.T @ rows)
+            np.testing.assert_allclose(found[:size], known, atol=1e-10)
+            assert (found[size:] == 0).all()
+
+
+def test_a_filter_without_forgetting_is_the_regression_of_all_steps() -> None:
+    rng = np.random.default_rng(6)
+    left, yaws, filters = rng.normal(0, 1, (40, 1)), rng.uniform(0, 100, 40), DisturbanceFilter.initial(1)
+    for error, yaw in zip(left, yaws, strict=True):
+        filters = filters.updated(error, yaw)
+    row = np.column_stack([np.ones(40), np.sin(yaws), np.cos(yaws)])
+    slowest = filters.coefficients[len(RATES)]
+    np.testing.assert_allclose(slowest, np.linalg.solve(row.T @ row + np.eye(3), row.T @ left), atol=0.02)
+
+
+def test_what_is_not_seen_for_long_is_as_unsure_as_at_first_and_no_more() -> None:
+    """A robot that hops on the spot while something drifts: a quarter round further the variance is the initial one."""
+    filters = DisturbanceFilter.initial(1)
+    for step in range(3000):
+        filters = filters.updated(np.array([3 * np.sin(step / 20)]), 0.0)
+    assert (np.linalg.eigvalsh(filters.covariance) < 1 + 1e-9).all()
+    assert filters.std(np.pi / 2) < np.sqrt(2)
+
+
+def test_the_standard_deviation_of_an_offset_is_what_it_misses() -> None:
+    """Of a leaning boom, in standard deviations of the noise; nothing where nothing is followed."""
+    rng = np.random.default_rng(5)
+    yaws, innovations, stds = np.cumsum(rng.uniform(0.05, 0.35, 227)), [], []
+    for _ in range(100):
+        filters, phase = DisturbanceFilter.initial(1), rng.uniform(0, 2 * np.pi)
+        assert filters.std(0.0) == 0
+        for yaw in yaws:
+            added = 1.5 * np.sin(yaw + phase)
+            innovations.append(added - filters.offset(yaw)[0])
+            stds.append(filters.std(yaw)[0])
+            filters = filters.updated(np.array([added + rng.normal()]), yaw)
+    late = np.arange(len(innovations)) % 227 > 100
+    assert 0.7 < np.std(np.array(innovations)[late]) / np.mean(np.array(stds)[late]) < 1.3
+
+
+def test_noise_alone_is_not_followed() -> None:
+    """On average over many records: what is added makes errors larger by next to nothing."""
+    rng = np.random.default_rng(0)
+    left, round_and_round = rng.normal(0, 1, (227, 200)), np.arange(227) * 0.12
+    for yaws in (UNKNOWN, round_and_round):
+        innovations = left - offsets_over(left, yaws)
+        assert np.mean(innovations**2) < 1.02 * np.mean(left**2)
+
+
+def test_a_slow_wave_is_followed_coordinate_by_coordinate() -> None:
+    rng, steps = np.random.default_rng(1), np.arange(227)
+    wave = 2 * np.sin(2 * np.pi * steps / 55)[:, None]
+    left = np.hstack([wave, 0 * wave]) + rng.normal(0, 1, (227, 2))
+    innovations = (left - offsets_over(left))[40:]
+    assert np.std(innovations[:, 0]) < 1.25 < 1.6 < np.std(left[40:, 0])
+    assert np.std(innovations[:, 1]) < 1.05 * np.std(left[40:, 1])
+
+
+def test_what_comes_round_with_the_yaw_is_known_after_one_round() -> None:
+    """A leaning boom: next to nothing of it is left, whatever the speed, where the yaw is known."""
+    rng = np.random.default_rng(4)
+    yaws = np.cumsum(rng.uniform(0.05, 0.35, 227))
+    noise = rng.normal(0, 1, (227, 50))
+    left = 0.5 + 1.2 * np.sin(yaws - 0.7)[:, None] + noise
+    after = yaws > 2 * np.pi
+    assert np.std((left - offsets_over(left, yaws))[after]) < 1.05
+    assert np.std((left - offsets_over(left))[after]) > 1.12
+
+
+def test_after_the_drift_it_goes_back_to_nothing() -> None:
+    rng = np.random.default_rng(2)
+    left = np.where(np.arange(400) < 100, 3.0, 0.0)[:, None] + rng.normal(0, 1, (400, 20))
+    offsets = offsets_over(left)
+    assert np.median(offsets[80:100]) > 2.5
+    assert np.mean((left - offsets)[200:] ** 2) < 1.1 * np.mean(left[200:] ** 2)
+
+
+# Of earlier deployments
+
+
+def smooth(state: Array, command: Array) -> Array:
+    """An error that bends more than a quadratic."""
+    speed, height = ((state - SPACE.state_centre) / SPACE.state_scale).T
+    force = SPACE.point_of(command)[:, 0]
+    return np.column_stack([0.05 * np.sin(speed + force), 0.02 * np.cos(height) + 0.005 * force])
+
+
+def effect(yaw: Array, deployment: Array, strength: Array) -> Array:
+    """The disturbance of a leaning boom, with another zero of yaw in each deployment."""
+    return strength * np.sin(yaw + 2.1 * deployment)[:, None]
+
+
+class Recorded(NamedTuple):
+    observations: Observations
+    yaw: Array
+    deployment: Labels
+    added: Array
+
+
+def recorded(strength: Array, seed: int = 0) -> Recorded:
+    """Three deployments on a course of slow stairs, and the disturbance of each step."""
+    rng, parts = np.random.default_rng(seed), []
+    for number, size in enumerate(SIZES):
+        stair = np.arange(size) // 15
+        speed = 0.2 + 0.15 * np.sin(1.3 * stair) + rng.normal(0, 0.01, size)
+        state = np.column_stack([speed, rng.normal(0.58, 0.015, size)])
+        command = rng.uniform(-10, 10, (size, len(SPACE.command)))
+        yaw = np.cumsum(np.abs(speed)) * 0.7 + rng.uniform(0, 50)
+        parts.append((state, command, yaw, np.full(size, number)))
+    state, command, yaw, deployment = (np.concatenate(column) for column in zip(*parts, strict=True))
+    added = effect(yaw, deployment, strength)
+    error = smooth(state, command) + added + NOISE * rng.standard_normal(added.shape)
+    return Recorded(Observations(SPACE, state, command, error, None, yaw, deployment), yaw, deployment, added)
+
+
+def test_the_yaw_dependent_part_is_removed() -> None:
+    for seed in range(5):
+        observations, _, _, added = recorded(np.array([0.015, 0.0]), seed)
+        removed = observations.error - without_yaw_dependence(observations, 3).error
+        assert np.std(removed[:, 0] - added[:, 0]) < 0.25 * np.std(added[:, 0])
+        assert np.std(removed[:, 1]) < 0.2 * NOISE[1]
+
+
+def test_nothing_is_removed_where_nothing_was_added() -> None:
+    removed = []
+    for seed in range(20):
+        observations = recorded(np.zeros(2), seed).observations
+        removed.append(observations.error - without_yaw_dependence(observations, 3).error)
+    assert (np.sqrt(np.mean(np.square(removed), axis=(0, 1))) < 0.05 * NOISE).all()
+
+
+def test_a_constant_of_each_deployment_is_not_removed() -> None:
+    for seed in range(5):
+        observations, yaw, deployment, _ = recorded(np.zeros(2), seed)
+        half_round = replace(observations, yaw=np.pi * (yaw - yaw.min()) / np.ptp(yaw))
+        shifts = np.random.default_rng(seed).normal(0, NOISE, (3, 2))
+        shifted = replace(half_round, error=half_round.error + shifts[deployment])
+        removed = shifted.error - without_yaw_dependence(shifted, 3).error
+        assert (np.sqrt(np.mean(removed**2, axis=0)) < 0.3 * NOISE).all()
+
+
+def test_the_removal_is_the_regression_of_all_steps_at_once() -> None:
+    """Oracle: weights and effects from one dense system, and the evidence from the covariance of all errors."""
+    observations, yaw, deployment, _ = recorded(np.array([0.015, 0.003]))
+    state = (observations.state - SPACE.state_centre) / SPACE.state_scale
+    basis = monomials(np.hstack([state, SPACE.point_of(observations.applied_command)]), 2)
+    wave = [np.sin(yaw), np.cos(yaw)]
+    waves = np.column_stack([part * (deployment == number) for number in range(3) for part in wave])
+    constants = np.column_stack([deployment == number for number in range(3)])
+    for column, error in enumerate(observations.error.T):
+        candidates = []
+        for strength in STRENGTHS:
+            prior = np.repeat([PRIOR_STD**2, 1.0, strength**2], [basis.shape[1], 3, waves.shape[1]])
+            inputs = np.hstack([basis, constants, waves])
+            covariance = np.eye(len(error)) + inputs * prior @ inputs.T
+            weights = np.linalg.solve(covariance, error)
+            squares = PRIOR_COUNT * (0.02 * SPACE.state_scale[column]) ** 2 + error @ weights
+            determinant = np.linalg.slogdet(covariance)[1]
+            evidence = -0.5 * ((PRIOR_COUNT + len(error)) * np.log(squares) + determinant)
+            evidence -= LEAST_EVIDENCE if strength else 0.0
+            candidates.append((evidence, strength**2 * waves @ (waves.T @ weights)))
+        expected = max(candidates, key=lambda candidate: candidate[0])[1]
+        removed = error - without_yaw_dependence(observations, 3).error[:, column]
+        np.testing.assert_allclose(removed, expected, atol=1e-9)
+
+
+def test_the_zero_of_the_yaw_does_not_matter() -> None:
+    observations, yaw, deployment, _ = recorded(np.array([0.015, 0.003]))
+    turned = replace(observations, yaw=yaw + 1.234 + 2 * np.pi * deployment)
+    there, here = without_yaw_dependence(turned, 3), without_yaw_dependence(observations, 3)
+    np.testing.assert_allclose(there.error, here.error, atol=1e-12)
+
+
+def test_the_running_deployment_and_steps_without_a_yaw_stay_as_they_are() -> None:
+    observations, yaw, deployment, _ = recorded(np.array([0.015, 0.003]))
+    known = replace(observations, yaw=np.where(np.arange(len(observations)) % 7, yaw, np.nan))
+    changed = (without_yaw_dependence(known, 2).error != observations.error).any(axis=1)
+    np.testing.assert_array_equal(changed, (deployment < 2) & (np.arange(len(observations)) % 7 > 0))
+
+
+def test_without_yaws_there_is_nothing_to_do() -> None:
+    observations = recorded(np.array([0.015, 0.003])).observations
+    nowhere = replace(observations, yaw=np.full(len(observations), np.nan))
+    for unknown in (nowhere, replace(observations, yaw=None), replace(observations, deployment=None)):
+        assert without_yaw_dependence(unknown, 3) is unknown
+    assert without_yaw_dependence(observations, 0) is observations
+
+
+def test_the_removal_works_for_one_step_or_equal_steps() -> None:
+    observations, yaw, deployment, _ = recorded(np.array([0.015, 0.003]))
+    for rows in ([0], [0] * 30):
+        few = Observations(
+            SPACE,
+            observations.state[rows],
+            observations.applied_command[rows],
+            observations.error[rows],
+            yaw=yaw[rows],
+            deployment=deployment[rows],
+        )
+        assert np.isfinite(without_yaw_dependence(few, 1).error).all()
