@@ -1,4 +1,4 @@
-"""The import layers of pyproject.toml hold."""
+"""The import layers of pyproject.toml hold, and learning reads and writes no file."""
 
 import ast
 from pathlib import Path
@@ -29,3 +29,13 @@ def test_the_package_imports_nothing_from_the_checkout() -> None:
             modules = [node.module] if isinstance(node, ast.ImportFrom) else []
             modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             assert not {"benchmarks", "tests", "examples"} & {str(module).partition(".")[0] for module in modules}, path
+
+
+def test_learning_reads_and_writes_no_file() -> None:
+    for path in sorted((PYPROJECT.parent / "src/stepgap/learning").glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        imported |= {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
+        names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        assert not imported & {"os", "io", "pathlib", "shutil", "tempfile", "stepgap.base.files"}, path.name
+        assert "open" not in names, path.name

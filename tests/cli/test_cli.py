@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from stepgap.base.compiled import generic
 from stepgap.cli.app import main
 from stepgap.experiment.settings import Experiment
-from stepgap.learning.step_log import StepWriter
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.records.steps_csv import StepWriter
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds

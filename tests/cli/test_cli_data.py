@@ -22,8 +22,9 @@ from scipy.io import loadmat
 from stepgap.cli.app import main
 from stepgap.cli.doctor import doctor
 from stepgap.experiment.replay import REPLAY_UNITS, replay
-from stepgap.learning.step_log import StepLog, read_step_log
+from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLog, read_ticks
+from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.tick import TICK_UNITS
 from tests.cli.command_line import Command, Said, refused

@@ -22,9 +22,10 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, read_step_log
+from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
+from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
 from stepgap.records.summary import Deployment
 from stepgap.rigs.rig import RigFault
 from stepgap.step import Array, Codes, StepMap, StepRecord, StepStatus

@@ -18,12 +18,11 @@ from stepgap.learning.regression import ResidualModel
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.report import write_report
 from tests.control.maps import LossyHopper
 from tests.learning.residual_contract import ResidualContract, training_data
 from tests.learning.test_residual import steps
 from tests.report.pages import Page, check_alone
-from tests.report.runs import REAL, TARGETS
+from tests.report.runs import REAL, TARGETS, report_of
 
 PAGE = (Path(__file__).parents[2] / "docs" / "own_residual.md").read_text("utf-8")
 MODULE, *USES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -124,7 +123,7 @@ def test_a_run_uses_it_and_the_report_shows_it(tmp_path: Path) -> None:
     run_experiment(LossyHopper(), plant, TARGETS, LearningSettings(NAME, 1, least_gain=0.0), folder, seed=0)
     saved = json.loads((folder / "models" / "iteration_1.json").read_text())
     assert (saved["kind"], saved["features"]) == (NAME, "previous_error")
-    page = Page(write_report(folder))
+    page = Page(report_of(folder))
     check_alone(page)
     assert f"Deployment 1 began with the residual '{NAME} with previous error'" in page.text
     assert "for each state coordinate a linear function, fitted to actual − nominal of the 40 hops before" in page.text

@@ -20,21 +20,27 @@ Locate = Callable[[str], str]
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """The table of a TOML file.
+    """The table of a TOML file; arguments and errors as of `read_toml_text`."""
+    return read_toml_text(path, what)[1]
+
+
+def read_toml_text(path: Path, what: str) -> tuple[str, dict[str, Any]]:
+    """The text of a TOML file, and its table.
 
     Args:
         path: The file.
-        what: The file holds, with its article, for messages.
+        what: What the file must be, with its article, for messages.
 
     Raises:
-        InputError: It cannot be read as such.
+        InputError: The file cannot be read, is too large, is no text, or is not TOML.
     """
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_SETTINGS_FILE + 1)
         if len(content) > LARGEST_SETTINGS_FILE:
             raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes, so it is not {what}")
-        return parse_toml(content.decode("utf-8"))
+        text = content.decode("utf-8").removeprefix(BYTE_ORDER_MARK)
+        return text, parse_toml(text)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None
     except UnicodeDecodeError:

@@ -77,7 +77,7 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
         if out:
             check_new(out, "--out")
         with progress_bar("steps") as progress:
-            ticks = replay(folder, chosen, tell=progress)
+            ticks = replay(folder, chosen, progress=progress)
         target = _target(folder, f"ticks{_suffix(chosen)}.mcap", out)
         write_ticks(ticks, target)
         print(target)

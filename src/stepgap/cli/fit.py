@@ -62,13 +62,13 @@ class Results:
 
     def check(self) -> None:
         """Raises InputError where one of them cannot be written."""
-        from stepgap.report.fit import FORMATS
+        from stepgap.report.fit import PICTURE_FORMATS
 
         for option, file in (("--out", self.out), ("--plot", self.plot), ("--save", self.save)):
             if file:
                 check_new(file, option)
-        if self.plot and _format_of(self.plot) not in FORMATS:
-            raise InputError(f"{self.plot}: the name must end with one of .{', .'.join(FORMATS)}")
+        if self.plot and _format_of(self.plot) not in PICTURE_FORMATS:
+            raise InputError(f"{self.plot}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
 
 
 NO_COLUMNS, NO_RESULTS = ColumnNames(), Results()

@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from stepgap.experiment.loop import Observer
-from stepgap.learning.step_log import LoggedStep, values_of
+from stepgap.learning.step_log import LoggedStep
+from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
 from stepgap.step import StepSpace, StepStatus
 

@@ -17,12 +17,12 @@ from stepgap.cli.options import Flag, Integer, Overrides, Port
 from stepgap.cli.terminal import announces_compilation, warn
 
 if TYPE_CHECKING:  # what takes time to import is imported where it is used
-    from stepgap.cli.run_report import Report
     from stepgap.control.reference import Reference
     from stepgap.experiment.plants import Plants
     from stepgap.experiment.settings import Experiment
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.learning.step_log import StepLog
+    from stepgap.report import WrittenReport
     from stepgap.robots.hopper.apex_map import ApexMap
     from stepgap.robots.hopper.tick import Tick
     from stepgap.view.live import LiveView
@@ -123,7 +123,7 @@ def run(
         resume: Resume the interrupted run in --out.
     """
     from stepgap.base.signals import terminated_as_interrupted
-    from stepgap.cli.run_report import EVERY
+    from stepgap.cli.run_report import TICKS_PER_FRAME
     from stepgap.experiment.run_start import start_folder
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.view.live import LiveView
@@ -132,7 +132,7 @@ def run(
         raise InputError("--host, --port: of the page that --view shows; give --view, too")
     ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume)
     live = LiveView(ready.folder, display.host or "127.0.0.1", display.port) if display.view else None
-    recorder = TickRecorder(EVERY)
+    recorder = TickRecorder(TICKS_PER_FRAME)
     plants = _choose_plants(ready, arm, recorder, live)
     if not resume:
         start_folder(ready.folder, ready.settings, ready.reference, ready.known)
@@ -203,7 +203,7 @@ def _execute(
         )
 
 
-def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "Report":
+def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "WrittenReport":
     """Writes the report."""
     from stepgap.cli.progress import progress_bar
     from stepgap.cli.run_report import report_run
@@ -212,7 +212,7 @@ def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "Report
         return report_run(folder, progress, recorder.kept)
 
 
-def _finish(report: "Report", live: "LiveView | None", display: Display) -> None:
+def _finish(report: "WrittenReport", live: "LiveView | None", display: Display) -> None:
     """Prints where the report is, and keeps the live page until Ctrl-C, which by now can stop nothing else."""
     from stepgap.cli.progress import print_event
 
@@ -221,8 +221,8 @@ def _finish(report: "Report", live: "LiveView | None", display: Display) -> None
             print_event("report", path=str(report.path))
         else:
             print(report.path, flush=True)
-        if report.left_out and not display.quiet:
-            warn(f"left out of the report: {'; '.join(report.left_out)}")
+        if report.missing and not display.quiet:
+            warn(f"left out of the report: {'; '.join(report.missing)}")
         if live:
             live.stay()
     except KeyboardInterrupt:

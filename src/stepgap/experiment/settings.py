@@ -24,7 +24,8 @@ from stepgap.base.settings_file import (
 )
 from stepgap.control.reference import Reference, paper_reference, read_reference
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log, text_of
+from stepgap.learning.step_log import StepLog, joined
+from stepgap.records.steps_csv import RecordError, read_step_log, text_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import StepSpace

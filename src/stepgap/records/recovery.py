@@ -1,4 +1,4 @@
-"""Recovery of the intact part of truncated or damaged files: `steps.csv`, and logs of ticks."""
+"""Recovers the intact part of truncated or damaged files: `steps.csv`, and logs of ticks."""
 
 from pathlib import Path
 
@@ -6,16 +6,15 @@ from mcap.writer import MCAP0_MAGIC
 
 from stepgap.base.errors import InputError
 from stepgap.base.files import naming
-from stepgap.learning.step_log import recover_steps, text_of
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
-from stepgap.records.run_folder import space_of_header
+from stepgap.records.steps_csv import recover_steps, space_of_header, text_of
 
 
 def recover_file(path: Path, out: Path) -> list[str]:
-    """Writes the intact part of a file into a new one; the file itself does not change.
+    """Writes the intact part of a file into a new one; the file itself is not changed.
 
     Returns:
-        One line for each finding.
+        Messages: what is wrong with the file, and how much was recovered.
 
     Raises:
         InputError: Nothing can be recovered, or `out` exists or cannot be written.

@@ -10,7 +10,6 @@ from scipy.io import savemat
 
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import LARGEST_INTEGER
-from stepgap.base.settings_file import parse_toml
 from stepgap.records.export.columns import Column
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURES, Summary
@@ -29,7 +28,7 @@ def matlab_file(record: RunRecord, columns: Sequence[Column]) -> bytes:
         "steps": {column.name: _column(column.values) for column in columns},
         "units": {column.name: column.unit for column in columns},
         "meanings": {column.name: column.meaning for column in columns},
-        "settings": _struct(parse_toml(record.settings or "")),
+        "settings": _struct(record.settings.table if record.settings else {}),
         "summary": _summary(record.summary, record.space.state_names),
     }
     _check_names(variables)
