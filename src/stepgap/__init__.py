@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from stepgap.base.errors import InputError as InputError
     from stepgap.base.errors import StepGapError as StepGapError
     from stepgap.control.cautious_controller import CautiousController as CautiousController
-    from stepgap.control.command_table import build_table as build_table
     from stepgap.control.command_table import CommandTable as CommandTable
-    from stepgap.control.limit_cycle import fixed_point as fixed_point
+    from stepgap.control.command_table import build_table as build_table
     from stepgap.control.limit_cycle import FixedPoint as FixedPoint
-    from stepgap.control.limit_cycle import reachable_set as reachable_set
     from stepgap.control.limit_cycle import ReachableSet as ReachableSet
-    from stepgap.control.reference import paper_reference as paper_reference
+    from stepgap.control.limit_cycle import fixed_point as fixed_point
+    from stepgap.control.limit_cycle import reachable_set as reachable_set
     from stepgap.control.reference import Reference as Reference
+    from stepgap.control.reference import paper_reference as paper_reference
     from stepgap.control.step_controller import StepController as StepController
     from stepgap.control.step_controller import StepPlan as StepPlan
     from stepgap.experiment.loop import Observer as Observer
@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from stepgap.robots.hopper.sensors import HopperSensorModel as HopperSensorModel
     from stepgap.robots.hopper.twin.reality_gap import RealityGap as RealityGap
     from stepgap.robots.hopper.twin.twin import Twin as Twin
-    from stepgap.step import difference_jacobian as difference_jacobian
     from stepgap.step import Outcome as Outcome
     from stepgap.step import Quantity as Quantity
     from stepgap.step import StepFailed as StepFailed
@@ -63,6 +62,7 @@ if TYPE_CHECKING:
     from stepgap.step import StepRecord as StepRecord
     from stepgap.step import StepSpace as StepSpace
     from stepgap.step import StepStatus as StepStatus
+    from stepgap.step import difference_jacobian as difference_jacobian
 
 _MODULES = {
     "ApexMap": "robots.hopper.apex_map",

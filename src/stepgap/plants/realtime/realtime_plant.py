@@ -16,7 +16,7 @@ from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
-LOOK_EVERY = 1e-3
+_LOOK_EVERY = 1e-3
 """Time between two looks whether a hop has ended [s]."""
 
 
@@ -62,7 +62,7 @@ class RealtimePlant(Plant):
         self._session = session = Session(self._setup, log)
         while session.board.state < RigState.READY:
             session.check()
-            sleep(LOOK_EVERY)
+            sleep(_LOOK_EVERY)
         session.check()
         self._on_ready()
         session.board.request = Request.HOP
@@ -105,7 +105,7 @@ class RealtimePlant(Plant):
                 hop = session.board.hop(self._hop) or Hop.stopped(self._hop)
                 break
             session.check_sink()
-            sleep(LOOK_EVERY)
+            sleep(_LOOK_EVERY)
         if hop.status != StepStatus.OK:
             self._fault = session.words()
         self._state = np.array([hop.speed, hop.height])

@@ -13,7 +13,7 @@ from stepgap.rigs.ethercat.pdo import Packing, Pdo
 from stepgap.rigs.ethercat.rig_settings import BusSettings
 from stepgap.rigs.rig import RigFault
 
-ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C12, 0x1C13
+_ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13
 """Objects that hold the PDOs of sync managers 2 and 3."""
 
 PATIENCE = 2.0
@@ -183,8 +183,8 @@ class Bus:
         """PDOs and watchdog of one slave, in PREOP."""
         pdos = self._settings.pdo_set(self._settings.slaves[number])
         for assignment, wanted, packing in (
-            (ASSIGN_OUTPUTS, pdos.outputs, self._outputs[number]),
-            (ASSIGN_INPUTS, pdos.inputs, self._inputs[number]),
+            (_ASSIGN_OUTPUTS, pdos.outputs, self._outputs[number]),
+            (_ASSIGN_INPUTS, pdos.inputs, self._inputs[number]),
         ):
             if wanted:
                 self._assign(number, assignment, wanted)

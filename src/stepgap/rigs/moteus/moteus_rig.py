@@ -29,7 +29,7 @@ LIMITING = range(96, 104)
 PATIENCE = 1.0
 """How long controllers may take to answer first and to get ready [s]."""
 
-LAST_FRAMES = 3
+_LAST_FRAMES = 3
 """Stop commands that are sent when all is over, in case one is lost."""
 
 FAULTS = {
@@ -265,7 +265,7 @@ class MoteusRig(Rig):
         return RigFault(message)
 
     def _stop(self, bus: CanBus) -> None:
-        for _ in range(LAST_FRAMES):
+        for _ in range(_LAST_FRAMES):
             with suppress(RigFault):  # then their watchdogs must do it
                 bus.send({number: each.make_stop() for number, each in self._controllers.items()})
 

@@ -10,10 +10,10 @@ from stepgap.rigs.ethercat.emulator.mailbox import emergency
 from stepgap.rigs.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
 
-ERROR_REGISTER, ERROR_CODE = 0x1001, 0x603F
+ERROR_REGISTER, _ERROR_CODE = 0x1001, 0x603F
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
 POSITION, VELOCITY = 0x6064, 0x606C
-TARGET_TORQUE, LARGEST_TORQUE, RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
+TARGET_TORQUE, _LARGEST_TORQUE, _RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
 SUPPORTED_MODES = 0x6502
 """Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register)."""
 
@@ -28,7 +28,7 @@ GENERIC_ERROR = 0x01
 ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)
 """An identity as Elmo's Gold drives have it."""
 
-SWITCH_ON, VOLTAGE, NO_QUICK_STOP, ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
+_SWITCH_ON, VOLTAGE, NO_QUICK_STOP, _ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
 """Bits of the controlword (CiA 402-2, object 0x6040)."""
 
 VOLTAGE_ENABLED, REMOTE, FOLLOWS = 0x0010, 0x0200, 0x1000
@@ -62,12 +62,12 @@ def next_state(state: DriveState, controlword: int, before: int) -> DriveState:
     if not controlword & NO_QUICK_STOP:
         return DriveState.QUICK_STOP if state is DriveState.OPERATION_ENABLED else DriveState.SWITCH_ON_DISABLED
     if state is DriveState.SWITCH_ON_DISABLED:
-        return state if controlword & SWITCH_ON else DriveState.READY_TO_SWITCH_ON
-    if not controlword & SWITCH_ON:
+        return state if controlword & _SWITCH_ON else DriveState.READY_TO_SWITCH_ON
+    if not controlword & _SWITCH_ON:
         return DriveState.READY_TO_SWITCH_ON
     if state is DriveState.READY_TO_SWITCH_ON:
         return DriveState.SWITCHED_ON
-    return DriveState.OPERATION_ENABLED if controlword & ENABLE else DriveState.SWITCHED_ON
+    return DriveState.OPERATION_ENABLED if controlword & _ENABLE else DriveState.SWITCHED_ON
 
 
 @dataclass(frozen=True)
@@ -136,10 +136,10 @@ class Drive(Device):
             POSITION: self._position,
             VELOCITY: self._velocity,
             TARGET_TORQUE: self._target,
-            LARGEST_TORQUE: self._largest,
-            RATED_TORQUE: Entry(settings.rated_torque, 32),
+            _LARGEST_TORQUE: self._largest,
+            _RATED_TORQUE: Entry(settings.rated_torque, 32),
             TORQUE: self._torque,
-            ERROR_CODE: self._error,
+            _ERROR_CODE: self._error,
             ERROR_REGISTER: self._register,
             SUPPORTED_MODES: Entry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
         }
