@@ -7,7 +7,7 @@ from time import sleep
 import numpy as np
 
 from stepgap.plants.plant import Plant
-from stepgap.plants.realtime.board import Hop, Request
+from stepgap.plants.realtime.board import FinishedHop, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
@@ -98,11 +98,11 @@ class RealtimePlant(Plant):
             session.close()
             self._fault = self._fault or session.words()
 
-    def _await_hop(self, session: Session) -> Hop:
+    def _await_hop(self, session: Session) -> FinishedHop:
         """The present hop, when it has ended."""
         while (hop := session.board.hop(self._hop)) is None:
             if session.over():
-                hop = session.board.hop(self._hop) or Hop.stopped(self._hop)
+                hop = session.board.hop(self._hop) or FinishedHop.stopped(self._hop)
                 break
             session.check_sink()
             sleep(_LOOK_EVERY)

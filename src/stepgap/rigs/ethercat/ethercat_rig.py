@@ -5,7 +5,7 @@ from math import isfinite
 from struct import Struct
 from time import monotonic, sleep
 
-from stepgap.rigs.ethercat.bus import PATIENCE, Bus
+from stepgap.rigs.ethercat.bus import STATE_TIMEOUT, Bus
 from stepgap.rigs.ethercat.cia402 import (
     CYCLIC_TORQUE,
     DISABLE_VOLTAGE,
@@ -158,7 +158,7 @@ class EthercatRig(Rig):
 
     def _transition(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
         """Exchanges frames without torque until the drives' states are as wanted."""
-        until, words = monotonic() + PATIENCE, [DISABLE_VOLTAGE] * len(self._drives)
+        until, words = monotonic() + STATE_TIMEOUT, [DISABLE_VOLTAGE] * len(self._drives)
         while True:
             for drive, word in zip(self._drives, words, strict=True):
                 self._command(drive, 0, word)

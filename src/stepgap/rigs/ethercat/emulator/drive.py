@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-from stepgap.rigs.ethercat.emulator.device import Device
-from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, Entry, Mapped
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
+from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, Mapped, ObjectEntry
 from stepgap.rigs.ethercat.emulator.mailbox import emergency
 from stepgap.rigs.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
@@ -46,7 +46,7 @@ class DriveState(IntEnum):
     FAULT = 0x08
 
 
-def next_state(state: DriveState, controlword: int, before: int) -> DriveState:
+def next_drive_state(state: DriveState, controlword: int, before: int) -> DriveState:
     """The state after a controlword (CiA 402-2, device control state machine); at most one state up at a time.
 
     Args:
@@ -104,7 +104,7 @@ INPUT_PDOS = {
 """PDOs for torque as Elmo's drives map them; only 0x1602 and 0x1A02 are assigned after power-up."""
 
 
-class Drive(Device):
+class Drive(EmulatedDevice):
     """A drive behind a slave controller.
 
     Args:
@@ -115,19 +115,19 @@ class Drive(Device):
 
     def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
         self._settings, self._counts = settings, counts
-        self._position = self._velocity = self._status = self._error = Entry(0, 0)  # replaced by power_on
+        self._position = self._velocity = self._status = self._error = ObjectEntry(0, 0)  # replaced by power_on
         super().__init__(name, settings.identity)
         self.power_on()
 
     def power_on(self) -> None:
         """Begins anew: switch-on disabled, no torque, PDOs as after power-up."""
         settings = self._settings
-        self._control, self._status = Entry(0, 16, writable=True), Entry(DriveState.SWITCH_ON_DISABLED, 16)
-        self._mode, self._mode_display = Entry(0, 8, True, True), Entry(0, 8, True)
-        self._target, self._torque = Entry(0, 16, True, True), Entry(0, 16, True)
-        self._position, self._velocity = Entry(0, 32, True), Entry(0, 32, True)
-        self._largest = Entry(settings.largest_torque, 16, writable=True)
-        self._error, self._register = Entry(0, 16), Entry(0, 8)
+        self._control, self._status = ObjectEntry(0, 16, writable=True), ObjectEntry(DriveState.SWITCH_ON_DISABLED, 16)
+        self._mode, self._mode_display = ObjectEntry(0, 8, True, True), ObjectEntry(0, 8, True)
+        self._target, self._torque = ObjectEntry(0, 16, True, True), ObjectEntry(0, 16, True)
+        self._position, self._velocity = ObjectEntry(0, 32, True), ObjectEntry(0, 32, True)
+        self._largest = ObjectEntry(settings.largest_torque, 16, writable=True)
+        self._error, self._register = ObjectEntry(0, 16), ObjectEntry(0, 8)
         entries = {
             CONTROLWORD: self._control,
             STATUSWORD: self._status,
@@ -137,11 +137,11 @@ class Drive(Device):
             VELOCITY: self._velocity,
             TARGET_TORQUE: self._target,
             _LARGEST_TORQUE: self._largest,
-            _RATED_TORQUE: Entry(settings.rated_torque, 32),
+            _RATED_TORQUE: ObjectEntry(settings.rated_torque, 32),
             TORQUE: self._torque,
             _ERROR_CODE: self._error,
             ERROR_REGISTER: self._register,
-            SUPPORTED_MODES: Entry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
+            SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
         }
         self.dictionary = Dictionary(
             settings.identity,
@@ -163,7 +163,7 @@ class Drive(Device):
     def update(self, operational: bool) -> None:
         """State machine, then torque; whoever is enabled and no longer gets process data trips."""
         if operational:
-            self.state = next_state(self.state, self._control.value, self._before)
+            self.state = next_drive_state(self.state, self._control.value, self._before)
             self._before = self._control.value
         elif self.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP):
             self.trip(COMMUNICATION_LOST)
