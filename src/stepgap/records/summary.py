@@ -17,7 +17,7 @@ SCHEMA = 1
 MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
 """Tracking errors in `summary.json`, each one number per state coordinate."""
 
-LARGEST_FILE = 2**24
+LARGEST_SUMMARY = 2**24
 """Largest `summary.json` that is read [bytes]."""
 
 LONGEST_NAME = 100
@@ -178,7 +178,7 @@ def read_summary(path: Path, names: tuple[str, ...]) -> Summary:
         ValueError: The file is not a summary of a run with these state coordinates.
         OSError: It cannot be read.
     """
-    text = read_text(path, LARGEST_FILE)
+    text = read_text(path, LARGEST_SUMMARY)
     return Summary() if text is None else parse_summary(text, names, str(path))
 
 

@@ -30,7 +30,7 @@ LEAST_FLOOR: Final = 1e-2
 MOST_CHANGES: Final = 60
 """Changes of the target up to which each is marked."""
 
-LONGEST_NAME: Final = 26
+LONGEST_LABEL: Final = 26
 """Characters of a name that are drawn at most."""
 
 # Colours after Okabe and Ito, distinguished by colour-blind readers; dark ones in front of light ones.
@@ -149,7 +149,7 @@ def axis_label(quantity: Quantity, capital: bool = True) -> str:
 def plain(text: str) -> str:
     """The text as the figures' font can show it: one short line of Latin, Greek or Cyrillic, with no formulae."""
     shown = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
-    return (shown if len(shown) <= LONGEST_NAME else f"{shown[: LONGEST_NAME - 1]}…").replace("$", r"\$")
+    return (shown if len(shown) <= LONGEST_LABEL else f"{shown[: LONGEST_LABEL - 1]}…").replace("$", r"\$")
 
 
 def unit_label(quantity: Quantity) -> str:
