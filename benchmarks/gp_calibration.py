@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from stepgap.base.normal import INTERVAL_95
 from stepgap.bench.gaussian_process import NOISE, SCALE, VALUE_SCALE, truth
 from stepgap.learning.gaussian_process_fit import Basis, fit_gaussian_process
 from stepgap.step import Array
@@ -38,7 +39,7 @@ def coverage(kind: str, basis: Basis, size: int, datasets: int, seed: int) -> tu
         values, observed = (function(x) + NOISE * rng.standard_normal(len(x)) for x in (points, queries))
         process = fit_gaussian_process(points, values, SCALE, VALUE_SCALE, basis=basis)
         std = process.kriging_std(queries, include_noise=True)
-        shares.append(float(np.mean(np.abs(observed - process.mean(queries)) < 1.96 * std)))
+        shares.append(float(np.mean(np.abs(observed - process.mean(queries)) < INTERVAL_95 * std)))
     return float(np.mean(shares)), min(shares)
 
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from stepgap import ApexMap
 from stepgap.experiment.settings import read_experiment
+from stepgap.learning.entry_points import residual_models
 from stepgap.learning.learner import Learner
-from stepgap.learning.residual_fit import CANDIDATES
-from stepgap.learning.settings import Features, LearningSettings, ResidualKind
+from stepgap.learning.settings import AUTO, Features, LearningSettings
 from stepgap.learning.step_log import StepLog, read_step_log
 from stepgap.step import Array
 
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", type=Path)
     parser.add_argument("--features", default="none")
     options = parser.parse_args()
-    kinds = cast(tuple[ResidualKind, ...], (*CANDIDATES, "auto"))
+    kinds = [*(model.name for model in residual_models() if model.candidate), AUTO]
     found: dict[tuple[str, bool], list[Array]] = {}
     print("run, redeployment, residual: RMSE of each coordinate, log score")
     for run in options.runs:
@@ -52,7 +52,7 @@ def main() -> None:
             for kind in kinds:
                 learning = LearningSettings(residual=kind, features=cast(Features, options.features))
                 name, rmse, score = scores(nominal, learning, log, number)
-                label = f"auto: {name}" if kind == "auto" else name
+                label = f"auto: {name}" if kind == AUTO else name
                 print(f"{run.name} {number} {label:40s}", *(f"{1e3 * x:7.2f}e-3" for x in rmse), f"{score:7.3f}")
                 found.setdefault((kind, number > 1), []).append(np.append(rmse, score))
     for later in (False, True):

@@ -18,7 +18,11 @@ from tests.cli.command_line import Command
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-RUN_ELSEWHERE = {"own_rig.md": "rigs/test_own_rig.py", "data.md": "test_docs_data.py"}
+RUN_ELSEWHERE = {
+    "own_rig.md": "rigs/test_own_rig.py",
+    "own_residual.md": "learning/test_own_residual.py",
+    "data.md": "test_docs_data.py",
+}
 """Pages whose blocks need more around them."""
 
 TEXTS = {page: page.read_text("utf-8") for page in PAGES}

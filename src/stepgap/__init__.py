@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from stepgap.control.step_controller import StepController as StepController
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
     from stepgap.learning.observations import Observations as Observations
+    from stepgap.learning.regression import BatchRegression as BatchRegression
+    from stepgap.learning.regression import Regression as Regression
+    from stepgap.learning.regression import ResidualModel as ResidualModel
+    from stepgap.learning.regression import TrainingData as TrainingData
     from stepgap.learning.residual_fit import fit_residual as fit_residual
     from stepgap.plants.model_plant import ModelPlant as ModelPlant
     from stepgap.plants.plant import Plant as Plant
@@ -43,6 +47,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "ApexMap": "robots.hopper.apex_map",
+    "BatchRegression": "learning.regression",
     "CommandBounds": "robots.hopper.parameters",
     "CommandTable": "control.command_table",
     "CorrectedMap": "learning.corrected_map",
@@ -53,6 +58,8 @@ _HOMES = {
     "Plant": "plants.plant",
     "RealityGap": "robots.hopper.twin.reality_gap",
     "Reference": "control.reference",
+    "Regression": "learning.regression",
+    "ResidualModel": "learning.regression",
     "Rig": "rigs.rig",
     "RigPlant": "plants.rig_plant",
     "RobotParameters": "robots.hopper.parameters",
@@ -61,6 +68,7 @@ _HOMES = {
     "StepFailed": "step",
     "StepMap": "step",
     "StepRecord": "step",
+    "TrainingData": "learning.regression",
     "Twin": "robots.hopper.twin.twin",
     "build_table": "control.command_table",
     "fit_residual": "learning.residual_fit",

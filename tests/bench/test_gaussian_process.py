@@ -14,7 +14,7 @@ from tests.cli.command_line import Command, refused
 
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench_gp, "QUICK", bench_gp.Size(points=(30, 40), rounds=(1, 1), calls=2, queries=50))
+    monkeypatch.setattr(bench_gp, "QUICK_FITS", bench_gp.FitSizes(points=(30, 40), rounds=(1, 1), calls=2, queries=50))
     monkeypatch.setattr(bench_gp, "MANY_STARTS_SIZE", 30)
 
 
@@ -41,7 +41,7 @@ def test_outside_a_checkout_it_says_that_there_are_no_peers(tmp_path: Path, monk
     result = bench_gp.bench_gp(0, True)
     assert {row["name"] for row in result["rows"]} == {"StepGap", "StepGap, linear basis"}
     assert result["skipped"] == {"all peers": "found only in a checkout"}
-    assert "all peers" in bench_gp.describe_bench(result)
+    assert "all peers" in bench_gp.describe_gp_bench(result)
 
 
 def test_bad_input_is_refused(stepgap: Command) -> None:

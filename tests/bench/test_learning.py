@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.bench import learning as bench_learning
-from stepgap.bench.learning import METHODS, SKIPPED, Trial, coverage, hopping_gap, measure
+from stepgap.bench.learning import SKIPPED, Trial, coverage, hopping_gap, measure, methods
 from stepgap.control import reference
 from stepgap.control.reference import Reference
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -49,9 +49,9 @@ def test_every_method_meets_the_same_twin_and_the_same_seed_gives_the_same_numbe
 def test_equal_residuals_are_deployed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     trial = Trial(NOMINAL, RealityGap(), SHORT, twin=0, seed=0)
     log = trial.deploy(trial.uncorrected(), 0)
-    first = METHODS["linear"](trial, log)
-    assert METHODS["linear"](trial, log) is first
-    assert METHODS["constant"](trial, log) is not first
+    first = methods()["linear"](trial, log)
+    assert methods()["linear"](trial, log) is first
+    assert methods()["constant"](trial, log) is not first
 
 
 def test_a_deployment_is_recorded_as_it_was_made() -> None:

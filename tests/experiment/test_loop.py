@@ -19,7 +19,7 @@ from stepgap.experiment.loop import Observer, run
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
-from stepgap.learning.observations import next_context
+from stepgap.learning.observations import next_history
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, read_step_log
@@ -164,8 +164,8 @@ def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
         assert deployment.residual == f"{saved['kind']} with previous error"
         for row, logged in enumerate(log):
             if logged.iteration == deployment.iteration:
-                context = next_context(in_space(log[:row]), NOMINAL, logged.iteration)
-                expected = CorrectedMap(NOMINAL, residual.given(context))
+                history = next_history(in_space(log[:row]), NOMINAL, logged.iteration)
+                expected = CorrectedMap(NOMINAL, residual.conditioned_on(history))
                 predicted = expected(logged.record.state, logged.record.command)
                 np.testing.assert_allclose(logged.predicted, predicted, rtol=1e-9, atol=1e-9)
 

@@ -9,7 +9,7 @@ import numpy as np
 from stepgap.learning.disturbance import LEAST_EVIDENCE, RATES, STRENGTHS, DisturbanceFilter, without_yaw_dependence
 from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import PRIOR_COUNT, PRIOR_STD, monomials
-from stepgap.learning.step_table import Indices
+from stepgap.learning.step_table import Labels
 from stepgap.step import Array
 from tests.learning.test_corrected_map import SPACE
 
@@ -146,7 +146,7 @@ def effect(yaw: Array, deployment: Array, strength: Array) -> Array:
 class Recorded(NamedTuple):
     observations: Observations
     yaw: Array
-    deployment: Indices
+    deployment: Labels
     added: Array
 
 

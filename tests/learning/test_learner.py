@@ -10,7 +10,7 @@ from stepgap.learning.gaussian_process_regression import GaussianProcessRegressi
 from stepgap.learning.learner import MONITORED_STEPS, Learner
 from stepgap.learning.observations import observe
 from stepgap.learning.residual_fit import fit_residual
-from stepgap.learning.settings import LearningSettings, ResidualKind
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
 from tests.control.maps import LossyHopper
@@ -47,7 +47,7 @@ def after(learner: Learner, steps: list[LoggedStep]) -> Learner:
     return learner
 
 
-def fitted(steps: list[LoggedStep], kind: ResidualKind = DEFAULT):
+def fitted(steps: list[LoggedStep], kind: str = DEFAULT):
     return fit_residual(kind, observe(log_of(steps), NOMINAL))
 
 
@@ -68,7 +68,7 @@ def test_offline_a_deployment_teaches_nothing() -> None:
 
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "gp", "auto"])
-def test_online_the_error_falls_from_hop_to_hop(kind: ResidualKind) -> None:
+def test_online_the_error_falls_from_hop_to_hop(kind: str) -> None:
     learner = Learner.start(NOMINAL, log_of([]), replace(ONLINE, residual=kind), iteration=0)
     truth = REALITY.evaluate(POINTS[:, :2], POINTS[:, 2:]).next_state
 
@@ -126,7 +126,7 @@ def test_a_fit_that_is_taken_over_knows_every_step() -> None:
     for logged in new[4:]:
         record = logged.record
         error = record.next_state - NOMINAL(record.state, record.applied)
-        expected = expected.given(context).append(np.concatenate([record.state, record.applied]), error)
+        expected = expected.conditioned_on(context).append(np.concatenate([record.state, record.applied]), error)
     np.testing.assert_array_equal(learner.residual.mean(POINTS), expected.mean(POINTS))
 
 

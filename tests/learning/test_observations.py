@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.learning.observations import Observations, next_context, observe
+from stepgap.learning.observations import Observations, next_history, observe
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.learning.test_corrected_map import NOMINAL, SPACE, actual, apexes
@@ -23,9 +23,9 @@ def log_of(*deployments: int, fallen: bool = False) -> StepLog:
     return log
 
 
-def context_of(observations: Observations) -> Array:
-    assert observations.context is not None
-    return observations.context
+def history_of(observations: Observations) -> Array:
+    assert observations.history is not None
+    return observations.history
 
 
 def test_errors_are_those_of_the_nominal_map_at_commands_applied() -> None:
@@ -39,38 +39,38 @@ def test_errors_are_those_of_the_nominal_map_at_commands_applied() -> None:
     np.testing.assert_array_equal(observations.error, [r.next_state - NOMINAL(r.state, r.applied) for r in done])
 
 
-def test_context_is_the_step_before_in_half_ranges() -> None:
+def test_history_is_the_step_before_in_half_ranges() -> None:
     observations = observe(log_of(4, 3), NOMINAL)
-    context = context_of(observations)
+    history = history_of(observations)
     for row in range(7):
         before = np.zeros(5)
         if row not in (0, 4):
             command = observations.applied_command[row - 1] / 15.0
             state = (observations.state[row - 1] - [0.2, 0.58]) / [0.2, 0.045]
             before = np.concatenate([observations.error[row - 1] / [0.2, 0.045], command, state])
-        np.testing.assert_allclose(context[row], [*before, row], atol=1e-12)
+        np.testing.assert_allclose(history[row], [*before, row], atol=1e-12)
 
 
 def test_nothing_comes_before_the_first_step_of_a_warm_start() -> None:
     """Steps that were known before are those of deployments before number 0."""
     for first in (-1, -2):
         known = StepLog(SPACE, [replace(step, iteration=step.iteration + first) for step in log_of(4, 3)])
-        np.testing.assert_array_equal(context_of(observe(known, NOMINAL)), context_of(observe(log_of(4, 3), NOMINAL)))
+        np.testing.assert_array_equal(history_of(observe(known, NOMINAL)), history_of(observe(log_of(4, 3), NOMINAL)))
 
 
 def test_what_was_left_out_comes_before_nothing() -> None:
     steps = list(log_of(5))
     observations = observe(StepLog(SPACE, [steps[0], *steps[2:]]), NOMINAL)
-    np.testing.assert_array_equal(context_of(observations)[1], [0, 0, 0, 0, 0, 1])
+    np.testing.assert_array_equal(history_of(observations)[1], [0, 0, 0, 0, 0, 1])
 
 
-def test_the_next_step_gets_the_context_that_it_will_be_learnt_with() -> None:
+def test_the_next_step_gets_the_history_that_it_will_be_learnt_with() -> None:
     log = log_of(4, 3)
-    context = context_of(observe(log, NOMINAL))
+    history = history_of(observe(log, NOMINAL))
     steps = list(log)
     for row, logged in enumerate(steps):
         before = StepLog(SPACE, steps[:row])
-        np.testing.assert_allclose(next_context(before, NOMINAL, logged.iteration), context[row], rtol=1e-12)
+        np.testing.assert_allclose(next_history(before, NOMINAL, logged.iteration), history[row], rtol=1e-12)
 
 
 def test_a_step_that_the_nominal_map_cannot_make_has_no_error() -> None:
@@ -81,18 +81,18 @@ def test_a_step_that_the_nominal_map_cannot_make_has_no_error() -> None:
     steps[1] = LoggedStep(0, 2, steps[1].target, steps[1].predicted, np.zeros(2), fast)
     observations = observe(StepLog(SPACE, steps), NOMINAL)
     np.testing.assert_array_equal(observations.state, [steps[0].record.state, steps[2].record.state])
-    np.testing.assert_allclose(context_of(observations)[1], [0, 0, 0, 0.75, 0, 2], atol=1e-12)
-    np.testing.assert_allclose(next_context(StepLog(SPACE, steps[:2]), NOMINAL, 0), context_of(observations)[1])
+    np.testing.assert_allclose(history_of(observations)[1], [0, 0, 0, 0.75, 0, 2], atol=1e-12)
+    np.testing.assert_allclose(next_history(StepLog(SPACE, steps[:2]), NOMINAL, 0), history_of(observations)[1])
 
 
 def test_nothing_recorded_is_nothing_observed() -> None:
     assert len(observe(StepLog(SPACE), NOMINAL)) == 0
-    np.testing.assert_array_equal(next_context(StepLog(SPACE), NOMINAL, 0), np.zeros(6))
+    np.testing.assert_array_equal(next_history(StepLog(SPACE), NOMINAL, 0), np.zeros(6))
 
 
 class TestRefused:
     DATA = (np.zeros((4, 2)), np.zeros((4, 1)), np.zeros((4, 2)), np.zeros((4, 6)))
-    NAMES = ("state", "applied_command", "error", "context")
+    NAMES = ("state", "applied_command", "error", "history")
 
     @pytest.mark.parametrize("argument", range(4))
     @pytest.mark.parametrize("bad", [np.nan, np.inf])

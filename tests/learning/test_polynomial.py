@@ -5,12 +5,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stepgap.learning.polynomial import DEGREES, PRIOR_COUNT, PRIOR_STD, Polynomial, fit_polynomial
+from stepgap.learning.polynomial import CONSTANT, LINEAR, PRIOR_COUNT, PRIOR_STD, QUADRATIC, Polynomial, fit_polynomial
+from stepgap.learning.polynomial import NOISE_SCALE as RELATIVE_NOISE_SCALE
+from stepgap.learning.regression import TrainingData
 from stepgap.step import Array
 
 CENTRE = np.array([0.2, 0.58, 0.0])
 SCALE = np.array([0.2, 0.045, 15.0])
-NOISE_SCALE = 0.01
+VALUE_SCALE = 0.5
+NOISE_SCALE = RELATIVE_NOISE_SCALE * VALUE_SCALE
+MODELS = (CONSTANT, LINEAR, QUADRATIC)
 
 
 def data(size: int = 30, seed: int = 0) -> tuple[Array, Array]:
@@ -20,21 +24,23 @@ def data(size: int = 30, seed: int = 0) -> tuple[Array, Array]:
     return CENTRE + SCALE * x, values
 
 
-def fitted(kind: str, size: int = 30) -> Polynomial:
-    return fit_polynomial(kind, *data(size), CENTRE, SCALE, NOISE_SCALE)
+def fit(degree: int, points: Array, values: Array) -> Polynomial:
+    return fit_polynomial(TrainingData(points, values, CENTRE, SCALE, VALUE_SCALE), degree)
 
 
-@pytest.fixture(params=list(DEGREES))
+def fitted(degree: int, size: int = 30) -> Polynomial:
+    return fit(degree, *data(size))
+
+
+@pytest.fixture(params=range(3), ids=[model.name for model in MODELS])
 def polynomial(request: pytest.FixtureRequest) -> Polynomial:
     return fitted(request.param)
 
 
 def assert_alike(one: Polynomial, other: Polynomial) -> None:
     queries = data(7, seed=9)[0]
-    for include_noise in (False, True):
-        np.testing.assert_allclose(
-            one.std(queries, include_noise=include_noise), other.std(queries, include_noise=include_noise), rtol=1e-9
-        )
+    np.testing.assert_allclose(one.std(queries), other.std(queries), rtol=1e-9)
+    np.testing.assert_allclose(one.predict(queries).std, other.predict(queries).std, rtol=1e-9)
     np.testing.assert_allclose(one.mean(queries), other.mean(queries), rtol=0, atol=1e-9)
 
 
@@ -52,7 +58,7 @@ class TestAgainstTheDefinition:
         )
         mean = np.sum(weight * density) / np.sum(density)
         std = np.sqrt(np.sum((weight - mean) ** 2 * density) / np.sum(density))
-        polynomial = fit_polynomial("constant", np.tile(CENTRE, (2, 1)), values, CENTRE, SCALE, NOISE_SCALE)
+        polynomial = fit(0, np.tile(CENTRE, (2, 1)), values)
         assert polynomial.mean(CENTRE) == pytest.approx(mean, rel=1e-6)
         assert polynomial.std(CENTRE) == pytest.approx(std, rel=1e-4)
 
@@ -61,10 +67,10 @@ class TestAgainstTheDefinition:
         x = (points - CENTRE) / SCALE
         basis = np.hstack([np.ones((400, 1)), x])
         weights, squares, *_ = np.linalg.lstsq(basis, values, rcond=None)
-        polynomial = fitted("linear", 400)
+        polynomial = fitted(1, 400)
         np.testing.assert_allclose(polynomial.mean(points), basis @ weights, atol=2e-5)
         np.testing.assert_allclose(polynomial.mean_gradient(CENTRE), weights[1:] / SCALE, rtol=1e-3)
-        noise = np.sqrt(polynomial.std(CENTRE, include_noise=True) ** 2 - polynomial.std(CENTRE) ** 2)
+        noise = np.sqrt(polynomial.predict(CENTRE).std ** 2 - polynomial.std(CENTRE) ** 2)
         assert noise == pytest.approx(np.sqrt(squares[0] / 396), rel=0.01)
 
     def test_quadratic_finds_a_quadratic(self) -> None:
@@ -74,7 +80,7 @@ class TestAgainstTheDefinition:
             x = (points - CENTRE) / SCALE
             return 0.1 + x[:, 0] ** 2 - 0.5 * x[:, 0] * x[:, 1] + 0.2 * x[:, 2]
 
-        polynomial = fit_polynomial("quadratic", points, truth(points), CENTRE, SCALE, NOISE_SCALE)
+        polynomial = fit(2, points, truth(points))
         queries = data(20, seed=3)[0]
         np.testing.assert_allclose(polynomial.mean(queries), truth(queries), atol=2e-3)
 
@@ -87,9 +93,9 @@ class TestAgainstTheDefinition:
                 x, query = generator.uniform(-1, 1, (size, 3)), generator.uniform(-1, 1, 3)
                 weights, noise = generator.normal(size=3), generator.standard_normal(size + 1) * 0.02
                 points = CENTRE + SCALE * x
-                polynomial = fit_polynomial("linear", points, x @ weights + noise[1:], CENTRE, SCALE, NOISE_SCALE)
+                polynomial = fit(1, points, x @ weights + noise[1:])
                 freedom, point = size + PRIOR_COUNT, CENTRE + SCALE * query
-                spread = polynomial.std(point, include_noise=True) * np.sqrt((freedom - 2) / freedom)
+                spread = polynomial.predict(point).std * np.sqrt((freedom - 2) / freedom)
                 error = query @ weights + noise[0] - polynomial.mean(point)
                 inside.append(abs(error) < stats.t.ppf(0.975, freedom) * spread)
             assert 0.91 < np.mean(inside) < 0.985
@@ -106,17 +112,13 @@ class TestEveryDegree:
         np.testing.assert_allclose(
             polynomial.mean_gradient(points[:, 0]) * SCALE, derivative(polynomial.mean), rtol=1e-6, atol=1e-10
         )
-        for include_noise in (False, True):
-            np.testing.assert_allclose(
-                polynomial.std_gradient(points[:, 0], include_noise=include_noise) * SCALE,
-                derivative(lambda point, noisy=include_noise: polynomial.std(point, include_noise=noisy)),
-                rtol=1e-6,
-                atol=1e-10,
-            )
+        np.testing.assert_allclose(
+            polynomial.std_gradient(points[:, 0]) * SCALE, derivative(polynomial.std), rtol=1e-6, atol=1e-10
+        )
 
     def test_appending_is_fitting_anew(self, polynomial: Polynomial) -> None:
         points, values = data(30)
-        grown = fit_polynomial(polynomial.kind, points[:10], values[:10], CENTRE, SCALE, NOISE_SCALE)
+        grown = fit(polynomial.degree, points[:10], values[:10])
         for point, value in zip(points[10:], values[10:], strict=True):
             grown = grown.append(point, value)
         assert_alike(grown, polynomial)
@@ -129,13 +131,13 @@ class TestEveryDegree:
         found = polynomial.left_out(blocks)
         for block in blocks:
             others = np.delete(points, block, axis=0), np.delete(values, block)
-            anew = fit_polynomial(polynomial.kind, *others, CENTRE, SCALE, NOISE_SCALE)
+            anew = fit(polynomial.degree, *others)
             np.testing.assert_allclose(found.mean[block], anew.mean(points[block]), rtol=0, atol=1e-9)
-            np.testing.assert_allclose(found.std[block], anew.std(points[block], include_noise=True), rtol=1e-8)
+            np.testing.assert_allclose(found.std[block], anew.predict(points[block]).std, rtol=1e-8)
 
     def test_comes_back(self, polynomial: Polynomial) -> None:
         saved = json.loads(json.dumps(polynomial.to_dict(), allow_nan=False))
-        loaded = Polynomial.from_dict(saved)
+        loaded = MODELS[polynomial.degree].from_dict(saved)
         assert loaded.to_dict() == saved
         np.testing.assert_array_equal(loaded.mean(data()[0]), polynomial.mean(data()[0]))
 
@@ -144,14 +146,14 @@ class TestEveryDegree:
         points, values = data(30)
         same, together = np.tile(CENTRE, (30, 1)), CENTRE + np.outer(np.linspace(-1, 1, 30), SCALE)
         for poor in (points[:0], points[:1], same, together):
-            fit = fit_polynomial(polynomial.kind, poor, values[: len(poor)], CENTRE, SCALE, NOISE_SCALE)
-            assert np.isfinite(fit.mean(points)).all()
-            assert (fit.std(points, include_noise=True) > 0).all()
-            assert np.isfinite(fit.left_out([slice(i, i + 1) for i in range(len(poor))]).mean).all()
-            assert np.abs(fit.mean(points)).max() < 1
+            poor_fit = fit(polynomial.degree, poor, values[: len(poor)])
+            assert np.isfinite(poor_fit.mean(points)).all()
+            assert (poor_fit.predict(points).std > 0).all()
+            assert np.isfinite(poor_fit.left_out([slice(i, i + 1) for i in range(len(poor))]).mean).all()
+            assert np.abs(poor_fit.mean(points)).max() < 1
 
     def test_what_the_data_leave_open_stays_open(self) -> None:
-        same = fit_polynomial("linear", np.tile(CENTRE, (30, 1)), np.full(30, 0.1), CENTRE, SCALE, NOISE_SCALE)
+        same = fit(1, np.tile(CENTRE, (30, 1)), np.full(30, 0.1))
         assert same.mean(CENTRE) == pytest.approx(0.1, rel=1e-3)
         assert same.std(CENTRE + SCALE) > 20 * same.std(CENTRE)
 
@@ -166,17 +168,17 @@ class TestRefused:
             ({"values": [0.0, 1.0]}, "^values must be"),
             ({"centre": [0.0]}, "^centre must be"),
             ({"scale": [1.0, 1.0, 0.0]}, "^scale must be"),
-            ({"noise_scale": 0.0}, "^noise_scale must be"),
-            ({"noise_scale": float("nan")}, "^noise_scale must be"),
+            ({"value_scale": 0.0}, "^value_scale must be"),
+            ({"value_scale": float("nan")}, "^value_scale must be"),
         ],
     )
     def test_a_wrong_entry_is_named(self, change: dict[str, Any], named: str) -> None:
         with pytest.raises(ValueError, match=named):
-            Polynomial.from_dict({**fitted("linear", 5).to_dict(), **change})
+            LINEAR.from_dict({**fitted(1, 5).to_dict(), **change})
 
-    @pytest.mark.parametrize("key", ["points", "values", "centre", "scale", "noise_scale"])
+    @pytest.mark.parametrize("key", ["points", "values", "centre", "scale", "value_scale"])
     def test_a_missing_entry_is_named(self, key: str) -> None:
-        saved = fitted("linear", 5).to_dict()
+        saved = fitted(1, 5).to_dict()
         del saved[key]
         with pytest.raises(ValueError, match=f"^{key} must be .*missing"):
-            Polynomial.from_dict(saved)
+            LINEAR.from_dict(saved)

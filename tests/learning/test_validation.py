@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from stepgap.learning.residual_fit import ResidualKind
 from stepgap.learning.step_table import StepTable
 from stepgap.learning.validation import (
     FOLDS,
@@ -25,7 +24,7 @@ SPACE = StepSpace(
     (Quantity("speed", "m/s", -1, 1), Quantity("height", "m", -1, 1)),
     (Quantity("fx", "N", -1, 1), Quantity("fy", "N", -1, 1)),
 )
-SIMPLE: tuple[ResidualKind, ...] = ("none", "constant", "gp")
+SIMPLE: tuple[str, ...] = ("none", "constant", "gp")
 
 
 def steps_with(truth, count: int, seed: int) -> StepTable:

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.learning.residual import Hindsight
+from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import FEATURES
 from stepgap.report import Background, read_run_folder, write_report
-from stepgap.report.learnt import input_quantities, read_learnt, surprise
+from stepgap.report.learnt import input_quantities, read_learnt
 from stepgap.report.learnt_table import coverage_table, learnt_tables
 from stepgap.report.reference_gait import gait_table, reference_gait
 from stepgap.report.words import decimal
@@ -30,15 +30,15 @@ def test_the_last_model_and_its_numbers(folder: Path) -> None:
     record, saved = read_run_folder(folder), json.loads((folder / "models" / "iteration_2.json").read_text())
     learnt = read_learnt(folder, 2, record.space)
     assert learnt is not None
-    assert len(learnt.processes) == 2
+    assert len(learnt.residual.regressions) == 2
     text = learnt_tables(record, learnt)
     for entry in saved["regressions"]:
         for length, scale in zip(entry["length_scale"], entry["input_scale"], strict=True):
             assert f"<td>{decimal(length * scale)}</td>" in text
         assert f"<td>{decimal(entry['noise_std'])}</td>" in text
     assert "fx [N]" in text
-    for process in learnt.processes:
-        assert 0.5 < np.sqrt(np.mean(surprise(process) ** 2)) < 1.5
+    for standardised in learnt.standardised_errors:
+        assert 0.5 < np.sqrt(np.mean(standardised**2)) < 1.5
     assert "of 40" in coverage_table(record)
 
 
@@ -61,7 +61,9 @@ def test_a_truncated_model_is_refused(folder: Path, tmp_path: Path, part: int) -
         read_learnt(tmp_path, 2, SPACE)
 
 
-@pytest.mark.parametrize("text", ["[]", "3", "{}", '{"regressions": [{"kind": "gp"}]}', "[" * 100_000, "\\ud800"])
+@pytest.mark.parametrize(
+    "text", ["[]", "3", "{}", '{"kind": "gp", "regressions": [{"kind": "gp"}]}', "[" * 100_000, "\\ud800"]
+)
 def test_a_foreign_model_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "iteration_2.json").write_text(text)
@@ -72,9 +74,9 @@ def test_a_foreign_model_is_refused(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize("features", FEATURES)
 @pytest.mark.parametrize("memory", [np.inf, 50.0])
 def test_every_input_has_a_name(features, memory: float) -> None:
-    hindsight = Hindsight(features, memory)
-    names = [quantity.name for quantity in input_quantities(SPACE, hindsight)]
-    assert len(names) == len(set(names)) == 4 + hindsight.inputs(np.zeros(7), 2).size
+    history_inputs = HistoryInputs(features, memory)
+    names = [quantity.name for quantity in input_quantities(SPACE, history_inputs)]
+    assert len(names) == len(set(names)) == 4 + history_inputs.of(np.zeros(7), 2).size
 
 
 def test_gaits_hold_the_targets(folder: Path) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.view.learnt import BAND, curve_along
+from stepgap.view.learnt import curve_along
 
 
 @pytest.mark.parametrize("index", range(4))
@@ -22,4 +23,4 @@ def test_a_curve_is_the_residual_along_one_input(run_folder: Path, index: int) -
         other = point.copy()
         other[index] = curve.inputs[row]
         np.testing.assert_allclose(curve.mean[row], residual.mean(other), rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(curve.margin[row], BAND * residual.std(other, include_noise=True), rtol=1e-6)
+        np.testing.assert_allclose(curve.margin[row], INTERVAL_95 * residual.std(other, include_noise=True), rtol=1e-6)

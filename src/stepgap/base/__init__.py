@@ -1,1 +1,5 @@
-"""What every folder stands on: whole files, settings files, signals, random streams, compiled code."""
+"""What every folder stands on.
+
+Whole files, settings files, plug-ins, readers of JSON data, signals, random streams, the normal distribution, compiled
+code.
+"""

@@ -14,16 +14,14 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.bench.timing import machine, peers, timed
-from stepgap.learning.gaussian_process import append
+from stepgap.base.normal import INTERVAL_95
+from stepgap.bench.timing import Progress, machine, peers, timed
 from stepgap.learning.gaussian_process_fit import fit_gaussian_process
 from stepgap.learning.sparse_gaussian_process import fit_sparse
 from stepgap.step import Array
 
-PACKAGES = ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns")
+COMPARED_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns")
 """Whose versions the result names."""
-
-Say = Callable[[str], None]
 
 NOISE = 0.008
 """Standard deviation of the noise of a value."""
@@ -39,7 +37,7 @@ MANY_STARTS_SIZE = 200
 
 
 @dataclass(frozen=True)
-class Size:
+class FitSizes:
     """How much is measured.
 
     Attributes:
@@ -55,8 +53,8 @@ class Size:
     queries: int
 
 
-FULL = Size(points=(50, 200, 1000, 3000), rounds=(9, 5, 3, 1), calls=200, queries=2000)
-QUICK = Size(points=(50, 200), rounds=(3, 3), calls=50, queries=500)
+FULL_FITS = FitSizes(points=(50, 200, 1000, 3000), rounds=(9, 5, 3, 1), calls=200, queries=2000)
+QUICK_FITS = FitSizes(points=(50, 200), rounds=(3, 3), calls=50, queries=500)
 
 
 @dataclass(frozen=True)
@@ -92,21 +90,23 @@ def truth(points: Array) -> Array:
     return 0.04 + 0.03 * np.sin(1.3 * x + 0.5 * u) + 0.02 * np.tanh(y * v) + 0.01 * u**2
 
 
-def bench_gp(seed: int, quick: bool, say: Say = lambda line: None) -> dict[str, Any]:
+def bench_gp(seed: int, quick: bool, progress: Progress = lambda line: None) -> dict[str, Any]:
     """Runs every size; the result is plain data for JSON.
 
     Args:
         seed: Of the random points.
         quick: Few points, and peers that are quick.
-        say: Is told what comes next.
+        progress: Called with a line that names the next part.
     """
-    size = QUICK if quick else FULL
+    size = QUICK_FITS if quick else FULL_FITS
     with peers("gaussian_processes") as catalogue:
-        say("no checkout, so no peers: their code lies in benchmarks/peers" if catalogue is None else "peers found")
+        progress(
+            "no checkout, so no peers: their code lies in benchmarks/peers" if catalogue is None else "peers found"
+        )
         found, skipped = catalogue.libraries(quick) if catalogue else ([], {"all peers": "found only in a checkout"})
     rows: list[dict[str, Any]] = []
     for points, rounds in zip(size.points, size.rounds, strict=True):
-        say(f"{points} points")
+        progress(f"{points} points")
         libraries = [library for library in [*_ours(), *found] if library.least_points <= points <= library.most_points]
         with threadpool_limits(limits=1):
             rows += time_libraries(libraries, np.random.default_rng([seed, points]), points, rounds, size)
@@ -114,7 +114,7 @@ def bench_gp(seed: int, quick: bool, say: Say = lambda line: None) -> dict[str, 
         "schema": 1,
         "quick": quick,
         "seed": seed,
-        "machine": machine(PACKAGES),
+        "machine": machine(COMPARED_PACKAGES),
         "starts": {"most": MOST_STARTS, "up_to_points": MANY_STARTS_SIZE},
         "rows": rows,
         "skipped": skipped,
@@ -137,7 +137,11 @@ def _ours() -> list[Library]:
     def sparse(points: Array, values: Array, starts: int) -> Any:
         return fit_sparse(points, values, SCALE, VALUE_SCALE)
 
-    both = {"predict_gradient": predict_gradient, "append": append, "starts": MOST_STARTS}
+    both = {
+        "predict_gradient": predict_gradient,
+        "append": lambda process, point, value: process.append(point, value),
+        "starts": MOST_STARTS,
+    }
     return [
         Library("StepGap", "priors; starts compete on at most 100 points", exact, predict, 3000, **both),
         Library("StepGap, linear basis", "and slopes", linear, predict, 3000, **both),
@@ -146,7 +150,7 @@ def _ours() -> list[Library]:
 
 
 def time_libraries(
-    libraries: list[Library], rng: np.random.Generator, count: int, rounds: int, size: Size
+    libraries: list[Library], rng: np.random.Generator, count: int, rounds: int, size: FitSizes
 ) -> list[dict[str, Any]]:
     """A row for each library: median times, medians over the rounds of the ratio to the first, worth of the fit."""
     points, values = _draw(rng, count)
@@ -161,7 +165,7 @@ def time_libraries(
     rows = []
     for i, (library, process) in enumerate(pairs):
         mean, std = library.predict(process, queries)
-        covered = np.abs(observed - mean) < 1.96 * np.hypot(std, NOISE)
+        covered = np.abs(observed - mean) < INTERVAL_95 * np.hypot(std, NOISE)
         gradient = library.predict_gradient and partial(library.predict_gradient, process, queries[0])
         grow = library.append and partial(library.append, process, queries[0], 0.0)
         rows.append(
@@ -194,7 +198,7 @@ def _turns(calls: list[Callable[[], object]], rounds: int) -> Array:
     return np.array([[timed(call) for call in calls] for _ in range(rounds)])
 
 
-def describe_bench(result: dict[str, Any]) -> str:
+def describe_gp_bench(result: dict[str, Any]) -> str:
     """The result as a table."""
     lines = [
         f"{'points':>6}  {'library':24}{'fit':>12}{'ratio':>8}{'mean, std':>12}{'ratio':>8}"

@@ -23,13 +23,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.base.files import append_text, write_whole
+from stepgap.base.normal import INTERVAL_95
 from stepgap.base.random_streams import random_stream
 from stepgap.base.settings_file import InputError
 from stepgap.bench.baselines import IntegralCorrection, identify
+from stepgap.bench.timing import Progress
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import AdaptiveMap, deploy, summarise
+from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.learner import Learner
-from stepgap.learning.settings import LearningSettings, ResidualKind
+from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.report.bands import hops_to_band
@@ -49,11 +52,6 @@ FIRST_STEPS = 20
 
 CALIBRATION = 20
 """Hops of the methods that begin with some whose commands are chosen for what they teach."""
-
-INTERVAL = 1.96
-"""Standard deviations on either side that hold 95 % of a normal distribution."""
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +128,7 @@ def _sysid(trial: Trial, log: StepLog) -> StepLog:
     return trial.deploy(Learner.start(found, log, LearningSettings(residual="none"), 1), 1)
 
 
-def _residual(trial: Trial, log: StepLog, kind: ResidualKind) -> StepLog:
+def _residual(trial: Trial, log: StepLog, kind: str) -> StepLog:
     learner = Learner.start(trial.nominal, log, LearningSettings(residual=kind), 1)
     key = json.dumps(learner.residual.to_dict())
     if key not in trial.redeployed:  # `auto` is one of the others: its deployment would be the same
@@ -145,18 +143,12 @@ def _from_the_first_hop(trial: Trial, log: StepLog, learning: LearningSettings) 
 SKIPPED = {} if hasattr(mujoco.sysid, "optimize") else {"sysid": "needs the packages of stepgap[sysid]"}
 """What is not installed."""
 
-REDEPLOYED: dict[str, Method] = {
+WITHOUT_RESIDUAL: dict[str, Method] = {
     "integral": _integral,
     "identified": _identified,
     **({} if "sysid" in SKIPPED else {"sysid": _sysid}),
-    "constant": partial(_residual, kind="constant"),
-    "linear": partial(_residual, kind="linear"),
-    "quadratic": partial(_residual, kind="quadratic"),
-    "gp": partial(_residual, kind="gp"),
-    "gp_on_linear": partial(_residual, kind="gp_on_linear"),
-    "auto": partial(_residual, kind="auto"),
 }
-"""Methods that learn from deployment 0."""
+"""Methods that correct from deployment 0 in another way than by a residual."""
 
 FROM_THE_FIRST_HOP: dict[str, Method] = {
     "online": partial(_from_the_first_hop, learning=LearningSettings(online=True)),
@@ -165,10 +157,20 @@ FROM_THE_FIRST_HOP: dict[str, Method] = {
 }
 """Methods that make deployment 0 themselves, all with the default residual."""
 
-METHODS = REDEPLOYED | FROM_THE_FIRST_HOP
+
+def methods() -> dict[str, Method]:
+    """All methods by name; every installed residual but `none`, which is deployment 0, is one."""
+    kinds = (*(name for name in residual_names() if name != UNCORRECTED), AUTO)
+    return WITHOUT_RESIDUAL | {kind: partial(_residual, kind=kind) for kind in kinds} | FROM_THE_FIRST_HOP
 
 
-def measure(reference: Reference, twin: int, seed: int, methods: Sequence[str]) -> list[Row]:
+def usual_methods() -> list[str]:
+    """Names of those that are compared unless others are asked for: of the residuals the candidates of `auto`."""
+    kinds = [model.name for model in residual_models() if model.candidate and model.name != UNCORRECTED]
+    return [*WITHOUT_RESIDUAL, *kinds, AUTO, *FROM_THE_FIRST_HOP]
+
+
+def measure(reference: Reference, twin: int, seed: int, names: Sequence[str]) -> list[Row]:
     """What each method makes of a twin; the first row is that of the shared deployment 0."""
     nominal = ApexMap()
     with threadpool_limits(limits=1, user_api="blas"):
@@ -176,9 +178,9 @@ def measure(reference: Reference, twin: int, seed: int, methods: Sequence[str]) 
         trial = Trial(nominal, gap, reference, twin, seed)
         log = trial.deploy(trial.uncorrected(), 0)
         rows = [_row(trial, UNCORRECTED, [log]) | {"drawn_again": drawn_again}]
-        for method in methods:
-            before = [log] if method in REDEPLOYED else []
-            rows.append(_row(trial, method, [*before, METHODS[method](trial, log)]))
+        for name in names:
+            before = [] if name in FROM_THE_FIRST_HOP else [log]
+            rows.append(_row(trial, name, [*before, methods()[name](trial, log)]))
     return rows
 
 
@@ -221,7 +223,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Row:
 def coverage(steps: StepLog) -> tuple[Array, int]:
     """How many steps ended within the 95 % interval predicted, by coordinate (n,), and how many had one."""
     known = np.isfinite(steps.predicted).all(axis=1) & (steps.std > 0).all(axis=1)
-    inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL * steps.std
+    inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL_95 * steps.std
     return inside[known].sum(axis=0), int(known.sum())
 
 
@@ -244,7 +246,7 @@ def bench_learning(
     methods: Sequence[str],
     record: Path,
     workers: int,
-    say: Say = lambda line: None,
+    say: Progress = lambda line: None,
 ) -> list[Row]:
     """Measures what the record does not hold yet, a line per twin and seed as it is done; all rows asked for.
 
@@ -252,7 +254,7 @@ def bench_learning(
         reference: What is tracked.
         twins: How many.
         seeds: How many of each.
-        methods: Names of METHODS.
+        methods: Names of methods.
         record: JSON lines, each the rows of one twin and seed; need not exist.
         workers: Processes; 1 is this one.
         say: Is told of progress.

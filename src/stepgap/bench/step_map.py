@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stepgap.bench.timing import machine, peers, timed
+from stepgap.bench.timing import Progress, machine, peers, timed
 from stepgap.control.command_table import build_table, measure_table
 from stepgap.control.step_controller import StepController
 from stepgap.robots.hopper.apex_map import ApexMap
@@ -23,7 +23,6 @@ PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")
 
 Evaluate = Callable[[Any, Any], Any]
 """State (n,) and command (m,) to next state (n,)."""
-Say = Callable[[str], None]
 
 
 class TooFewSteps(Exception):
@@ -78,7 +77,7 @@ class Engine:
     error: float | None = None
 
 
-def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Say = lambda line: None) -> dict[str, Any]:
+def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Progress = lambda line: None) -> dict[str, Any]:
     """Runs every section; the result is plain data for JSON.
 
     Args:

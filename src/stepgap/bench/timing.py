@@ -11,6 +11,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+Progress = Callable[[str], None]
+"""Called with a line that says how far a benchmark is."""
+
 
 def timed(call: Callable[[], object]) -> float:
     """Duration of a call [s]."""

@@ -59,12 +59,12 @@ def bench_gp_(*, quick: bool = False, out: Path | None = None) -> None:
         quick: Take some seconds, with few points and few peers.
         out: JSON file for the result; without it bench_gp.json or the next free name.
     """
-    from stepgap.bench.gaussian_process import bench_gp, describe_bench
+    from stepgap.bench.gaussian_process import bench_gp, describe_gp_bench
 
     file = out or free_name(Path("bench_gp.json"))
     check_new(file, "--out")
     result = bench_gp(0, quick, lambda line: print(f"{line} …", file=sys.stderr))
-    print(describe_bench(result))
+    print(describe_gp_bench(result))
     with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
         json.dump(result, stream, indent=2)
     print(file)
@@ -115,13 +115,14 @@ def bench_learning_(
             picture get the same name with other endings. Without it bench_learning.jsonl.
     """
     from stepgap.base.files import write_whole
-    from stepgap.bench.learning import METHODS, SKIPPED, bench_learning
+    from stepgap.bench.learning import SKIPPED, bench_learning, usual_methods
+    from stepgap.bench.learning import methods as known_methods
     from stepgap.control.reference import paper_reference
     from stepgap.report.learning import describe_learning, learning_picture, summarise_learning
 
-    chosen = methods.split(",") if methods else ["linear", "gp"] if quick else list(METHODS)
-    if unknown := [name for name in chosen if name not in METHODS]:
-        missing = SKIPPED.get(unknown[0], f"it must be one of {', '.join(METHODS)}")
+    chosen = methods.split(",") if methods else ["linear", "gp"] if quick else usual_methods()
+    if unknown := [name for name in chosen if name not in known_methods()]:
+        missing = SKIPPED.get(unknown[0], f"it must be one of {', '.join(known_methods())}")
         raise InputError(f"--methods {unknown[0]}: {missing}")
     if not out.parent.is_dir() or out.suffix != ".jsonl":
         raise InputError(f"--out {out}: give a name that ends with .jsonl in a folder that exists")

@@ -54,7 +54,7 @@ def fit(
     from stepgap.cli.progress import shown_count
     from stepgap.experiment.fit import best_residual, choose_folds, describe_lesson, fit_report, read_lesson, verdicts
     from stepgap.experiment.fit import show_validation as show
-    from stepgap.learning.residual_fit import KINDS
+    from stepgap.learning.residual_fit import names_without_features
     from stepgap.learning.validation import validate
     from stepgap.records.columns import read_columns
     from stepgap.report.fit import FORMATS, fit_picture
@@ -74,7 +74,7 @@ def fit(
     parts = choose_folds(lesson.steps, folds)
     print(describe_lesson(lesson, parts), flush=True)
     with threadpool_limits(limits=1, user_api="blas"), shown_count("fits") as tell:
-        validation = validate(KINDS, lesson.steps, parts, tell)
+        validation = validate(names_without_features(), lesson.steps, parts, tell)
     show(lesson.steps.space.state, validation, sys.stdout)
     print(verdicts(lesson.steps.space.state, validation))
     if out:

@@ -13,7 +13,6 @@ from rich.text import Text
 
 from stepgap.experiment.settings import InputError, read_experiment
 from stepgap.learning.residual import Residual
-from stepgap.learning.residual_fit import ResidualKind
 from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
 from stepgap.learning.validation import (
@@ -37,7 +36,7 @@ SCHEMA = 1
 MOST_STEPS = 2000
 """More would be fitted for hours."""
 
-BASELINES: tuple[ResidualKind, ...] = ("none", "constant")
+BASELINES: tuple[str, ...] = ("none", "constant")
 """What every residual is compared with."""
 
 NOMINALS = {
@@ -250,7 +249,7 @@ def _table(framed: bool, title: str, *scores: str) -> Table:
     return table
 
 
-def _compared_all(validation: Validation, kind: ResidualKind, coordinates: Sequence[int]) -> list[str]:
+def _compared_all(validation: Validation, kind: str, coordinates: Sequence[int]) -> list[str]:
     """By how much a residual is better than each baseline."""
     by = [validation.reduction(kind, other, coordinates) for other in BASELINES]
     return [
@@ -275,7 +274,7 @@ def fit_report(logs: Sequence[Path], lesson: Lesson, validation: Validation) -> 
     def named(values: Array) -> dict[str, float | None]:
         return {quantity.name: _finite(value) for quantity, value in zip(state, values, strict=True)}
 
-    def better(kind: ResidualKind, other: ResidualKind) -> dict[str, Any]:
+    def better(kind: str, other: str) -> dict[str, Any]:
         by = {name: validation.reduction(kind, other, part) for name, part in parts.items()}
         return {n: {"value": _finite(r.value), "standard_error": _finite(r.standard_error)} for n, r in by.items()}
 

@@ -44,14 +44,14 @@ class Factor:
         """Pivots; shape (N,)."""
         return np.concatenate([self.base.diagonal(), self.tail.diagonal()])
 
-    def whole(self) -> Array:
+    def assembled(self) -> Array:
         """L in one piece, Fortran-contiguous; shape (N, N)."""
         if not len(self.tail):
             return self.base
         size = len(self.base)
-        whole = np.zeros((len(self), len(self)), order="F")
-        whole[:size, :size], whole[size:, :size], whole[size:, size:] = self.base, self.cross, self.tail
-        return whole
+        assembled = np.zeros((len(self), len(self)), order="F")
+        assembled[:size, :size], assembled[size:, :size], assembled[size:, size:] = self.base, self.cross, self.tail
+        return assembled
 
     def solve(self, right: Array) -> Array:
         """L⁻¹ right; shapes (N,) or (N, Q)."""
@@ -80,7 +80,7 @@ class Factor:
         tail = np.zeros((length + 1, length + 1), order="F")
         tail[:length, :length], tail[length, :length], tail[length, length] = self.tail, row[size:], pivot
         grown = Factor(self.base, np.concatenate([self.cross, row[None, :size]]), tail, self.jitter)
-        return _in_one_piece(grown.whole(), self.jitter) if length + 1 > LONGEST_TAIL else grown
+        return _in_one_piece(grown.assembled(), self.jitter) if length + 1 > LONGEST_TAIL else grown
 
 
 def factorise(matrix: Array) -> Factor:

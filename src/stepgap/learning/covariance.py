@@ -1,4 +1,4 @@
-"""Covariance of f and the slopes of a Gaussian process, divided by signal², and what changes it."""
+"""Covariance of f and the linear features of a Gaussian process, divided by signal², and its derivatives."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,23 +7,14 @@ from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.distance import cdist
+from scipy.spatial.distance import cdist, pdist
 
 from stepgap.base.compiled import compiled
+from stepgap.learning.kernel import Kernel
 from stepgap.step import Array
 
 KERNEL_BLOCK = 2**16
 """Kernel values computed at a time, so that a large batch of queries stays in the cache."""
-
-
-def kernel(distance: Array) -> Array:
-    """Matérn-5/2, k as a function of √5 r (RW Eq. 4.17)."""
-    return (1 + distance + distance**2 / 3) * np.exp(-distance)
-
-
-def kernel_descent(distance: Array) -> Array:
-    """−(dk/dr) / r as a function of √5 r; finite where two points meet."""
-    return 5 / 3 * (1 + distance) * np.exp(-distance)
 
 
 @final
@@ -31,79 +22,89 @@ def kernel_descent(distance: Array) -> Array:
 class Covariance:
     """Covariance of queries (Q, d) and fixed centres, all in the units of the inputs.
 
+    The linear features of a point are `(point - origin) * slope_scale`: what slopes of one std add there.
+
     Attributes:
+        kernel: Covariance of f.
         centres: Shape (M, d).
-        origin: Where slopes turn about; shape (d,).
-        reach: Length scales; shape (d,).
-        steepness: Slopes of one standard deviation [signals per unit of each input]; shape (d,).
+        origin: Where the linear features are zero; shape (d,).
+        length_scale: Shape (d,).
+        slope_scale: Slopes of one standard deviation [signals per unit of each input]; shape (d,).
     """
 
+    kernel: Kernel
     centres: Array
     origin: Array
-    reach: Array
-    steepness: Array
+    length_scale: Array
+    slope_scale: Array
 
     @cached_property
-    def centre_lean(self) -> Array:
-        """`lean` of the centres; shape (M, d)."""
-        return self.lean(self.centres)
+    def centre_features(self) -> Array:
+        """Linear features of the centres [signals]; shape (M, d)."""
+        return self.linear_features(self.centres)
 
     @cached_property
     def _scaled(self) -> Array:
         """Centres in length scales; shape (M, d)."""
-        return self.centres / self.reach
+        return self.centres / self.length_scale
 
-    def lean(self, query: Array) -> Array:
-        """What slopes of one standard deviation add between the origin and queries [signals]; shape (Q, d)."""
-        return (query - self.origin) * self.steepness
+    def linear_features(self, query: Array) -> Array:
+        """Linear features of queries [signals]; shape (Q, d)."""
+        return (query - self.origin) * self.slope_scale
 
-    def prior(self, query: Array) -> Array:
+    def prior_variance(self, query: Array) -> Array:
         """Variance of queries without data; shape (Q,)."""
-        return 1 + (self.lean(query) ** 2).sum(axis=1)
+        return 1 + (self.linear_features(query) ** 2).sum(axis=1)
 
-    def distance(self, query: Array) -> Array:
-        """√5 r between queries and centres; shape (Q, M)."""
-        return np.sqrt(5 * cdist(query / self.reach, self._scaled, "sqeuclidean"))
+    def cross_covariance(self, query: Array) -> Array:
+        """Covariance of f at queries and centres; shape (Q, M)."""
+        return self.kernel.covariance(self._squared_distance(query))
 
-    def kernel(self, query: Array) -> Array:
-        """Covariance of f; shape (Q, M)."""
-        return kernel(self.distance(query))
+    def cross_covariance_gradient(self, query: Array, weights: Array) -> Array:
+        """∂(cross_covariance @ weights)/∂query for weights (M,) or (Q, M); shape (Q, d)."""
+        dk_dr = self.kernel.radial_derivative(self._squared_distance(query)) * weights
+        return (
+            dk_dr.sum(axis=1, keepdims=True) * (query / self.length_scale) - dk_dr @ self._scaled
+        ) / self.length_scale
 
-    def kernel_gradient(self, query: Array, weights: Array) -> Array:
-        """∂(kernel @ weights)/∂query for weights (M,) or (Q, M); shape (Q, d)."""
-        pull = kernel_descent(self.distance(query)) * weights
-        return (pull @ self._scaled - pull.sum(axis=1, keepdims=True) * (query / self.reach)) / self.reach
+    def correlation_of_centres(self) -> Array:
+        """Covariance of f at every pair of centres, in the order of SciPy's `pdist`; shape (M(M−1)/2,)."""
+        return self.kernel.covariance(np.asarray(pdist(self._scaled, "sqeuclidean"), float))
 
     def blockwise(self, evaluate: Callable[[Array], Array], point: ArrayLike) -> Array:
-        """Apply `evaluate` to blocks (Q, d) of points (…, d); shape (…) or (…, d). What is not finite gives NaN."""
+        """Apply `evaluate` to blocks (Q, d) of points (…, d); shape (…) or (…, d). Not finite points give NaN."""
         point = np.asarray(point, float)
-        query = np.where(np.isfinite(point), point, np.nan).reshape(-1, len(self.reach))
+        query = np.where(np.isfinite(point), point, np.nan).reshape(-1, len(self.length_scale))
         rows = max(1, KERNEL_BLOCK // len(self.centres))
         blocks = [evaluate(query[start : start + rows]) for start in range(0, max(1, len(query)), rows)]
         result = np.concatenate(blocks) if len(blocks) > 1 else blocks[0]
         return result.reshape(point.shape[:-1] + result.shape[1:])
 
+    def _squared_distance(self, query: Array) -> Array:
+        """r² of queries and centres; shape (Q, M)."""
+        return np.asarray(cdist(query / self.length_scale, self._scaled, "sqeuclidean"), float)
+
 
 @compiled
-def covariance_matrix(correlation: Array, lean: Array, noise: float) -> Array:
-    """Upper triangle of what has `correlation` + lean leanᵀ off its diagonal and 1 + noise more on it.
+def covariance_matrix(correlation: Array, linear_features: Array, noise: float) -> Array:
+    """Upper triangle of K = k + ΦΦᵀ + noise · identity, with the linear features Φ.
 
     Args:
-        correlation: Kernel of every pair of points, in the order of SciPy's `pdist`; shape (N(N−1)/2,).
-        lean: What slopes of one standard deviation add to each point; shape (N, d).
+        correlation: Kernel k of every pair of points, in the order of SciPy's `pdist`; shape (N(N−1)/2,).
+        linear_features: Φ; shape (N, d).
         noise: Variance of the noise.
 
     Returns:
         C-contiguous; zero below the diagonal; shape (N, N).
     """
-    size, inputs = lean.shape
+    size, inputs = linear_features.shape
     matrix = np.zeros((size, size))
     pair = 0
     for i in range(size):
         for j in range(i, size):
             slopes = 0.0
             for k in range(inputs):
-                slopes += lean[i, k] * lean[j, k]
+                slopes += linear_features[i, k] * linear_features[j, k]
             if j > i:
                 matrix[i, j] = correlation[pair] + slopes
                 pair += 1
@@ -113,35 +114,36 @@ def covariance_matrix(correlation: Array, lean: Array, noise: float) -> Array:
 
 
 @compiled
-def evidence_gradient(
-    inverse: Array, explained: Array, descent: Array, points: Array, lean: Array
-) -> tuple[Array, float, float]:
-    """½ tr((explained explainedᵀ − C⁻¹) dC) for changes dC of the covariance C (RW Eq. 5.9).
+def evidence_gradient(K_inv: Array, alpha: Array, dk_dr: Array, X: Array, Phi: Array) -> tuple[Array, float, float]:
+    """½ tr((ααᵀ − K⁻¹) ∂K/∂θ), the gradient of the log evidence (RW Eq. 5.9), for three kinds of parameter θ.
+
+    RW's α = K⁻¹ values is one column; the column that integrating out the constant adds is a second one.
 
     Args:
-        inverse: C⁻¹, C-contiguous; only its upper triangle is read; shape (N, N).
-        explained: Shape (N, 2).
-        descent: `kernel_descent` of every pair of points, in the order of SciPy's `pdist`; shape (N(N−1)/2,).
-        points: In input scales; shape (N, d).
-        lean: As for `covariance_matrix`; shape (N, d).
+        K_inv: K⁻¹, C-contiguous; only its upper triangle is read; shape (N, N).
+        alpha: Shape (N, 2).
+        dk_dr: `Kernel.radial_derivative` of every pair of points, in the order of SciPy's `pdist`; shape (N(N−1)/2,).
+        X: Points in input scales; shape (N, d).
+        Phi: Linear features; shape (N, d).
 
     Returns:
-        For dC with log(length scale), divided by length scale⁻², shape (d,); with log(lean); with half the noise.
+        For θ = log(length scale) of each input, divided by length scale⁻², shape (d,); for θ = log(slope scale); for
+        θ = log(standard deviation of the noise), divided by the variance of the noise.
     """
-    size, inputs = points.shape
+    size, inputs = X.shape
     by_length_scale = np.zeros(inputs)
-    by_lean, by_noise = 0.0, 0.0
+    by_slope_scale, by_noise = 0.0, 0.0
     pair = 0
     for i in range(size):
-        excess = explained[i, 0] ** 2 + explained[i, 1] ** 2 - inverse[i, i]
+        excess = alpha[i, 0] ** 2 + alpha[i, 1] ** 2 - K_inv[i, i]
         by_noise += excess
         for k in range(inputs):
-            by_lean += excess * lean[i, k] ** 2
+            by_slope_scale += excess * Phi[i, k] ** 2
         for j in range(i + 1, size):
-            excess = explained[i, 0] * explained[j, 0] + explained[i, 1] * explained[j, 1] - inverse[i, j]
-            pull = excess * descent[pair]
+            excess = alpha[i, 0] * alpha[j, 0] + alpha[i, 1] * alpha[j, 1] - K_inv[i, j]
+            radial = excess * dk_dr[pair]
             pair += 1
             for k in range(inputs):
-                by_length_scale[k] += pull * (points[i, k] - points[j, k]) ** 2
-                by_lean += 2 * excess * lean[i, k] * lean[j, k]
-    return by_length_scale, by_lean, by_noise
+                by_length_scale[k] -= radial * (X[i, k] - X[j, k]) ** 2
+                by_slope_scale += 2 * excess * Phi[i, k] * Phi[j, k]
+    return by_length_scale, by_slope_scale, by_noise

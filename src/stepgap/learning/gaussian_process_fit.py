@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal, TypedDict, final
+from typing import Literal, NamedTuple, TypedDict, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,8 +18,10 @@ from scipy.special import wrightomega
 from threadpoolctl import ThreadpoolController
 
 from stepgap.learning.cholesky import factorise
-from stepgap.learning.covariance import covariance_matrix, evidence_gradient, kernel, kernel_descent
-from stepgap.learning.gaussian_process import GaussianProcess, HyperParameters, checked_data, condition, require
+from stepgap.learning.covariance import covariance_matrix, evidence_gradient
+from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
+from stepgap.learning.gaussian_process import HyperParameters, checked_data, ensure
+from stepgap.learning.kernel import MATERN_52, Kernel
 from stepgap.learning.least_squares import LeastSquares, fit_least_squares
 from stepgap.step import Array
 
@@ -28,9 +30,10 @@ Basis = Literal["constant", "linear"]
 
 
 class Search(TypedDict, total=False):
-    """What else may be said of a search for hyper-parameters; see `fit_gaussian_process`."""
+    """Options of a search for hyper-parameters; see `fit_gaussian_process`."""
 
     basis: Basis
+    kernel: Kernel
     start: HyperParameters | None
     last_length_scale: float | None
 
@@ -66,9 +69,10 @@ def fit_gaussian_process(
     value_scale: float | None = None,
     *,
     basis: Basis = "constant",
+    kernel: Kernel = MATERN_52,
     start: HyperParameters | None = None,
     last_length_scale: float | None = None,
-) -> GaussianProcess:
+) -> ExactGaussianProcess:
     """Most probable hyper-parameters under weak priors, one length scale per input.
 
     A priori log(length scale) ~ N(log 3, 1) for each input, log(noise/signal) ~ N(log 0.5, 1), log(signal) ~
@@ -84,8 +88,9 @@ def fit_gaussian_process(
         value_scale: Fixed size of the values, such as half the range of use of what they are errors of. Without
             it half the range of the values: then those that do not vary leave standard deviations that are tiny.
         basis: Constant, or constant and slopes whose size the data choose.
-        start: Hyper-parameters of a former fit, from which this one then begins, besides a single cold start.
-        last_length_scale: Length scale of the last input, where it is given and not to be searched.
+        kernel: Covariance of f.
+        start: Hyper-parameters of an earlier fit: the search then begins there and at a single cold start.
+        last_length_scale: Length scale of the last input, where it is fixed and not searched.
 
     Raises:
         ValueError: Data or scales are not finite, or their sizes do not fit.
@@ -93,16 +98,18 @@ def fit_gaussian_process(
     points, values, input_scale = checked_data(points, values, input_scale)
     if value_scale is None:
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
-    require(0 < value_scale < math.inf, "value_scale", "positive and finite")
+    ensure(0 < value_scale < math.inf, "value_scale", "positive and finite")
     least_noise = LEAST_NOISE * value_scale
-    evidence = Evidence(points / input_scale, values, points.shape[1], least_noise, value_scale, last_length_scale)
+    evidence = Evidence(
+        points / input_scale, values, points.shape[1], least_noise, value_scale, last_length_scale, kernel
+    )
     cold = cold_starts(points.shape[1], basis)
     if start is None:
         log_parameters = _search(evidence, cold)
     else:
         log_parameters = _search(evidence, cold[:1], [_log_parameters(start, basis)])
-    found = evidence.hyper_parameters(log_parameters)
-    return condition(points, values, input_scale, _widened(found, len(values), len(log_parameters) + 1))
+    found, fitted = evidence.hyper_parameters(log_parameters), len(log_parameters.vector) + 1
+    return condition(points, values, input_scale, _widened(found, len(values), fitted), kernel)
 
 
 def _widened(found: HyperParameters, size: int, fitted: int) -> HyperParameters:
@@ -117,7 +124,7 @@ def _widened(found: HyperParameters, size: int, fitted: int) -> HyperParameters:
     return HyperParameters(found.length_scale, *stds)
 
 
-def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
+def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> ExactGaussianProcess:
     """Hyper-parameters as MATLAB's `fitrgp(…, 'constant', 'matern52')` chooses them, for comparison.
 
     Maximum likelihood, one length scale for all inputs in their raw units, a single start from
@@ -134,17 +141,48 @@ def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> GaussianProcess:
     initial = spread if spread > 0 else 1.0
     least_noise = max(1e-6 * float(np.abs(values).max()), 1e-12, 0.01 * values_spread)
     evidence = Evidence(points / initial, values, 1, least_noise, None)
-    found = evidence.hyper_parameters(_search(evidence, [np.zeros(2)]))
+    found = evidence.hyper_parameters(_search(evidence, [LogParameters(np.zeros(1), 0.0)]))
     hyper_parameters = HyperParameters(initial * found.length_scale, found.signal_std, found.noise_std)
     return condition(points, values, raw_units, hyper_parameters)
+
+
+class LogParameters(NamedTuple):
+    """Logarithms of the hyper-parameters that are searched, or a gradient with respect to them.
+
+    Attributes:
+        length_scale: Log length scales: d, or 1 in common for all inputs.
+        noise_ratio: Log of the noise's standard deviation over the signal's.
+        slope_ratio: Log of the slopes' standard deviation over the signal's. None: there are no slopes.
+    """
+
+    length_scale: Array
+    noise_ratio: float
+    slope_ratio: float | None = None
+
+    @property
+    def vector(self) -> Array:
+        """All of them in a row, as an optimiser takes them; shape (P,)."""
+        ratios = [self.noise_ratio] if self.slope_ratio is None else [self.noise_ratio, self.slope_ratio]
+        return np.concatenate([self.length_scale, ratios])
+
+    @property
+    def ratios(self) -> tuple[float, float]:
+        """Noise and slopes over the signal, without slopes zero."""
+        noise = float(np.exp(self.noise_ratio))
+        return noise, 0.0 if self.slope_ratio is None else float(np.exp(self.slope_ratio))
+
+    def with_vector(self, vector: Array) -> "LogParameters":
+        """The same parameters with other values; shape (P,)."""
+        length_scale, ratios = np.split(vector, [len(self.length_scale)])
+        return LogParameters(length_scale, *ratios.tolist())
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the data say of log parameters: log length scales, log(noise/signal) and perhaps log(slopes/signal).
+    """What the data say of hyper-parameters.
 
-    The signal is not among them: for given parameters the most probable one has a closed form.
+    The signal is not among the `LogParameters`: for given ones the most probable signal has a closed form.
 
     Attributes:
         points: In input scales; shape (N, d).
@@ -153,6 +191,7 @@ class Evidence:
         least_noise: Lower bound of the noise's standard deviation.
         value_scale: Scale of the signal's prior. None: no priors, and β not integrated out: maximum likelihood.
         last_length_scale: Length scale of the last input, where it is not searched.
+        kernel: Covariance of f.
     """
 
     points: Array
@@ -161,99 +200,107 @@ class Evidence:
     least_noise: float
     value_scale: float | None
     last_length_scale: float | None = None
+    kernel: Kernel = MATERN_52
 
-    def loss(self, log_parameters: Array) -> tuple[float, Array]:
-        """Negative log posterior and its gradient, of the shape of the parameters (RW Eqs. 2.45, 5.8, 5.9)."""
-        distance, lean, solved, signal = self._solve(log_parameters)
-        explained = np.zeros((len(self.values), 2))
-        explained[:, 0] = solved.weights / signal
+    def loss(self, parameters: LogParameters) -> tuple[float, LogParameters]:
+        """Negative log posterior and its gradient (RW Eqs. 2.45, 5.8, 5.9)."""
+        squared, linear_features, solved, signal = self._solve(parameters)
+        alpha = np.zeros((len(self.values), 2))
+        alpha[:, 0] = solved.weights / signal
         log_posterior = solved.log_likelihood(signal)
-        prior, prior_gradient = 0.0, np.zeros(len(log_parameters))
         if self.value_scale is not None:
-            by_ones = solved.factor.solve_transposed(solved.basis)
-            explained[:, 1] = by_ones / math.sqrt(by_ones.sum())
+            K_inv_1 = solved.factor.solve_transposed(solved.basis)
+            alpha[:, 1] = K_inv_1 / math.sqrt(K_inv_1.sum())
             log_posterior = solved.log_evidence(signal)
-            deviation = log_parameters - _prior_median(len(self.points[0]), len(log_parameters))
-            prior = -0.5 * float(deviation @ deviation) - 0.5 * self._surprise(signal) ** 2
-            prior_gradient = -deviation
-        inverse, _ = _potri(solved.factor.base, lower=1)
+        K_inv, _ = _potri(solved.factor.base, lower=1)
         # potri fills the lower triangle in Fortran order: the upper one in C order.
-        by_length_scale, by_lean, by_noise = evidence_gradient(
-            inverse.T, explained, kernel_descent(distance), self.points, lean
-        )
-        lengths = log_parameters[: self.length_scales]
-        by_lengths = np.exp(-2 * lengths) * by_length_scale.reshape(self.length_scales, -1).sum(axis=1)
-        by_ratio = np.exp(2 * log_parameters[self.length_scales]) * by_noise
+        dk_dr = self.kernel.radial_derivative(squared)
+        by_lengths, by_slopes, by_noise = evidence_gradient(K_inv.T, alpha, dk_dr, self.points, linear_features)
+        by_ratio = float(np.exp(2 * parameters.noise_ratio)) * by_noise
         # This part is zero except where the least noise binds: there the signal follows from the ratio.
-        by_ratio += self._freedom - solved.misfit / signal**2
+        by_ratio += self._degrees_of_freedom - solved.quadratic_form / signal**2
         if self.value_scale is not None:
-            by_ratio += self._surprise(signal)
-        gradient = np.concatenate([by_lengths, [by_ratio], [by_lean] * (len(log_parameters) - len(lengths) - 1)])
-        return -log_posterior - prior, -gradient - prior_gradient
+            by_ratio += self._signal_deviation(signal)
+        gradient = LogParameters(
+            np.exp(-2 * parameters.length_scale) * by_lengths.reshape(self.length_scales, -1).sum(axis=1),
+            by_ratio,
+            None if parameters.slope_ratio is None else by_slopes,
+        )
+        log_prior, prior_gradient = self._log_prior(parameters, signal)
+        return -log_posterior - log_prior, gradient.with_vector(-gradient.vector - prior_gradient)
 
-    def hyper_parameters(self, log_parameters: Array) -> HyperParameters:
+    def hyper_parameters(self, parameters: LogParameters) -> HyperParameters:
         """The parameters with the most probable signal."""
-        _, _, _, signal = self._solve(log_parameters)
-        ratio, slope = (*np.exp(log_parameters[self.length_scales :]), 0.0)[:2]
-        length_scale = np.broadcast_to(np.exp(log_parameters[: self.length_scales]), self.points.shape[1:]).copy()
-        return HyperParameters(length_scale, signal, signal * float(ratio), signal * float(slope))
+        _, _, _, signal = self._solve(parameters)
+        ratio, slope = parameters.ratios
+        length_scale = np.broadcast_to(np.exp(parameters.length_scale), self.points.shape[1:]).copy()
+        return HyperParameters(length_scale, signal, signal * ratio, signal * slope)
+
+    def signal(self, quadratic_form: float) -> float:
+        """Most probable signal_std s.
+
+        With log s ~ N(log m, 1) it is the root of quadratic_form/s² = degrees of freedom + log(s/m).
+        """
+        if self.value_scale is None:
+            return math.sqrt(quadratic_form / self._degrees_of_freedom)
+        median, twice = PRIOR_SIGNAL * self.value_scale, 2.0 * self._degrees_of_freedom
+        omega = float(wrightomega(np.log(2 * quadratic_form / median**2) + twice)) if quadratic_form > 0 else 0.0
+        return median * math.exp(0.5 * (omega - twice))
 
     @property
-    def _freedom(self) -> int:
-        """How many values tell of the signal: one is spent on β where it is integrated out."""
+    def _degrees_of_freedom(self) -> int:
+        """Number of values that inform about the signal: one is spent on β where it is integrated out."""
         return len(self.values) - (self.value_scale is not None)
 
-    def _surprise(self, signal: float) -> float:
+    def _signal_deviation(self, signal: float) -> float:
         """Deviation of log(signal) from the median of its prior."""
         assert self.value_scale is not None
         return math.log(signal / (PRIOR_SIGNAL * self.value_scale))
 
-    def _solve(self, log_parameters: Array) -> tuple[Array, Array, LeastSquares, float]:
-        """√5 r of every pair of points, the lean of the slopes, the least squares and the most probable signal_std."""
-        ratio, slope = (*np.exp(log_parameters[self.length_scales :]), 0.0)[:2]
-        distance = np.sqrt(5 * pdist(self.points * np.exp(-log_parameters[: self.length_scales]), "sqeuclidean"))
-        lean = (self.points - self.points[0]) * slope
-        solved = fit_least_squares(factorise(covariance_matrix(kernel(distance), lean, ratio**2)), self.values)
-        return distance, lean, solved, max(self.signal(solved.misfit), self.least_noise / ratio)
-
-    def signal(self, misfit: float) -> float:
-        """Most probable signal_std: with log s ~ N(log m, 1) the root of misfit/s² = freedom + log(s/m)."""
+    def _log_prior(self, parameters: LogParameters, signal: float) -> tuple[float, Array]:
+        """Log density of the priors, but for a constant, and its gradient at a fixed signal (P,)."""
         if self.value_scale is None:
-            return math.sqrt(misfit / self._freedom)
-        median, twice = PRIOR_SIGNAL * self.value_scale, 2.0 * self._freedom
-        omega = float(wrightomega(np.log(2 * misfit / median**2) + twice)) if misfit > 0 else 0.0
-        return median * math.exp(0.5 * (omega - twice))
+            return 0.0, np.zeros(len(parameters.vector))
+        deviation = parameters.vector - _prior_median(parameters)
+        return -0.5 * float(deviation @ deviation) - 0.5 * self._signal_deviation(signal) ** 2, -deviation
+
+    def _solve(self, parameters: LogParameters) -> tuple[Array, Array, LeastSquares, float]:
+        """r² of every pair of points, linear features, least squares, and the most probable signal_std."""
+        ratio, slope = parameters.ratios
+        squared = np.asarray(pdist(self.points * np.exp(-parameters.length_scale), "sqeuclidean"), float)
+        linear_features = (self.points - self.points[0]) * slope
+        matrix = covariance_matrix(self.kernel.covariance(squared), linear_features, ratio**2)
+        solved = fit_least_squares(factorise(matrix), self.values)
+        return squared, linear_features, solved, max(self.signal(solved.quadratic_form), self.least_noise / ratio)
 
 
-def cold_starts(inputs: int, basis: Basis = "constant") -> list[Array]:
+def cold_starts(inputs: int, basis: Basis = "constant") -> list[LogParameters]:
     """Log parameters from which a search begins: all inputs alike, then each one alone decisive.
 
     The first alone ends up to 110 nats short of the best where one input is decisive and N ≤ 50.
     """
     length_scales = np.vstack([np.ones(inputs), np.where(np.eye(inputs) == 1, 0.5, 5.0)])
-    rest = [0.2] if basis == "constant" else [0.2, 0.5]
-    return [np.log([*start, *rest]) for start in length_scales]
+    noise_ratio, slope_ratio = np.log([0.2, 0.5]).tolist()
+    slopes = (slope_ratio,) if basis == "linear" else ()
+    return [LogParameters(np.log(start), noise_ratio, *slopes) for start in length_scales]
 
 
-def _log_parameters(hyper_parameters: HyperParameters, basis: Basis) -> Array:
-    """Where a search begins that goes on from a former fit."""
+def _log_parameters(hyper_parameters: HyperParameters, basis: Basis) -> LogParameters:
+    """Where a search begins that continues from an earlier fit."""
     signal = hyper_parameters.signal_std
-    ratios = [hyper_parameters.noise_std / signal]
-    bounds = [NOISE_RATIO_BOUNDS]
+    ratios = [np.clip(hyper_parameters.noise_std / signal, *NOISE_RATIO_BOUNDS)]
     if basis == "linear":
-        ratios.append(hyper_parameters.slope_std / signal)
-        bounds.append(SLOPE_RATIO_BOUNDS)
-    return np.log(
-        [*hyper_parameters.length_scale, *(np.clip(ratio, *bound) for ratio, bound in zip(ratios, bounds, strict=True))]
-    )
+        ratios.append(np.clip(hyper_parameters.slope_std / signal, *SLOPE_RATIO_BOUNDS))
+    return LogParameters(np.log(hyper_parameters.length_scale), *np.log(ratios).tolist())
 
 
-def _prior_median(inputs: int, parameters: int) -> Array:
-    """Of the log parameters; shape (parameters,)."""
-    return np.log([*[PRIOR_LENGTH_SCALE] * inputs, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO][:parameters])
+def _prior_median(parameters: LogParameters) -> Array:
+    """Of the log parameters; shape (P,)."""
+    length_scales = [PRIOR_LENGTH_SCALE] * len(parameters.length_scale)
+    return np.log([*length_scales, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO][: len(parameters.vector)])
 
 
-def _search(evidence: Evidence, cold: Sequence[Array], warm: Sequence[Array] = ()) -> Array:
+def _search(evidence: Evidence, cold: Sequence[LogParameters], warm: Sequence[LogParameters] = ()) -> LogParameters:
     """Log parameters of the least loss that is reached from `cold` and `warm` starts."""
     with _blas().limit(limits=1, user_api="blas"):  # more threads only wait for each other at these sizes
         starts = [*warm, *cold]
@@ -265,18 +312,24 @@ def _search(evidence: Evidence, cold: Sequence[Array], warm: Sequence[Array] = (
         return _descend(evidence, starts, tolerance=1e-8)
 
 
-def _descend(evidence: Evidence, starts: Sequence[Array], tolerance: float) -> Array:
+def _descend(evidence: Evidence, starts: Sequence[LogParameters], tolerance: float) -> LogParameters:
     """The best end of searches from `starts`, each of which stops once the loss falls by less than this share of it."""
+    first = starts[0]
+
+    def loss(vector: Array) -> tuple[float, Array]:
+        value, gradient = evidence.loss(first.with_vector(vector))
+        return value, gradient.vector
+
     bounds = [LENGTH_SCALE_BOUNDS] * evidence.length_scales + [NOISE_RATIO_BOUNDS, SLOPE_RATIO_BOUNDS]
     if evidence.last_length_scale is not None:
         bounds[evidence.length_scales - 1] = (evidence.last_length_scale, evidence.last_length_scale)
-    log_bounds = np.log(bounds[: len(starts[0])])
+    log_bounds = np.log(bounds[: len(first.vector)])
     options = {"maxiter": 200, "ftol": tolerance, "gtol": 1e-3}
     ends = [
-        minimize(evidence.loss, begin, jac=True, method="L-BFGS-B", bounds=log_bounds, options=options)
-        for begin in np.clip(starts, *log_bounds.T)
+        minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=log_bounds, options=options)
+        for begin in np.clip([start.vector for start in starts], *log_bounds.T)
     ]
-    return min(ends, key=lambda end: end.fun).x
+    return first.with_vector(min(ends, key=lambda end: end.fun).x)
 
 
 @cache

@@ -1,18 +1,20 @@
-"""The Gaussian processes as regressions of a residual's coordinate."""
+"""The Gaussian processes as residuals."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, final
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
 
 from numpy.typing import ArrayLike
 
-from stepgap.learning.gaussian_process import GaussianProcess, append, leave_out
-from stepgap.learning.regression import Prediction, Regression
-from stepgap.learning.sparse_gaussian_process import Process, process_from_dict
+from stepgap.learning.gaussian_process import GaussianProcess
+from stepgap.learning.gaussian_process_fit import Basis, fit_like_fitrgp
+from stepgap.learning.kernel import MATERN_52, Kernel
+from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
+from stepgap.learning.sparse_gaussian_process import fit_process, process_from_dict
 from stepgap.step import Array
 
-GAUSSIAN_PROCESSES = ("gp", "gp_on_linear", "fitrgp")
-"""Kinds: ours with a constant or a linear basis, or the one that MATLAB's `fitrgp` would have given."""
+TIME_SCALE = 1e3
+"""Memories after which a slope may matter to a Gaussian process: drift is followed, not extrapolated."""
 
 
 @final
@@ -21,21 +23,27 @@ class GaussianProcessRegression(Regression):
     """A Gaussian process.
 
     Attributes:
-        kind: `fitrgp` reports plug-in standard deviations, the others universal-kriging ones.
         process: The process.
+        plug_in: Whether standard deviations take the constant for exact, as `fitrgp` does; the others are those of
+            universal kriging.
     """
 
-    kind: str
-    process: Process
+    process: GaussianProcess
+    plug_in: bool = False
 
     @property
-    def inputs(self) -> int:
-        """As the process has them."""
-        return self.process.points.shape[1]
+    def points(self) -> Array:
+        """Those of the process."""
+        return self.process.points
+
+    @property
+    def values(self) -> Array:
+        """Those of the process."""
+        return self.process.values
 
     @property
     def noise_std(self) -> float:
-        """As the process has it."""
+        """That of the process."""
         return self.process.hyper_parameters.noise_std
 
     def mean(self, point: ArrayLike) -> Array:
@@ -46,30 +54,107 @@ class GaussianProcessRegression(Regression):
         """∂mean/∂point; shape (…, d)."""
         return self.process.mean_gradient(point)
 
-    def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+    def std(self, point: ArrayLike) -> Array:
         """Standard deviation; shape (…)."""
-        std = self.process.std if self.kind == "fitrgp" else self.process.kriging_std
-        return std(point, include_noise=include_noise)
+        return self.process.std(point) if self.plug_in else self.process.kriging_std(point)
 
-    def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+    def std_gradient(self, point: ArrayLike) -> Array:
         """∂std/∂point; shape (…, d)."""
-        if self.kind == "fitrgp" and isinstance(self.process, GaussianProcess):
-            return self.process.std_gradient(point, include_noise=include_noise)
-        return self.process.kriging_std_gradient(point, include_noise=include_noise)
+        return self.process.std_gradient(point) if self.plug_in else self.process.kriging_std_gradient(point)
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Each value as predicted, with noise, from those outside its block (RW Eq. 5.12, block by block)."""
-        return Prediction(*leave_out(self.process, blocks))
+        if len(blocks) == len(self.values):
+            return Prediction(*self.process.leave_one_out())
+        return Prediction(*self.process.leave_out(blocks))
 
     def append(self, point: ArrayLike, value: float) -> "GaussianProcessRegression":
         """The same process, conditioned on one more value, in O(N²); in O(M³) if sparse."""
-        return GaussianProcessRegression(self.kind, append(self.process, point, value))
+        return replace(self, process=self.process.append(point, value))
 
     def to_dict(self) -> dict[str, Any]:
         """Data and hyper-parameters."""
-        return {"kind": self.kind, **self.process.to_dict()}
+        return self.process.to_dict()
 
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> "GaussianProcessRegression":
-        """The regression that `to_dict` saved; ValueError names what is wrong in it."""
-        return GaussianProcessRegression(data["kind"], process_from_dict(data))
+    def parameters(self) -> list[Parameter]:
+        """Hyper-parameters, and the constant."""
+        found = self.process.hyper_parameters
+        meaning = (
+            "A length scale is the distance over which the error changes: one much longer than the range of the data "
+            "means that this input hardly matters."
+        )
+        return [
+            Parameter("length scale", found.length_scale * self.process.input_scale, "input", meaning),
+            *super().parameters(),
+            Parameter("signal", found.signal_std, "value"),
+            Parameter("constant", self.process.coefficient, "value"),
+        ]
+
+
+def gaussian_process_model(
+    name: str,
+    description: str,
+    basis: Basis,
+    kernel: Kernel = MATERN_52,
+    *,
+    candidate: bool = False,
+    complexity: int = 10,
+) -> ResidualModel:
+    """A residual that is a Gaussian process with these parts; see `ResidualModel`."""
+
+    def fit(data: TrainingData, start: Regression | None) -> Regression:
+        scale = data.scale.copy()
+        if data.timed:
+            scale[-1] = TIME_SCALE
+        process = fit_process(
+            data.points,
+            data.values,
+            scale,
+            data.value_scale,
+            basis=basis,
+            kernel=kernel,
+            start=start.process.hyper_parameters if isinstance(start, GaussianProcessRegression) else None,
+            last_length_scale=1 / TIME_SCALE if data.timed else None,
+        )
+        return GaussianProcessRegression(process)
+
+    def from_dict(saved: Mapping[str, Any]) -> Regression:
+        return GaussianProcessRegression(process_from_dict(saved, kernel))
+
+    return ResidualModel(name, description, fit, from_dict, candidate=candidate, complexity=complexity)
+
+
+def _fit_like_fitrgp(data: TrainingData, start: Regression | None) -> Regression:
+    return GaussianProcessRegression(fit_like_fitrgp(data.points, data.values), plug_in=True)
+
+
+def _fitrgp_from_dict(saved: Mapping[str, Any]) -> Regression:
+    return GaussianProcessRegression(process_from_dict(saved), plug_in=True)
+
+
+GP: Final = gaussian_process_model(
+    "gp",
+    f"a Gaussian process with a constant and the kernel {MATERN_52.name}",
+    "constant",
+    candidate=True,
+    complexity=4,
+)
+"""The residual `gp`."""
+
+GP_ON_LINEAR: Final = gaussian_process_model(
+    "gp_on_linear",
+    f"a Gaussian process with a constant, slopes and the kernel {MATERN_52.name}",
+    "linear",
+    candidate=True,
+    complexity=5,
+)
+"""The residual `gp_on_linear`."""
+
+FITRGP: Final = ResidualModel(
+    "fitrgp",
+    f"the Gaussian process that MATLAB's fitrgp finds, with a constant and the kernel {MATERN_52.name}",
+    _fit_like_fitrgp,
+    _fitrgp_from_dict,
+    complexity=6,
+)
+"""The residual `fitrgp`."""

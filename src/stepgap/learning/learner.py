@@ -9,7 +9,7 @@ import numpy as np
 from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.disturbance import DisturbanceFilter, without_yaw_dependence
-from stepgap.learning.observations import context_after, error_of, next_context, observe
+from stepgap.learning.observations import error_of, history_after, next_history, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.settings import LearningSettings
@@ -82,7 +82,7 @@ class Learner:
         iteration: Number of the deployment.
         log: All steps known.
         model: The residual without the history of the step to come.
-        context: That history, as `observations` defines it; shape (2n + m + 1,).
+        history: That history, as `observations` defines it; shape (2n + m + 1,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
         steps_to_learn: Number of steps of this deployment that will still be learnt from.
         disturbance: What depends on time and yaw, not on state and command.
@@ -96,7 +96,7 @@ class Learner:
     iteration: int
     log: StepLog
     model: Residual
-    context: Array
+    history: Array
     failures: Array
     steps_to_learn: float
     disturbance: DisturbanceFilter
@@ -122,7 +122,7 @@ class Learner:
             iteration=iteration,
             log=log,
             model=_fitted(nominal, log, settings, iteration, None),
-            context=next_context(log, nominal, iteration),
+            history=next_history(log, nominal, iteration),
             failures=np.array(failures).reshape(len(failures), len(space.state) + len(space.command)),
             steps_to_learn=settings.steps_to_learn(iteration),
             disturbance=DisturbanceFilter.initial(len(space.state)),
@@ -134,7 +134,7 @@ class Learner:
     @property
     def residual(self) -> Residual:
         """Model of actual − nominal for the step to come."""
-        return self.model.given(self.context)
+        return self.model.conditioned_on(self.history)
 
     @property
     def yaw(self) -> float:
@@ -162,7 +162,7 @@ class Learner:
         learner = replace(
             self,
             log=log,
-            context=context_after(record, error, self.nominal.space, len(log)),
+            history=history_after(record, error, self.nominal.space, len(log)),
             failures=np.vstack([self.failures, point]) if failed else self.failures,
         )
         if not np.isfinite(error).all():
@@ -177,14 +177,14 @@ class Learner:
             disturbance=self.disturbance.updated(remaining, self.yaw) if follows else self.disturbance,
         )
         if self.steps_to_learn > 0:
-            learner = learner._updated(self.context, point, error)
+            learner = learner._updated(self.history, point, error)
         return learner._with_refit()
 
-    def _updated(self, context: Array, point: Array, error: Array) -> "Learner":
+    def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
         """After a step was learnt: in the present residual, in that of a fit that is due, or in a last fit to all."""
 
         def update(residual: Residual) -> Residual:
-            return residual.given(context).append(point, error)
+            return residual.conditioned_on(history).append(point, error)
 
         remaining = self.steps_to_learn - 1
         if remaining == 0:

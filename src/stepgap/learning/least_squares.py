@@ -21,7 +21,7 @@ class LeastSquares:
         whitened: factor⁻¹ values; shape (N,).
         coefficient: β = 1ᵀC⁻¹ values / 1ᵀC⁻¹1 [unit of the values].
         weights: C⁻¹ (values − β), whose sum is zero; shape (N,).
-        misfit: (values − β)ᵀ C⁻¹ (values − β).
+        quadratic_form: (values − β)ᵀ C⁻¹ (values − β).
     """
 
     factor: Factor
@@ -29,13 +29,13 @@ class LeastSquares:
     whitened: Array
     coefficient: float
     weights: Array
-    misfit: float
+    quadratic_form: float
 
     def log_likelihood(self, signal: float) -> float:
         """Logarithm of p(values | β), for a standard deviation of the signal, at this β (RW Eq. 2.30)."""
         half_log_determinant = np.log(self.factor.diagonal).sum() + len(self.weights) * math.log(signal)
         constant = 0.5 * len(self.weights) * math.log(2 * math.pi)
-        return float(-0.5 * self.misfit / signal**2 - half_log_determinant - constant)
+        return float(-0.5 * self.quadratic_form / signal**2 - half_log_determinant - constant)
 
     def log_evidence(self, signal: float) -> float:
         """Logarithm of ∫ p(values | β) dβ, in which only differences of the values count (RW Eq. 2.45)."""
@@ -49,12 +49,12 @@ def fit_least_squares(factor: Factor, values: Array) -> LeastSquares:
 
 
 def append_value(solved: LeastSquares, row: Array, pivot: float, value: float) -> LeastSquares:
-    """The fit with one value more, in O(N²).
+    """The fit with one more value, in O(N²).
 
     Args:
         solved: The fit without it.
-        row: What the factor's new row has left of the diagonal; shape (N,).
-        pivot: What it has there.
+        row: The factor's new row, left of the diagonal; shape (N,).
+        pivot: The factor's new entry on the diagonal.
         value: The new value.
     """
     basis, whitened = (
@@ -65,6 +65,5 @@ def append_value(solved: LeastSquares, row: Array, pivot: float, value: float) -
 
 def _regress(factor: Factor, basis: Array, whitened: Array) -> LeastSquares:
     coefficient = float(basis @ whitened / (basis @ basis))
-    innovation = whitened - coefficient * basis
-    misfit = float(innovation @ innovation)
-    return LeastSquares(factor, basis, whitened, coefficient, factor.solve_transposed(innovation), misfit)
+    error = whitened - coefficient * basis
+    return LeastSquares(factor, basis, whitened, coefficient, factor.solve_transposed(error), float(error @ error))

@@ -2,33 +2,29 @@
 
 value = φ(point)ᵀ w + noise, where φ holds the monomials up to the degree. The conjugate prior (Gelman et
 al., Bayesian Data Analysis, Secs. 3.3 and 14.8) is weak: weights, in units of the value per half range of the
-inputs, are some `PRIOR_STD` standard deviations of the noise, and the variance of the noise is what `PRIOR_COUNT`
-values of standard deviation `noise_scale` would tell. So one value is enough, and inputs that do not vary, or vary
-together, do no harm: the weights they leave open stay open in the standard deviation.
+inputs, are some `PRIOR_STD` standard deviations of the noise, and the variance of the noise is known as well as from
+`PRIOR_COUNT` values of standard deviation `NOISE_SCALE`. So one value is enough, and inputs that do not vary, or vary
+together, do no harm: the weights that they leave open stay open in the standard deviation.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple, final
+from functools import cached_property, partial
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
-from stepgap.learning.regression import Prediction, Regression
-from stepgap.learning.saved import numbers, truth
+from stepgap.learning.regression import Parameter, Prediction, Regression, ResidualModel, TrainingData
 from stepgap.step import Array
-
-DEGREES = {"constant": 0, "linear": 1, "quadratic": 2}
-"""Kinds of polynomial."""
 
 PRIOR_STD = 30.0
 """A priori standard deviation of a weight, in standard deviations of the noise."""
 
 PRIOR_COUNT = 3.0
-"""How many values the prior of the noise counts for; with fewer Student's t would have no standard deviation."""
+"""Number of values that the prior of the noise counts for; with fewer, Student's t has no standard deviation."""
 
 NOISE_SCALE = 0.02
 """A priori standard deviation of the noise of a step's error, in half ranges of the state."""
@@ -41,37 +37,37 @@ class Moments(NamedTuple):
         information: 1 / PRIOR_STD² on the diagonal, + Σ φ φᵀ; shape (d_φ, d_φ).
         projection: Σ φ value; shape (d_φ,).
         squares: PRIOR_COUNT noise_scale² + Σ value².
-        freedom: PRIOR_COUNT + N, degrees of freedom of the noise.
+        degrees_of_freedom: PRIOR_COUNT + N, of the noise.
     """
 
     information: Array
     projection: Array
     squares: float
-    freedom: float
+    degrees_of_freedom: float
 
     def plus(self, basis: Array, values: Array, counts: Array) -> "Moments":
-        """With more values (k,) at monomials (k, d_φ), of which each counts so often (k,); negative: without them."""
+        """With more values (k,) at monomials (k, d_φ), each counted `counts` times (k,); negative ones remove."""
         return Moments(
             self.information + (counts * basis.T) @ basis,
             self.projection + (counts * values) @ basis,
             self.squares + float((counts * values) @ values),
-            self.freedom + float(counts.sum()),
+            self.degrees_of_freedom + float(counts.sum()),
         )
 
     def faded(self, prior: "Moments", share: float) -> "Moments":
-        """With the data, but not the prior, counting less."""
+        """With data that count less, by this share, and the same prior."""
         return Moments(
             prior.information + share * (self.information - prior.information),
             share * self.projection,
             prior.squares + share * (self.squares - prior.squares),
-            prior.freedom + share * (self.freedom - prior.freedom),
+            prior.degrees_of_freedom + share * (self.degrees_of_freedom - prior.degrees_of_freedom),
         )
 
     def solve(self, basis: Array) -> tuple[Array, Array, float]:
         """Weights (d_φ,), information⁻¹ φᵀ for rows φ (k, d_φ), and the variance of a value's noise (Student's t)."""
         factor = cho_factor(self.information, lower=True)
         weights = cho_solve(factor, self.projection)
-        noise_variance = (self.squares - float(self.projection @ weights)) / (self.freedom - 2)
+        noise_variance = (self.squares - float(self.projection @ weights)) / (self.degrees_of_freedom - 2)
         return weights, cho_solve(factor, basis.T), noise_variance
 
 
@@ -82,31 +78,28 @@ class Polynomial(Regression):
 
     Standard deviations are those of Student's t distribution, which are larger the fewer the values.
 
+    Of timed data the last input is in no monomial; instead older values count less, by a factor of 1/e for each unit of
+    time.
+
     Attributes:
-        kind: Which degree, one of `DEGREES`.
-        points: Inputs; shape (N, d).
-        values: Outputs; shape (N,).
-        centre: Where the scaled inputs are zero; shape (d,).
-        scale: Size of each input; shape (d,).
-        noise_scale: A priori standard deviation of the noise [unit of the values].
-        timed: Whether the last input is a time, which never falls. It is in no monomial; instead values count less,
-            the longer ago they were: 1/e for each unit of it.
+        data: What it was fitted to.
+        degree: 0, 1 or 2.
         moments: Prior and data, added up.
     """
 
-    kind: str
-    points: Array
-    values: Array
-    centre: Array
-    scale: Array
-    noise_scale: float
-    timed: bool
+    data: TrainingData
+    degree: int
     moments: Moments
 
     @property
-    def inputs(self) -> int:
-        """Number of inputs d."""
-        return len(self.scale)
+    def points(self) -> Array:
+        """Inputs; shape (N, d)."""
+        return self.data.points
+
+    @property
+    def values(self) -> Array:
+        """Outputs; shape (N,)."""
+        return self.data.values
 
     @property
     def noise_std(self) -> float:
@@ -121,16 +114,15 @@ class Polynomial(Regression):
         """∂mean/∂point; shape (…, d)."""
         return np.einsum("...bd,b->...d", self._basis_gradient(point), self._weights)
 
-    def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+    def std(self, point: ArrayLike) -> Array:
         """Standard deviation; shape (…)."""
         basis = self._basis(point)
-        spread = np.einsum("...a,ab,...b->...", basis, self._covariance, basis)
-        return np.sqrt(spread + (self._noise_variance if include_noise else 0.0))
+        return np.sqrt(np.einsum("...a,ab,...b->...", basis, self._covariance, basis))
 
-    def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+    def std_gradient(self, point: ArrayLike) -> Array:
         """∂std/∂point; shape (…, d)."""
         half = np.einsum("...ad,ab,...b->...d", self._basis_gradient(point), self._covariance, self._basis(point))
-        std = self.std(point, include_noise=include_noise)[..., None]
+        std = self.std(point)[..., None]
         return np.divide(half, std, out=np.zeros_like(half), where=std != 0)
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
@@ -146,38 +138,21 @@ class Polynomial(Regression):
 
     def append(self, point: ArrayLike, value: float) -> "Polynomial":
         """The same prior, conditioned on one more value; costs as much as solving for the weights."""
-        point = np.asarray(point, float)
-        moments = self.moments
-        if self.timed and len(self.points):
-            moments = moments.faded(self._prior, float(np.exp(self.points[-1, -1] - point[-1])))
-        return replace(
-            self,
-            points=np.vstack([self.points, point]),
-            values=np.append(self.values, value),
-            moments=moments.plus(self._basis(point)[None], np.array([value]), np.ones(1)),
-        )
+        point, moments = np.asarray(point, float), self.moments
+        if self.data.timed and len(self.points):
+            moments = moments.faded(_prior(self.data, self.degree), float(np.exp(self.points[-1, -1] - point[-1])))
+        moments = moments.plus(self._basis(point)[None], np.array([value]), np.ones(1))
+        return replace(self, data=self.data.append(point, value), moments=moments)
 
     def to_dict(self) -> dict[str, Any]:
-        """Data and prior as JSON-ready numbers; everything else follows from them."""
-        arrays = {name: getattr(self, name).tolist() for name in ("points", "values", "centre", "scale")}
-        return {"kind": self.kind, **arrays, "noise_scale": self.noise_scale, "timed": self.timed}
+        """Data and prior as JSON-ready numbers; everything else follows from them and the degree."""
+        return self.data.to_dict()
 
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> "Polynomial":
-        """The polynomial that `to_dict` saved.
-
-        Raises:
-            ValueError: A key is missing, or holds anything but finite numbers of the right size and sign.
-        """
-        return fit_polynomial(
-            data["kind"],
-            numbers(data, "points", 2),
-            numbers(data, "values", 1),
-            numbers(data, "centre", 1),
-            numbers(data, "scale", 1),
-            float(numbers(data, "noise_scale", 0)),
-            timed=truth(data, "timed"),
-        )
+    def parameters(self) -> list[Parameter]:
+        """Noise, and value and slopes in the middle of the range of use."""
+        slopes = [Parameter("slope in the middle", self.mean_gradient(self.data.centre), "value per input")]
+        middle = Parameter("in the middle", float(self.mean(self.data.centre)), "value")
+        return [*super().parameters(), middle, *(slopes if self.degree else [])]
 
     @cached_property
     def _posterior(self) -> tuple[Array, Array, float]:
@@ -198,78 +173,47 @@ class Polynomial(Regression):
         return self._posterior[2]
 
     @property
-    def _prior(self) -> Moments:
-        return _prior(self.kind, self.inputs - self.timed, self.noise_scale)
-
-    @property
     def _counts(self) -> Array:
         """How much each value counts; shape (N,)."""
-        return np.exp(self.points[:, -1] - self.points[-1:, -1]) if self.timed else np.ones(len(self.points))
+        points = self.points
+        return np.exp(points[:, -1] - points[-1:, -1]) if self.data.timed else np.ones(len(points))
 
     def _scaled(self, point: ArrayLike) -> Array:
         """The inputs that monomials are made of; (…, d) to (…, d) or, if timed, (…, d − 1)."""
-        scaled = (np.asarray(point, float) - self.centre) / self.scale
-        return scaled[..., :-1] if self.timed else scaled
+        scaled = self.data.scaled(point)
+        return scaled[..., :-1] if self.data.timed else scaled
 
     def _basis(self, point: ArrayLike) -> Array:
-        return monomials(self._scaled(point), DEGREES[self.kind])
+        return monomials(self._scaled(point), self.degree) * _one_or_nan(point)
 
     def _basis_gradient(self, point: ArrayLike) -> Array:
-        gradient = _monomials_gradient(self._scaled(point), DEGREES[self.kind])
-        time = np.zeros((*gradient.shape[:-1], int(self.timed)))
-        return np.concatenate([gradient, time], axis=-1) / self.scale
+        gradient = _monomials_gradient(self._scaled(point), self.degree)
+        time = np.zeros((*gradient.shape[:-1], int(self.data.timed)))
+        return np.concatenate([gradient, time], axis=-1) / self.data.scale * _one_or_nan(point)[..., None]
 
 
-def fit_polynomial(
-    kind: str,
-    points: ArrayLike,
-    values: ArrayLike,
-    centre: ArrayLike,
-    scale: ArrayLike,
-    noise_scale: float,
-    *,
-    timed: bool = False,
-) -> Polynomial:
+def fit_polynomial(data: TrainingData, degree: int) -> Polynomial:
     """Condition a polynomial on data.
 
     Args:
-        kind: One of `DEGREES`.
-        points: Shape (N, d); N may be zero.
-        values: Shape (N,).
-        centre: Where the scaled inputs are zero; shape (d,).
-        scale: Fixed size of each input, not taken from the data; shape (d,).
-        noise_scale: A priori standard deviation of the noise [unit of the values].
-        timed: Whether the last input is a time; see `Polynomial`.
-
-    Raises:
-        ValueError: Shapes or numbers that do not fit; the message names which.
+        data: N may be zero.
+        degree: 0, 1 or 2.
     """
-    points, values = np.array(points, float), np.array(values, float)
-    centre, scale = np.array(centre, float), np.array(scale, float)
-    _check(points, values, centre, scale, noise_scale)
-    empty = Polynomial(
-        kind, points, values, centre, scale, noise_scale, timed, _prior(kind, len(scale) - timed, noise_scale)
-    )
-    return replace(empty, moments=empty.moments.plus(empty._basis(points), values, empty._counts))
+    empty = Polynomial(data, degree, _prior(data, degree))
+    return replace(empty, moments=empty.moments.plus(empty._basis(data.points), data.values, empty._counts))
 
 
-def _prior(kind: str, inputs: int, noise_scale: float) -> Moments:
+def _prior(data: TrainingData, degree: int) -> Moments:
     """What is believed without data."""
-    size = sum([1, inputs, inputs * (inputs + 1) // 2][: DEGREES[kind] + 1])
+    inputs = len(data.scale) - data.timed
+    size = sum([1, inputs, inputs * (inputs + 1) // 2][: degree + 1])
+    noise_scale = NOISE_SCALE * data.value_scale
     return Moments(np.eye(size) / PRIOR_STD**2, np.zeros(size), PRIOR_COUNT * noise_scale**2, PRIOR_COUNT)
 
 
-def _check(points: Array, values: Array, centre: Array, scale: Array, noise_scale: float) -> None:
-    if scale.ndim != 1 or not (np.isfinite(scale) & (scale > 0)).all():
-        raise ValueError("scale must be of shape (d,), positive and finite")
-    if centre.shape != scale.shape or not np.isfinite(centre).all():
-        raise ValueError(f"centre must be {len(scale)} finite numbers, as many as scale")
-    if points.ndim != 2 or points.shape[1] != len(scale) or not np.isfinite(points).all():
-        raise ValueError(f"points must be finite and of shape (N, {len(scale)}), not {points.shape}")
-    if values.shape != points.shape[:1] or not np.isfinite(values).all():
-        raise ValueError(f"values must be finite and of shape ({len(points)},), not {values.shape}")
-    if not (np.isfinite(noise_scale) and noise_scale > 0):
-        raise ValueError("noise_scale must be positive and finite")
+def _one_or_nan(point: ArrayLike) -> Array:
+    """1 for each point that is finite, otherwise NaN; (…, d) to (…, 1)."""
+    return np.where(np.isfinite(point).all(axis=-1, keepdims=True), 1.0, np.nan)
 
 
 def monomials(x: Array, degree: int) -> Array:
@@ -286,3 +230,28 @@ def _monomials_gradient(x: Array, degree: int) -> Array:
     bend = unit[i] * x[..., j, None] + unit[j] * x[..., i, None]
     parts = [np.zeros((*x.shape[:-1], 1, d)), np.broadcast_to(unit, (*x.shape[:-1], d, d)), bend][: degree + 1]
     return np.concatenate(parts, axis=-2)
+
+
+def _fit(data: TrainingData, start: Regression | None, degree: int) -> Polynomial:
+    return fit_polynomial(data, degree)
+
+
+def _from_dict(saved: Mapping[str, Any], degree: int) -> Polynomial:
+    return fit_polynomial(TrainingData.from_dict(saved), degree)
+
+
+def _model(name: str, degree: int, description: str) -> ResidualModel:
+    """The residual of a degree."""
+    fit, from_dict = partial(_fit, degree=degree), partial(_from_dict, degree=degree)
+    description = f"{description}, fitted by Bayesian linear regression"
+    return ResidualModel(name, description, fit, from_dict, candidate=True, complexity=degree + 1)
+
+
+CONSTANT: Final = _model("constant", 0, "a constant")
+"""The residual `constant`."""
+
+LINEAR: Final = _model("linear", 1, "a linear function")
+"""The residual `linear`."""
+
+QUADRATIC: Final = _model("quadratic", 2, "a quadratic polynomial")
+"""The residual `quadratic`."""

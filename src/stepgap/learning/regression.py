@@ -1,38 +1,130 @@
-"""The seam for models of one number: the residual of one state coordinate, given a point and recorded steps."""
+"""The seam for residual models: a model of one number, the residual of one state coordinate, and how it is fitted.
+
+A `ResidualModel` is a plug-in: it has a name, and fits a `Regression` to the `TrainingData` of each state coordinate.
+`BatchRegression` does most of the work for a model that is computed from all data at once; docs/own_residual.md shows
+one.
+"""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stepgap.base.json_data import boolean, number, numbers
+from stepgap.learning.settings import Features
 from stepgap.step import Array
 
 
 class Prediction(NamedTuple):
-    """What is expected of each of N values, and how far a noisy value may lie from it; shapes (N,)."""
+    """Expected values, and standard deviations of noisy values about them; shapes (N,)."""
 
     mean: Array
     std: Array
 
 
-class Regression(ABC):
-    """Predicts a value from a point of d inputs.
-
-    Immutable: `append` gives another one. Points have shape (…, d); one that is not finite gives NaN.
+class Parameter(NamedTuple):
+    """A number that describes a regression, shown by the report.
 
     Attributes:
-        kind: Its name in settings and files.
+        name: In words, such as "length scale".
+        value: One number, or one for each of the d inputs; shape (d,).
+        unit: That of the regression's values, of each input, of values per input, or none.
+        meaning: A sentence that explains it, if it needs one.
     """
 
-    kind: str
+    name: str
+    value: float | Array
+    unit: Literal["value", "input", "value per input", ""]
+    meaning: str = ""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """What a regression is fitted to: N values of the residual of one state coordinate, in their order.
+
+    Attributes:
+        points: Inputs: state, command and history inputs side by side; shape (N, d).
+        values: Shape (N,).
+        centre: Middle of the range of use of each input; shape (d,).
+        scale: Half that range; shape (d,).
+        value_scale: Half the range of use of the state coordinate.
+        timed: Whether the last input is a time, in units of the memory, which never falls.
+
+    Raises:
+        ValueError: A wrong shape, a number that is not finite, or a scale that is not positive.
+    """
+
+    points: Array
+    values: Array
+    centre: Array
+    scale: Array
+    value_scale: float
+    timed: bool = False
+
+    def __post_init__(self) -> None:
+        size, inputs = len(self.points), len(self.scale)
+        if self.scale.ndim != 1 or not (np.isfinite(self.scale) & (self.scale > 0)).all():
+            raise ValueError("scale must be of shape (d,), positive and finite")
+        if self.centre.shape != self.scale.shape or not np.isfinite(self.centre).all():
+            raise ValueError(f"centre must be {inputs} finite numbers, as many as scale")
+        if self.points.shape != (size, inputs) or not np.isfinite(self.points).all():
+            raise ValueError(f"points must be finite and of shape (N, {inputs}), not {self.points.shape}")
+        if self.values.shape != (size,) or not np.isfinite(self.values).all():
+            raise ValueError(f"values must be finite and of shape ({size},), not {self.values.shape}")
+        if not (np.isfinite(self.value_scale) and self.value_scale > 0):
+            raise ValueError("value_scale must be positive and finite")
+
+    def scaled(self, point: ArrayLike) -> Array:
+        """Points (…, d) measured from the centre in half ranges; shape (…, d)."""
+        return (np.asarray(point, float) - self.centre) / self.scale
+
+    def append(self, point: ArrayLike, value: float) -> "TrainingData":
+        """The data with one more point (d,) and its value."""
+        points = np.vstack([self.points, np.asarray(point, float)])
+        return replace(self, points=points, values=np.append(self.values, value))
+
+    def without(self, block: slice) -> "TrainingData":
+        """The data outside a block."""
+        kept = np.delete(np.arange(len(self.values)), block)
+        return replace(self, points=self.points[kept], values=self.values[kept])
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data, which `from_dict` reads."""
+        arrays = {name: getattr(self, name).tolist() for name in ("points", "values", "centre", "scale")}
+        return {**arrays, "value_scale": self.value_scale, "timed": self.timed}
+
+    @staticmethod
+    def from_dict(saved: Mapping[str, Any]) -> "TrainingData":
+        """The data that `to_dict` saved; raises ValueError, which names the wrong key."""
+        return TrainingData(
+            numbers(saved, "points", 2),
+            numbers(saved, "values", 1),
+            numbers(saved, "centre", 1),
+            numbers(saved, "scale", 1),
+            number(saved, "value_scale"),
+            boolean(saved, "timed"),
+        )
+
+
+class Regression(ABC):
+    """Predicts a value from a point of d inputs, given the data that it was fitted to.
+
+    Immutable: `append` gives another one. Points have shape (…, d); one that is not a number gives NaN.
+    """
 
     @property
     @abstractmethod
-    def inputs(self) -> int:
-        """Number of inputs d."""
+    def points(self) -> Array:
+        """Inputs that it was fitted to; shape (N, d)."""
+
+    @property
+    @abstractmethod
+    def values(self) -> Array:
+        """Values that it was fitted to; shape (N,)."""
 
     @property
     @abstractmethod
@@ -48,24 +140,19 @@ class Regression(ABC):
         """∂mean/∂point; shape (…, d)."""
 
     @abstractmethod
-    def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """Standard deviation; shape (…).
-
-        Args:
-            point: Shape (…, d).
-            include_noise: False: of the expected value. True: of a new noisy value.
-        """
+    def std(self, point: ArrayLike) -> Array:
+        """Standard deviation of the expected value, without the noise of a new one; shape (…)."""
 
     @abstractmethod
-    def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
+    def std_gradient(self, point: ArrayLike) -> Array:
         """∂std/∂point; shape (…, d)."""
 
     @abstractmethod
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Each of the N values learnt from, as predicted from those outside its block, at the same hyper-parameters.
+        """Each of the N values as predicted, with noise, from those outside its block, at the same hyper-parameters.
 
         Args:
-            blocks: Consecutive parts of the N values.
+            blocks: Consecutive parts of the N values. One that contains all of them leaves nothing to predict from.
         """
 
     @abstractmethod
@@ -74,58 +161,82 @@ class Regression(ABC):
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready data with the `kind`."""
+        """JSON-ready data, which `ResidualModel.from_dict` reads."""
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs d."""
+        return self.points.shape[1]
+
+    def predict(self, point: ArrayLike) -> Prediction:
+        """Mean and standard deviation of a new noisy value; shapes (…) and (…)."""
+        return Prediction(self.mean(point), np.hypot(self.std(point), self.noise_std))
+
+    def parameters(self) -> list[Parameter]:
+        """What a person wants to know of it besides how well it predicts."""
+        meaning = "Noise is the scatter that the model expects of a hop repeated under equal conditions."
+        return [Parameter("noise", self.noise_std, "value", meaning)]
+
+
+@dataclass(frozen=True, eq=False)
+class BatchRegression(Regression):
+    """A regression that is computed from all its data at once, so that other data give another one.
+
+    A subclass is a frozen dataclass too. Its further fields are hyper-parameters; everything else must follow from them
+    and the data, for instance in a `cached_property`. `append` and `left_out` then need not be written: they put other
+    data in the place of `data`.
+
+    Attributes:
+        data: What it was fitted to.
+    """
+
+    data: TrainingData
+
+    @property
+    def points(self) -> Array:
+        """Inputs that it was fitted to; shape (N, d)."""
+        return self.data.points
+
+    @property
+    def values(self) -> Array:
+        """Values that it was fitted to; shape (N,)."""
+        return self.data.values
+
+    def left_out(self, blocks: Sequence[slice]) -> Prediction:
+        """As of every regression; costs as much as computing the model once for each block."""
+        mean, std = np.full(len(self.values), np.nan), np.full(len(self.values), np.inf)
+        for block in blocks:
+            if len(self.values[block]) < len(self.values):
+                others = replace(self, data=self.data.without(block))
+                mean[block], std[block] = others.predict(self.points[block])
+        return Prediction(mean, std)
+
+    def append(self, point: ArrayLike, value: float) -> Self:
+        """As of every regression; costs as much as computing the model once."""
+        return replace(self, data=self.data.append(point, value))
 
 
 @final
 @dataclass(frozen=True)
-class Zero(Regression):
-    """No model: zero, and sure of it.
+class ResidualModel:
+    """A residual that can be chosen by its name: what an entry point of the group `stepgap.residuals` refers to.
 
     Attributes:
-        size: Number of inputs d.
-        noise: How far noisy values lie from zero; 0 where that is not known.
+        name: In settings, files and reports; that of its entry point.
+        description: What models the error of each state coordinate, for the report, such as "a quadratic polynomial".
+        fit: The regression of one state coordinate. Its arguments are the data, at least one value, and None or a
+            regression of this model fitted to fewer data, from which a search for hyper-parameters may start.
+        from_dict: The regression that `Regression.to_dict` saved; it raises ValueError, which names the wrong key.
+        features: Inputs from the step before that it always has; settings may add others.
+        candidate: Whether `auto` may choose it.
+        complexity: From simple to complex: 0 none, 1 constant, 2 linear, 3 quadratic, 4 to 6 Gaussian processes.
+            Residuals are shown in this order, and of equally good ones the simplest is taken.
     """
 
-    kind = "none"
-    size: int
-    noise: float = 0.0
-
-    @property
-    def inputs(self) -> int:
-        """As given."""
-        return self.size
-
-    @property
-    def noise_std(self) -> float:
-        """As given."""
-        return self.noise
-
-    def mean(self, point: ArrayLike) -> Array:
-        """Zero; shape (…)."""
-        return np.zeros(np.shape(point)[:-1])
-
-    def mean_gradient(self, point: ArrayLike) -> Array:
-        """Zero; shape (…, d)."""
-        return np.zeros(np.shape(point))
-
-    def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """Zero, or that of the noise; shape (…)."""
-        return self.mean(point) + (self.noise if include_noise else 0.0)
-
-    def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:  # noqa: ARG002
-        """Zero; shape (…, d)."""
-        return self.mean_gradient(point)
-
-    def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Zero, with the noise of all values."""
-        size = blocks[-1].stop
-        return Prediction(np.zeros(size), np.full(size, self.noise))
-
-    def append(self, point: ArrayLike, value: float) -> "Zero":  # noqa: ARG002
-        """The same."""
-        return self
-
-    def to_dict(self) -> dict[str, Any]:
-        """The number of inputs, and the noise."""
-        return {"kind": "none", "inputs": self.inputs, "noise_std": self.noise}
+    name: str
+    description: str
+    fit: Callable[[TrainingData, Regression | None], Regression]
+    from_dict: Callable[[Mapping[str, Any]], Regression]
+    features: Features = "none"
+    candidate: bool = False
+    complexity: int = 10

@@ -7,18 +7,19 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.learning.regression import Regression, Zero
+from stepgap.learning.regression import Regression, ResidualModel
 from stepgap.learning.settings import FEATURES, Features
+from stepgap.learning.zero import NONE, Zero
 from stepgap.step import Array
 
 
 @final
 @dataclass(frozen=True)
-class Hindsight:
-    """What of the past a residual takes as inputs, besides state and command.
+class HistoryInputs:
+    """Inputs of a residual besides state and command: what happened before the step.
 
     Attributes:
-        features: What of the step before.
+        features: Which quantities of the step before.
         memory: After how many steps what was learnt counts much less; inf: it counts for ever.
     """
 
@@ -36,11 +37,11 @@ class Hindsight:
         """Whether the last input is the time, in memories."""
         return isfinite(self.memory)
 
-    def inputs(self, context: Array, state_size: int) -> Array:
-        """The inputs among the numbers of a context, which `observations` defines; (…, 2n + m + 1) to (…, c)."""
-        used = {"none": 0, "previous_error": state_size, "previous_step": context.shape[-1] - 1}[self.features]
-        time = context[..., -1:] / self.memory
-        return np.concatenate([context[..., :used], time if self.timed else time[..., :0]], axis=-1)
+    def of(self, history: Array, state_size: int) -> Array:
+        """The inputs that a history, which `observations` defines, gives; (…, 2n + m + 1) to (…, c)."""
+        used = {"none": 0, "previous_error": state_size, "previous_step": history.shape[-1] - 1}[self.features]
+        time = history[..., -1:] / self.memory
+        return np.concatenate([history[..., :used], time if self.timed else time[..., :0]], axis=-1)
 
 
 @final
@@ -48,29 +49,31 @@ class Hindsight:
 class Residual:
     """Predicts actual − nominal of the next state, each coordinate by a regression of its own.
 
-    A point is a state and a command side by side, shape (…, n + m). A residual with hindsight needs a context,
-    too: `given` one, it is a function of points again.
+    A point is a state and a command side by side, shape (…, n + m). A residual with history inputs must be conditioned
+    on the history of the step first, by `conditioned_on`: then it is a function of points again.
 
     Attributes:
+        model: What the regressions are.
         regressions: One for each of the n state coordinates, of the same n + m + c inputs.
         command_size: m.
-        hindsight: What of the past is among the inputs.
-        past: Those c inputs, once given.
+        history_inputs: Which c inputs there are besides state and command.
+        history_values: Those c inputs, once they are known.
     """
 
+    model: ResidualModel
     regressions: tuple[Regression, ...]
     command_size: int
-    hindsight: Hindsight = Hindsight()
-    past: Array | None = None
+    history_inputs: HistoryInputs = HistoryInputs()
+    history_values: Array | None = None
 
     def __post_init__(self) -> None:
         n, m = self.sizes
-        c = self.hindsight.inputs(np.zeros(2 * n + m + 1), n).size
+        c = self.history_inputs.of(np.zeros(2 * n + m + 1), n).size
         inputs = sorted({regression.inputs for regression in self.regressions})
         if m < 1 or inputs != [n + m + c]:
             raise ValueError(
-                f"{n} regressions, one per state coordinate, must have {n + m + c} inputs, that state, a command of "
-                f"size {m} and {c} of the past: they have {inputs}"
+                f"{n} regressions, one per state coordinate, must have {n + m + c} inputs, that is state, a command of "
+                f"size {m} and {c} history inputs: they have {inputs}"
             )
 
     @property
@@ -80,20 +83,20 @@ class Residual:
 
     @property
     def kind(self) -> str:
-        """Name of the regressions."""
-        return self.regressions[0].kind
+        """Name of the model."""
+        return self.model.name
 
     @property
     def name(self) -> str:
-        """Kind and, if there are any, features, in a few words."""
-        features = self.hindsight.features.replace("_", " ")
+        """Name of the model and, if there are any, its features, in a few words."""
+        features = self.history_inputs.features.replace("_", " ")
         return self.kind if features == "none" else f"{self.kind} with {features}"
 
-    def given(self, context: Array) -> "Residual":
-        """The residual of the step that has this context (2n + m + 1,), as a function of state and command."""
-        if self.hindsight == Hindsight():
+    def conditioned_on(self, history: Array) -> "Residual":
+        """The residual of the step that has this history (2n + m + 1,), as a function of state and command."""
+        if self.history_inputs == HistoryInputs():
             return self
-        return replace(self, past=self.hindsight.inputs(np.asarray(context, float), len(self.regressions)))
+        return replace(self, history_values=self.history_inputs.of(np.asarray(history, float), len(self.regressions)))
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected residual; shape (…, n) [units of the state]."""
@@ -119,16 +122,17 @@ class Residual:
             include_noise: False: of the residual itself. True: of one measured step's residual.
         """
         inputs = self._inputs(point)
-        return np.stack([each.std(inputs, include_noise=include_noise) for each in self.regressions], axis=-1)
+        std = np.stack([regression.std(inputs) for regression in self.regressions], axis=-1)
+        return np.hypot(std, self.noise_std) if include_noise else std
 
-    def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """∂std/∂(state, command); shape (…, n, n + m)."""
+    def std_gradient(self, point: ArrayLike) -> Array:
+        """∂std/∂(state, command) of the residual itself; shape (…, n, n + m)."""
         inputs = self._inputs(point)
-        gradients = [each.std_gradient(inputs, include_noise=include_noise) for each in self.regressions]
+        gradients = [regression.std_gradient(inputs) for regression in self.regressions]
         return np.stack(gradients, axis=-2)[..., : sum(self.sizes)]
 
     def append(self, point: ArrayLike, error: ArrayLike) -> "Residual":
-        """The residual with one more step learnt, in the context given, at the same hyper-parameters.
+        """The residual with one more step learnt, with the history it is conditioned on, at the same hyper-parameters.
 
         Args:
             point: State and applied command of the step; shape (n + m,).
@@ -139,28 +143,28 @@ class Residual:
         return replace(self, regressions=tuple(each.append(inputs, float(value)) for each, value in pairs))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready data, which `residual_from_dict` reads; what was given is not kept."""
+        """JSON-ready data, which `residual_from_dict` reads; the history that it is conditioned on is not kept."""
         return {
             "kind": self.kind,
             "command_size": self.command_size,
-            "features": self.hindsight.features,
-            "memory": self.hindsight.memory if self.hindsight.timed else None,
+            "features": self.history_inputs.features,
+            "memory": self.history_inputs.memory if self.history_inputs.timed else None,
             "regressions": [regression.to_dict() for regression in self.regressions],
         }
 
     def _inputs(self, point: ArrayLike) -> Array:
-        """A point with the past; shape (…, n + m + c)."""
+        """A point with its history inputs; shape (…, n + m + c)."""
         point = np.asarray(point, float)
-        if self.past is None:
-            if self.hindsight != Hindsight():
-                raise ValueError("this residual has hindsight: give it the context of the step first")
+        if self.history_values is None:
+            if self.history_inputs != HistoryInputs():
+                raise ValueError("this residual has history inputs: condition it on the history of the step first")
             return point
-        return join_points(point, self.past)
+        return join_points(point, self.history_values)
 
 
 def no_residual(state_size: int, command_size: int) -> Residual:
     """The nominal map as it is."""
-    return Residual((Zero(state_size + command_size),) * state_size, command_size)
+    return Residual(NONE, (Zero(state_size + command_size),) * state_size, command_size)
 
 
 def join_points(state: ArrayLike, command: ArrayLike) -> Array:

@@ -1,34 +1,27 @@
-"""Residuals from observations: of a given kind, or of the kind that predicts best what it has not seen."""
+"""Residuals from observations: of a given model, or of the one that predicts best what it was not fitted to."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import inf
 from typing import Any, Literal
 
 import numpy as np
 
-from stepgap.learning.gaussian_process_fit import fit_like_fitrgp
-from stepgap.learning.gaussian_process_regression import GAUSSIAN_PROCESSES, GaussianProcessRegression
+from stepgap.base.json_data import integer, number
+from stepgap.base.normal import log_density
+from stepgap.learning.entry_points import load_residual_model, residual_models
 from stepgap.learning.observations import Observations
-from stepgap.learning.polynomial import DEGREES, NOISE_SCALE, PRIOR_COUNT, Polynomial, fit_polynomial
-from stepgap.learning.regression import Regression, Zero
-from stepgap.learning.residual import Hindsight, Residual, no_residual
-from stepgap.learning.saved import numbers, whole
-from stepgap.learning.settings import FEATURES, KINDS, Features, ResidualKind
-from stepgap.learning.sparse_gaussian_process import fit_process
+from stepgap.learning.regression import Regression, ResidualModel, TrainingData
+from stepgap.learning.residual import HistoryInputs, Residual, no_residual
+from stepgap.learning.settings import AUTO, FEATURES, Features
+from stepgap.learning.zero import NONE
 
-CANDIDATES = ("none", "constant", "linear", "quadratic", "gp", "gp_on_linear")
-"""Among which `auto` chooses: all but the one that is there for comparison only. Of equals the first wins."""
-
-FOLDS = 5
+SELECTION_FOLDS = 5
 """Contiguous parts of the record, each predicted from the others, by which `auto` chooses."""
-
-TIME_SCALE = 1e3
-"""Memories after which a slope may matter to a Gaussian process: drift is followed, not extrapolated."""
 
 
 def fit_residual(
-    kind: ResidualKind,
+    residual: str | ResidualModel,
     observations: Observations,
     features: Features | Literal["auto"] = "none",
     memory: float = inf,
@@ -36,36 +29,41 @@ def fit_residual(
 ) -> Residual:
     """Fit a model of the nominal map's error (Eq. 12).
 
-    `auto` takes what predicts best by `held_out_score`: first the kind, then the features for that kind.
+    `auto` takes what predicts best by `held_out_score`: first the model, of all installed candidates and the simplest
+    of equally good ones; then the features for that model.
 
     Args:
-        kind: Which model.
+        residual: Name of an installed model, `auto`, or a model itself.
         observations: What to learn from.
-        features: What of the step before is an input.
+        features: Inputs from the step before; those that the model always has are added.
         memory: After how many steps what was learnt counts much less; inf: it counts for ever.
-        start: A residual fitted to fewer observations, from which the search for hyper-parameters goes on.
+        start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
 
     Raises:
-        ValueError: An unknown kind, or nothing to learn from.
+        InputError: There is no model of this name, or it cannot be used.
+        ValueError: There is nothing to learn from.
     """
-    if kind not in KINDS:
-        raise ValueError(f"unknown residual {kind!r}; use one of {', '.join(KINDS)}")
     space = observations.space
-    if not len(observations) and kind in ("none", "auto"):
-        return no_residual(len(space.state), len(space.command))
+    if isinstance(residual, ResidualModel):
+        models = [residual]
+    else:
+        models = _candidates(observations) if residual == AUTO else [load_residual_model(residual)]
     if not len(observations):
-        raise ValueError(f"residual {kind!r} needs at least one step")
+        if residual == AUTO or models == [NONE]:
+            return no_residual(len(space.state), len(space.command))
+        raise ValueError(f"residual {models[0].name!r} needs at least one step")
 
-    hindsight = Hindsight("none" if features == "auto" else features, memory)
-    kinds = CANDIDATES if kind == "auto" else (kind,)
-    found = _best([_fit(each, hindsight, observations, start) for each in kinds], observations)
+    least: Features = "none" if features == "auto" else features
+    fits = [_fit(model, _history_inputs(model, least, memory), observations, start) for model in models]
+    found = _best(fits, observations)
     if features == "auto":
-        more = [_fit(found.kind, Hindsight(each, memory), observations, start) for each in FEATURES[1:]]
+        wider = FEATURES[FEATURES.index(found.history_inputs.features) + 1 :]
+        more = [_fit(found.model, HistoryInputs(each, memory), observations, start) for each in wider]
         found = _best([found, *more], observations)
     return found
 
 
-def held_out_score(residual: Residual, observations: Observations, folds: int = FOLDS) -> float:
+def held_out_score(residual: Residual, observations: Observations, folds: int = SELECTION_FOLDS) -> float:
     """How well the errors are predicted, each from those outside its contiguous part of the record.
 
     Neighbouring steps are alike. So a step left out alone is as good as known to a flexible model that follows its
@@ -83,82 +81,84 @@ def held_out_score(residual: Residual, observations: Observations, folds: int = 
     blocks, score = [slice(part[0], part[-1] + 1) for part in parts], 0.0
     for regression, error in zip(residual.regressions, observations.error.T, strict=True):
         mean, std = regression.left_out(blocks)
-        score += float(np.mean(-0.5 * ((error - mean) / std) ** 2 - np.log(std) - 0.5 * math.log(2 * math.pi)))
+        score += float(np.mean(log_density(error - mean, std)))
     return score if math.isfinite(score) else -math.inf
 
 
 def residual_from_dict(data: Mapping[str, Any]) -> Residual:
-    """The residual that `to_dict` saved.
+    """The residual that `to_dict` saved, by the installed model that it names.
 
     Raises:
+        InputError: The model is not installed, or cannot be used.
         ValueError: A key is missing or holds something else than it should; the message names it.
     """
+    kind = data.get("kind")
+    if not isinstance(kind, str):
+        raise ValueError(f"kind must be the name of a residual, not {kind!r:.40}")
     saved = data.get("regressions")
     if not isinstance(saved, list) or not saved:
         raise ValueError("regressions must be a list of one regression per state coordinate")
-    regressions = tuple(_regression(item, f"regressions[{i}]") for i, item in enumerate(saved))
-    memory = inf if data.get("memory", 0) is None else float(numbers(data, "memory", 0))
-    hindsight = Hindsight(data.get("features"), memory)  # pyright: ignore[reportArgumentType] it checks them
-    return Residual(regressions, whole(data, "command_size"), hindsight)
+    model = load_residual_model(kind)
+    regressions = tuple(_regression(model, item, f"regressions[{i}]") for i, item in enumerate(saved))
+    memory = inf if data.get("memory", 0) is None else number(data, "memory")
+    history_inputs = HistoryInputs(data.get("features"), memory)  # pyright: ignore[reportArgumentType] it checks them
+    return Residual(model, regressions, integer(data, "command_size"), history_inputs)
 
 
-def _best(fits: list[Residual], observations: Observations) -> Residual:
+def names_without_features() -> tuple[str, ...]:
+    """Names of the installed residuals of state and command alone, from simple to complex; then `auto`."""
+    return (*(model.name for model in residual_models() if model.features == "none"), AUTO)
+
+
+def _candidates(observations: Observations) -> list[ResidualModel]:
+    """Among which `auto` chooses, from simple to complex: those whose inputs are known."""
+    known = FEATURES[:1] if observations.history is None else FEATURES
+    return [model for model in residual_models() if model.candidate and model.features in known]
+
+
+def _history_inputs(model: ResidualModel, features: Features, memory: float) -> HistoryInputs:
+    """The inputs asked for and those that the model always has; each of `FEATURES` includes the one before it."""
+    return HistoryInputs(FEATURES[max(map(FEATURES.index, (features, model.features)))], memory)
+
+
+def _best(fits: Sequence[Residual], observations: Observations) -> Residual:
+    """The one that predicts best; of equally good ones the first."""
     if len(fits) == 1:
         return fits[0]
     return max(fits, key=lambda residual: held_out_score(residual, observations))
 
 
-def _fit(kind: str, hindsight: Hindsight, observations: Observations, start: Residual | None) -> Residual:
-    """A residual of one kind."""
-    if start is None or start.kind != kind or start.hindsight != hindsight:
-        before = [None] * len(observations.space.state)
+def _fit(
+    model: ResidualModel, history_inputs: HistoryInputs, observations: Observations, start: Residual | None
+) -> Residual:
+    """A residual of one model."""
+    if start is None or start.kind != model.name or start.history_inputs != history_inputs:
+        starts: Sequence[Regression | None] = [None] * len(observations.space.state)
     else:
-        before = start.regressions
-    fits = [_fit_coordinate(kind, hindsight, observations, i, former) for i, former in enumerate(before)]
-    return Residual(tuple(fits), len(observations.space.command), hindsight)
+        starts = start.regressions
+    data = [training_data(observations, history_inputs, coordinate) for coordinate in range(len(starts))]
+    regressions = tuple(model.fit(*arguments) for arguments in zip(data, starts, strict=True))
+    return Residual(model, regressions, len(observations.space.command), history_inputs)
 
 
-def _fit_coordinate(
-    kind: str, hindsight: Hindsight, observations: Observations, coordinate: int, start: Regression | None
-) -> Regression:
-    space, points = observations.space, observations.points(hindsight)
-    values, value_scale = observations.error[:, coordinate], float(space.state_scale[coordinate])
-    past = points.shape[1] - len(space.state) - len(space.command)
-    scale = np.concatenate([space.state_scale, space.command_scale, np.ones(past)])
-    noise_scale = NOISE_SCALE * value_scale
-    if kind == "none":
-        squares, freedom = PRIOR_COUNT * noise_scale**2 + float(values @ values), PRIOR_COUNT + len(values)
-        return Zero(points.shape[1], math.sqrt(squares / (freedom - 2)))
-    if kind in DEGREES:
-        centre = np.concatenate([space.state_centre, space.command_centre, np.zeros(past)])
-        return fit_polynomial(kind, points, values, centre, scale, noise_scale, timed=hindsight.timed)
-    if kind == "fitrgp":
-        return GaussianProcessRegression(kind, fit_like_fitrgp(points, values))
-    if hindsight.timed:
-        scale[-1] = TIME_SCALE
-    process = fit_process(
+def training_data(observations: Observations, history_inputs: HistoryInputs, coordinate: int) -> TrainingData:
+    """What the regression of one state coordinate is fitted to."""
+    space, points = observations.space, observations.points(history_inputs)
+    others = points.shape[1] - len(space.state) - len(space.command)
+    return TrainingData(
         points,
-        values,
-        scale,
-        value_scale,
-        basis="linear" if kind == "gp_on_linear" else "constant",
-        start=start.process.hyper_parameters if isinstance(start, GaussianProcessRegression) else None,
-        last_length_scale=1 / TIME_SCALE if hindsight.timed else None,
+        observations.error[:, coordinate].copy(),
+        np.concatenate([space.state_centre, space.command_centre, np.zeros(others)]),
+        np.concatenate([space.state_scale, space.command_scale, np.ones(others)]),
+        float(space.state_scale[coordinate]),
+        history_inputs.timed,
     )
-    return GaussianProcessRegression(kind, process)
 
 
-def _regression(saved: object, where: str) -> Regression:
+def _regression(model: ResidualModel, saved: object, where: str) -> Regression:
     if not isinstance(saved, Mapping):
         raise ValueError(f"{where} must be a regression, not {saved!r:.40}")
-    kind = str(saved.get("kind"))
     try:
-        if kind == "none":
-            return Zero(whole(saved, "inputs"), float(numbers(saved, "noise_std", 0)))
-        if kind in DEGREES:
-            return Polynomial.from_dict(saved)
-        if kind in GAUSSIAN_PROCESSES:
-            return GaussianProcessRegression.from_dict(saved)
+        return model.from_dict(saved)
     except ValueError as error:
         raise ValueError(f"{where}.{error}") from error
-    raise ValueError(f"{where}.kind must be one of {', '.join(KINDS[:-1])}, not {kind!r:.40}")

@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass
 from math import inf
-from typing import Literal, get_args
+from typing import Final, Literal, get_args
 
-ResidualKind = Literal["none", "constant", "linear", "quadratic", "gp", "gp_on_linear", "fitrgp", "auto"]
-"""What models the error: nothing, polynomials, a Gaussian process around a constant or a linear function, the one that
-MATLAB's `fitrgp` would have given, or whichever predicts best."""
+from stepgap.base.plugins import plugin_names, suggestion
 
-KINDS: tuple[ResidualKind, ...] = get_args(ResidualKind)
-"""Their names."""
+RESIDUALS: Final = "stepgap.residuals"
+"""Entry points of this group are residual models; their names are those of the setting `residual`."""
+
+AUTO: Final = "auto"
+"""The residual that takes whichever installed candidate predicts best."""
 
 Features = Literal["none", "previous_error", "previous_step"]
 """What of the step before is an input: nothing, its error, or its error, applied command and state."""
@@ -23,7 +24,7 @@ class LearningSettings:
     """How often is learnt, and what.
 
     Attributes:
-        residual: Model of the map's error from the first redeployment on.
+        residual: Name of the installed residual model of the map's error from the first redeployment on, or `auto`.
         iterations: Redeployments at most; the first deployment, number 0, uses the nominal map, unless
             steps were known before.
         least_gain: Redeploying stops when the tracking error has not fallen by this fraction of the
@@ -36,7 +37,7 @@ class LearningSettings:
         calibration: Hops before the first deployment's tracking whose commands are chosen for what they teach.
     """
 
-    residual: ResidualKind = "gp_on_linear"
+    residual: str = "gp_on_linear"
     iterations: int = 4
     least_gain: float = 0.01
     features: Features | Literal["auto"] = "none"
@@ -46,8 +47,10 @@ class LearningSettings:
     calibration: int = 0
 
     def __post_init__(self) -> None:
-        if self.residual not in KINDS:
-            raise ValueError(f"residual = {self.residual!r}, but it must be one of {', '.join(KINDS)}")
+        if self.residual not in (names := (AUTO, *plugin_names(RESIDUALS))):
+            meant = suggestion(self.residual, names)
+            wanted = f"one of {', '.join(names)}{'; ' if meant else ''}{meant}"
+            raise ValueError(f"residual = {self.residual!r}, but it must be {wanted}")
         if not 0 <= self.iterations <= 1000:
             raise ValueError(f"iterations = {self.iterations}, but it must lie between 0 and 1000")
         if not 0 <= self.least_gain < 1:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from stepgap.learning.step_log import StepLog
 from stepgap.step import Array, StepSpace
 
-Indices = NDArray[np.intp]
-"""Numbers of deployments, blocks or rows, from 0."""
+Labels = NDArray[np.intp]
+"""Number of the deployment, fold or block that each step belongs to, from 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class StepTable:
     next_state: Array
     target: Array | None
     predicted: Array | None
-    deployment: Indices
+    deployment: Labels
     left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""How much each residual would have predicted of steps it was not fitted to, and whether that is more than chance.
+"""How well each residual predicts steps that it was not fitted to, and whether that is more than chance.
 
 Neighbouring steps are alike, so that contiguous blocks are held out, or whole deployments, never single steps; and so
 that the standard errors count blocks, not steps.
@@ -7,7 +7,7 @@ that the standard errors count blocks, not steps.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
-from math import log, pi, sqrt
+from math import sqrt
 from time import perf_counter
 from typing import Final
 
@@ -15,25 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from stepgap.base.normal import INTERVAL_95, log_density
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points
-from stepgap.learning.residual_fit import ResidualKind, fit_residual
-from stepgap.learning.step_table import Indices, StepTable
+from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.step_table import Labels, StepTable
 from stepgap.step import Array
 
 FOLDS = 10
-"""Parts that are held out in turn, and blocks over which standard errors are taken at least."""
+"""Parts that are held out in turn; standard errors are taken over at least as many blocks."""
 
 LEAST_STEPS: Final = 2 * FOLDS
-"""Fewer tell nothing."""
-
-BAND: Final = 1.96
-"""Standard deviations on either side that hold 95 % of a normal distribution."""
+"""Fewest steps from which residuals can be compared."""
 
 CERTAIN: Final = 2.0
 """Standard errors by which one residual must at least be better than another to be called better."""
 
-RISK: Final = 0.05
+SIGNIFICANCE_LEVEL: Final = 0.05
 """Of calling different what is not, if the scores of blocks were independent and normal."""
 
 
@@ -48,8 +46,8 @@ class Folds:
     """
 
     whole_deployments: bool
-    fold: Indices
-    block: Indices
+    fold: Labels
+    block: Labels
 
     @property
     def count(self) -> int:
@@ -66,8 +64,8 @@ def contiguous_folds(steps: int, number: int = FOLDS) -> Folds:
     return Folds(False, block // parts, block)
 
 
-def deployment_folds(deployment: Indices) -> Folds:
-    """One fold for each deployment; if they are more than `FOLDS`, one for each of so many groups of them."""
+def deployment_folds(deployment: Labels) -> Folds:
+    """One fold for each deployment; if there are more than `FOLDS`, one for each of `FOLDS` groups of them."""
     names, position = np.unique(deployment, return_inverse=True)
     if len(names) < 2:
         raise ValueError("only one deployment; there must be at least 2")
@@ -89,36 +87,36 @@ class HeldOut:
         kind: Which residual.
         error: Actual − nominal next state; shape (N, n).
         mean: What the residual predicted of it; shape (N, n).
-        std: Standard deviation with noise, zero of a residual that has none; shape (N, n).
+        std: Standard deviation with noise, zero for a residual that has none; shape (N, n).
         seconds: Time of one fit [s].
     """
 
-    kind: ResidualKind
+    kind: str
     error: Array
     mean: Array
     std: Array
     seconds: float
 
     @property
-    def left(self) -> Array:
-        """Error that is left; shape (N, n)."""
+    def remaining(self) -> Array:
+        """Error that remains after the correction; shape (N, n)."""
         return self.error - self.mean
 
     @property
     def rmse(self) -> Array:
-        """Root mean square of the error that is left; shape (n,)."""
-        return np.sqrt(np.mean(self.left**2, axis=0))
+        """Root mean square of the remaining error; shape (n,)."""
+        return np.sqrt(np.mean(self.remaining**2, axis=0))
 
     @property
     def log_density(self) -> Array:
         """Mean log predictive density of a step [nats, SI units]; NaN without standard deviations; shape (n,)."""
         std = np.where(self.std > 0, self.std, np.nan)
-        return np.mean(-0.5 * (self.left / std) ** 2 - np.log(std) - 0.5 * log(2 * pi), axis=0)
+        return np.mean(log_density(self.remaining, std), axis=0)
 
     @property
     def coverage(self) -> Array:
         """Fraction of steps within the 95 % interval; NaN without standard deviations; shape (n,)."""
-        inside = np.abs(self.left) <= BAND * self.std
+        inside = np.abs(self.remaining) <= INTERVAL_95 * self.std
         return np.where((self.std > 0).all(axis=0), np.mean(inside, axis=0), np.nan)
 
 
@@ -139,10 +137,12 @@ class Reduction:
     @property
     def certain(self) -> bool:
         """Whether it is above zero by `CERTAIN` standard errors and by Student's t: 2.26 of them for ten blocks."""
-        return self.value > max(CERTAIN, float(stdtrit(self.blocks - 1, 1 - RISK / 2))) * self.standard_error
+        return (
+            self.value > max(CERTAIN, float(stdtrit(self.blocks - 1, 1 - SIGNIFICANCE_LEVEL / 2))) * self.standard_error
+        )
 
 
-def reduction(one: HeldOut, other: HeldOut, block: Indices, coordinates: Sequence[int]) -> Reduction:
+def reduction(one: HeldOut, other: HeldOut, block: Labels, coordinates: Sequence[int]) -> Reduction:
     """By how much `one` is better than `other`, paired step by step.
 
     Over several coordinates: of the root of the mean, over coordinates, of the ratios of the squared errors, so that
@@ -151,11 +151,11 @@ def reduction(one: HeldOut, other: HeldOut, block: Indices, coordinates: Sequenc
     columns, blocks = list(coordinates), int(block.max()) + 1
     sums = [np.zeros((blocks, len(columns))) for _ in range(2)]
     for total, held_out in zip(sums, (one, other), strict=True):
-        np.add.at(total, block, held_out.left[:, columns] ** 2)
-    whole = _reduction(*(total.sum(axis=0) for total in sums))
+        np.add.at(total, block, held_out.remaining[:, columns] ** 2)
+    of_all = _reduction(*(total.sum(axis=0) for total in sums))
     without = np.array([_reduction(*(np.delete(total, out, 0).sum(axis=0) for total in sums)) for out in range(blocks)])
     spread = float(np.sum((without - without.mean()) ** 2)) if np.isfinite(without).all() else np.inf
-    return Reduction(whole, sqrt((blocks - 1) / blocks * spread), blocks)
+    return Reduction(of_all, sqrt((blocks - 1) / blocks * spread), blocks)
 
 
 def _reduction(one: Array, other: Array) -> float:
@@ -166,7 +166,7 @@ def _reduction(one: Array, other: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """How every residual did on the steps held out.
+    """How well every residual predicts the steps held out.
 
     Attributes:
         folds: Which steps were held out together.
@@ -174,13 +174,13 @@ class Validation:
     """
 
     folds: Folds
-    held_out: Mapping[ResidualKind, HeldOut]
+    held_out: Mapping[str, HeldOut]
 
-    def reduction(self, kind: ResidualKind, other: ResidualKind, coordinates: Sequence[int]) -> Reduction:
+    def reduction(self, kind: str, other: str, coordinates: Sequence[int]) -> Reduction:
         """By how much one residual is better than another in these state coordinates."""
         return reduction(self.held_out[kind], self.held_out[other], self.folds.block, coordinates)
 
-    def best(self, coordinates: Sequence[int]) -> ResidualKind:
+    def best(self, coordinates: Sequence[int]) -> str:
         """The residual to use: from `none` on, each that is certainly better than the simpler one before."""
         chosen, *others = self.held_out
         for kind in others:
@@ -188,25 +188,25 @@ class Validation:
                 chosen = kind
         return chosen
 
-    def nearest(self, other: ResidualKind, coordinates: Sequence[int]) -> ResidualKind:
+    def nearest(self, other: str, coordinates: Sequence[int]) -> str:
         """The residual with the least error among those that are not `other`."""
-        others: list[ResidualKind] = [kind for kind in self.held_out if kind != other]
+        others: list[str] = [kind for kind in self.held_out if kind != other]
         return max(others, key=lambda kind: self.reduction(kind, other, coordinates).value)
 
 
 def validate(
-    kinds: Sequence[ResidualKind],
+    kinds: Sequence[str],
     steps: StepTable,
     folds: Folds,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
 ) -> Validation:
-    """Holds out every fold from every residual.
+    """Hold out every fold from every residual.
 
     Args:
         kinds: Residuals, from simple to complex.
         steps: With predictions of the nominal map.
         folds: Which steps are held out together.
-        on_fit: Told how many fits of how many are done.
+        on_fit: Called with the number of fits done and the number of all.
     """
     held_out, done = {}, count(1)
     for kind in kinds:
@@ -214,13 +214,13 @@ def validate(
     return Validation(folds, held_out)
 
 
-def fit_steps(kind: ResidualKind, steps: StepTable, rows: NDArray[np.bool_] | None = None) -> Residual:
+def fit_steps(kind: str, steps: StepTable, rows: NDArray[np.bool_] | None = None) -> Residual:
     """A residual fitted to some of the steps, or to all; shape of `rows` (N,)."""
     kept = slice(None) if rows is None else rows
     return fit_residual(kind, Observations(steps.space, steps.state[kept], steps.command[kept], steps.error[kept]))
 
 
-def _hold_out(kind: ResidualKind, steps: StepTable, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
+def _hold_out(kind: str, steps: StepTable, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
     """Fits a residual to the steps outside each fold and predicts those inside."""
     points, error = join_points(steps.state, steps.command), steps.error
     mean, std, seconds = np.empty_like(error), np.empty_like(error), 0.0

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.learning.step_log import RecordError
-from stepgap.learning.step_table import Indices, StepTable, describe_left_out
+from stepgap.learning.step_table import Labels, StepTable, describe_left_out
 from stepgap.records.columns import LARGEST_NUMBER, ROLES, Columns, column_of, unknown_column
 from stepgap.step import Array
 
@@ -52,7 +52,7 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
     )
 
 
-def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Indices, dict[str, int]]:
+def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
     """Arrays of the whole steps by role, their deployments, and how many rows are left out."""
     table = {
         role: np.stack([rows.numbers[column_of(entry)] for entry in getattr(columns, role)], axis=-1)
@@ -84,7 +84,7 @@ class _Rows:
     """
 
     numbers: Mapping[str, Array]
-    deployment: Indices
+    deployment: Labels
 
 
 def _read(path: Path, columns: Columns) -> _Rows:

@@ -87,7 +87,7 @@ def _drawings(record: RunRecord, learnt: Learnt | None, gait: ReferenceGait | st
     drawings = {"tracking": draw(tracking, "the tracking"), "errors": draw(errors, "the errors")}
     for index, name in enumerate(record.space.state_names):
         drawings[f"map_{index}"] = draw(lambda index=index: map_of(index), f"the map of {name}")
-    if learnt is not None and learnt.processes:
+    if learnt is not None and learnt.steps:
 
         def left_out() -> object:
             from stepgap.report.learnt_figure import left_out_figure

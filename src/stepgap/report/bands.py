@@ -4,6 +4,7 @@ from typing import Final
 
 import numpy as np
 
+from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.step_log import StepLog
 from stepgap.records.paper import WITH_GP
 from stepgap.step import Array
@@ -13,9 +14,6 @@ PAPER_BAND: Final = np.array([WITH_GP["rmse"]["speed"], WITH_GP["rmse"]["height"
 
 WINDOW: Final = 20
 """Steps over which an error is compared with it."""
-
-INTERVAL: Final = 1.96
-"""Standard deviations on either side that hold 95 % of a normal distribution."""
 
 
 def tracking_errors(steps: StepLog) -> Array:
@@ -48,4 +46,4 @@ def coverage(steps: StepLog, index: int) -> tuple[int, int]:
     known = steps.completed()
     error, std = np.abs(known.next_state - known.predicted)[:, index], known.std[:, index]
     banded = np.isfinite(error) & (std > 0)
-    return int(np.count_nonzero(error[banded] <= INTERVAL * std[banded])), int(np.count_nonzero(banded))
+    return int(np.count_nonzero(error[banded] <= INTERVAL_95 * std[banded])), int(np.count_nonzero(banded))

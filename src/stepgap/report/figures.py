@@ -12,10 +12,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.bands import INTERVAL
 from stepgap.step import Array, Quantity, StepStatus
 
 WIDTH: Final = 7.16
@@ -204,7 +204,7 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
     fast = _pixels(steps)
     if std.any():
         band = {"color": SKY, "alpha": 0.5, "linewidth": 0, "label": "95 % band"}
-        panel.fill_between(numbers, mean - INTERVAL * std, mean + INTERVAL * std, **band, **fast)
+        panel.fill_between(numbers, mean - INTERVAL_95 * std, mean + INTERVAL_95 * std, **band, **fast)
     panel.plot(numbers, mean, color=BLUE, linewidth=1.2, label="predicted mean", **fast)
     measured = {"color": BLACK, "linestyle": "", "marker": ".", "markersize": 3.5, "label": "measured"}
     panel.plot(numbers, reached, **measured, **fast)

@@ -7,7 +7,6 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from stepgap.learning.residual_fit import ResidualKind
 from stepgap.learning.validation import Validation
 from stepgap.report.figures import BLACK, BLUE, VERMILLION, axis_label
 from stepgap.step import Quantity
@@ -36,7 +35,7 @@ def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) ->
         form: One of `FORMATS`.
     """
     everything = range(len(state))
-    beyond: list[ResidualKind] = [kind for kind in validation.held_out if kind not in ("none", "constant")]
+    beyond: list[str] = [kind for kind in validation.held_out if kind not in ("none", "constant")]
     best = max(beyond, key=lambda kind: validation.reduction(kind, "none", everything).value)
     shown = [validation.held_out["constant"], validation.held_out[best]]
     figure = Figure(figsize=(PANEL * len(state), PANEL + 0.5), layout="constrained")

@@ -47,7 +47,7 @@ def summarise_learning(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def error_of(row: Row) -> float:
+def tracking_error_of(row: Row) -> float:
     """Tracking error of both coordinates together in half ranges; infinite after a fall."""
     return math.inf if row["falls"] else row["error"]
 
@@ -56,7 +56,9 @@ def _noise(first: dict[Key, Row]) -> float | None:
     """Standard deviation of log(error) − log(error) of two uncorrected deployments of one twin; None if unknown."""
     squares, freedom = 0.0, 0
     for twin in {twin for twin, _ in first}:
-        errors = np.log([error_of(row) for (owner, _), row in first.items() if owner == twin and not row["falls"]])
+        errors = np.log(
+            [tracking_error_of(row) for (owner, _), row in first.items() if owner == twin and not row["falls"]]
+        )
         if len(errors) > 1:
             squares, freedom = squares + float(np.sum((errors - errors.mean()) ** 2)), freedom + len(errors) - 1
     return math.sqrt(2 * squares / freedom) if freedom else None
@@ -64,7 +66,7 @@ def _noise(first: dict[Key, Row]) -> float | None:
 
 def _measures(rows: dict[Key, Row], first: dict[Key, Row], noise: float | None) -> dict[str, Any]:
     """Those of one method's deployment."""
-    ratio = np.array([_ratio(error_of(row), error_of(first[key])) for key, row in rows.items()])
+    ratio = np.array([_ratio(tracking_error_of(row), tracking_error_of(first[key])) for key, row in rows.items()])
     counted = sum(row.get("counted", 0) for row in rows.values())
     covered = np.sum([row["covered"] for row in rows.values() if "covered" in row], axis=0)
     hops = [row.get("hops_to_band") for row in rows.values()]
@@ -84,7 +86,7 @@ def _better(rows: dict[Key, Row], others: dict[Key, Row]) -> int | None:
     """On how many twins and seeds the error is smaller than that of another method; None if that was not measured."""
     if not others:
         return None
-    return sum(error_of(row) < error_of(others[key]) for key, row in rows.items())
+    return sum(tracking_error_of(row) < tracking_error_of(others[key]) for key, row in rows.items())
 
 
 def _ratio(error: float, uncorrected: float) -> float:
@@ -154,10 +156,10 @@ def _cells(row: dict[str, Any]) -> list[str]:
 def learning_picture(rows: Sequence[Row], form: str) -> bytes:
     """Error of each method relative to that of `gp` on the same twin and seed, or of none without it."""
     base = "gp" if any(row["method"] == "gp" for row in rows) else UNCORRECTED
-    errors = {(row["twin"], row["seed"]): error_of(row) for row in rows if row["method"] == base}
+    errors = {(row["twin"], row["seed"]): tracking_error_of(row) for row in rows if row["method"] == base}
     ratios: dict[str, list[float]] = {}
     for row in rows:
-        error, compared = error_of(row), errors[row["twin"], row["seed"]]
+        error, compared = tracking_error_of(row), errors[row["twin"], row["seed"]]
         if row["method"] != base and math.isfinite(error + compared):
             ratios.setdefault(row["method"], []).append(error / compared)
     names = sorted(ratios, key=lambda name: float(np.median(ratios[name])), reverse=True)

@@ -2,16 +2,15 @@
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from stepgap.learning.gaussian_process import leave_one_out
-from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
-from stepgap.learning.residual import Hindsight, Residual
+from stepgap.learning.regression import Prediction
+from stepgap.learning.residual import HistoryInputs, Residual
 from stepgap.learning.residual_fit import residual_from_dict
-from stepgap.learning.sparse_gaussian_process import Process
 from stepgap.records.summary import read_text
 from stepgap.step import Array, Quantity, StepSpace
 
@@ -32,10 +31,21 @@ class Learnt:
     residual: Residual
 
     @property
-    def processes(self) -> list[Process]:
-        """The Gaussian process of each state coordinate; empty of a residual of another kind."""
-        regressions = self.residual.regressions
-        return [each.process for each in regressions if isinstance(each, GaussianProcessRegression)]
+    def steps(self) -> int:
+        """Number of steps that the residual was fitted to; 0 of one that keeps none."""
+        return len(self.residual.regressions[0].values)
+
+    @cached_property
+    def leave_one_out(self) -> list[Prediction]:
+        """What each regression predicts of each of its N values from all others."""
+        singles = [slice(row, row + 1) for row in range(self.steps)]
+        return [regression.left_out(singles) for regression in self.residual.regressions]
+
+    @property
+    def standardised_errors(self) -> list[Array]:
+        """Distance of each value from its leave-one-out prediction, in standard deviations; shapes (N,)."""
+        pairs = zip(self.residual.regressions, self.leave_one_out, strict=True)
+        return [(regression.values - predicted.mean) / predicted.std for regression, predicted in pairs]
 
 
 def read_learnt(folder: Path, last: int, space: StepSpace) -> Learnt | None:
@@ -65,19 +75,12 @@ def read_learnt(folder: Path, last: int, space: StepSpace) -> Learnt | None:
     return Learnt(last, residual)
 
 
-def input_quantities(space: StepSpace, hindsight: Hindsight) -> list[Quantity]:
-    """Names and units of a residual's inputs; those of the past are measured in half ranges."""
+def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:
+    """Names and units of a residual's inputs; those of the step before are normalised by half their range."""
     before = [Quantity(f"error of {each.name} before", "half ranges", -1, 1) for each in space.state]
-    if hindsight.features == "previous_step":
-        past = (*space.command, *space.state)
-        before += [Quantity(f"{each.name} before", "half ranges", -1, 1) for each in past]
-    elif hindsight.features == "none":
+    if history_inputs.features == "previous_step":
+        before += [Quantity(f"{each.name} before", "half ranges", -1, 1) for each in (*space.command, *space.state)]
+    elif history_inputs.features == "none":
         before = []
-    time = [Quantity("time", "memories", -1, 1)] if hindsight.timed else []
+    time = [Quantity("time", "memories", -1, 1)] if history_inputs.timed else []
     return [*space.state, *space.command, *before, *time]
-
-
-def surprise(process: Process) -> Array:
-    """How many standard deviations each value lies from what all others predict of it; shape (N,)."""
-    mean, std = leave_one_out(process)
-    return (process.values - mean) / std

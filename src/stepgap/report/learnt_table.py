@@ -1,13 +1,25 @@
-"""What was learnt, in numbers: hyper-parameters with their units, and how often the 95 % intervals held."""
+"""What was learnt, in numbers: parameters of the residual with their units, and how often the 95 % intervals held."""
+
+from typing import Final
 
 import numpy as np
 
-from stepgap.learning.gaussian_process import leave_one_out
+from stepgap.base.normal import INTERVAL_95
+from stepgap.learning.regression import Parameter
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.bands import INTERVAL, coverage
+from stepgap.report.bands import coverage
 from stepgap.report.html import table, with_unit
-from stepgap.report.learnt import Learnt, input_quantities, surprise
+from stepgap.report.learnt import Learnt, input_quantities
 from stepgap.report.words import decimal
+from stepgap.step import Array
+
+UNIT_NOTES: Final = {
+    "value": "in the unit of each coordinate",
+    "input": "in the unit of each input",
+    "value per input": "in the unit of each coordinate per unit of the input",
+    "": "without unit",
+}
+"""What the units of a `Parameter` mean."""
 
 
 def learnt_sentences(record: RunRecord, learnt: Learnt | None) -> list[str]:
@@ -16,44 +28,61 @@ def learnt_sentences(record: RunRecord, learnt: Learnt | None) -> list[str]:
         last = record.shown[-1]
         why = "deployment 0 began with the map as it is" if last == 0 else f"there is no models/iteration_{last}.json"
         return [f"Nothing is said of the model: {why}."]
-    said = f"Deployment {learnt.iteration} began with the residual '{learnt.residual.name}'"
-    processes = learnt.processes
-    if not processes:
-        return [f"{said}, which is no Gaussian process and has no length scales."]
+    begun = f"Deployment {learnt.iteration} began with the residual '{learnt.residual.name}'"
+    if not learnt.steps:
+        return [f"{begun}: {learnt.residual.model.description}."]
+    parameters = [parameter for each in learnt.residual.regressions for parameter in each.parameters()]
     return [
-        f"{said}: for each state coordinate a Gaussian process of actual − nominal, fitted to the "
-        f"{len(processes[0].values)} hops before; what the place added to the error is taken out, where it was clear.",
-        "A length scale is the distance over which the error changes: one much longer than the range of the data means "
-        "that this input hardly matters.",
-        "Noise is what a hop repeated under equal conditions would scatter, as the model has it.",
+        f"{begun}: for each state coordinate {learnt.residual.model.description}, fitted to actual − nominal of the "
+        f"{learnt.steps} hops before; what the place added to the error is taken out, where it was clear.",
+        *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]
 
 
 def learnt_tables(record: RunRecord, learnt: Learnt | None) -> str:
-    """Length scales by input, and the other numbers by state coordinate; nothing without Gaussian processes."""
-    if learnt is None or not learnt.processes:
+    """Each parameter that belongs to the inputs, by input, and all others by state coordinate."""
+    if learnt is None or not learnt.steps:
         return ""
-    names = [f"for {quantity.name}" for quantity in record.space.state]
+    found = [{each.name: each for each in regression.parameters()} for regression in learnt.residual.regressions]
+    names = list(dict.fromkeys(name for parameters in found for name in parameters))
+    by_input = [name for name in names if any(np.ndim(each[name].value) for each in found if name in each)]
+    tables = [_by_input(record, learnt, [each.get(name) for each in found]) for name in by_input]
+    rest = [name for name in names if name not in by_input]
+    heads = ["coordinate", *rest, "leave-one-out RMSE", "its spread [std]", "within 95 %"]
+    rows = [
+        [with_unit(quantity), *(_shown(each.get(name)) for name in rest), *_left_out(learnt, row)]
+        for row, (quantity, each) in enumerate(zip(record.space.state, found, strict=True))
+    ]
+    return "".join(tables) + table("The model of each coordinate, in its unit", heads, rows)
+
+
+def _by_input(record: RunRecord, learnt: Learnt, parameters: list[Parameter | None]) -> str:
+    """A parameter that has a value for each input, of the regression of every state coordinate."""
+    (name, _, unit, _), *_ = (parameter for parameter in parameters if parameter)
     rows = []
-    for row, quantity in enumerate(input_quantities(record.space, learnt.residual.hindsight)):
-        values = learnt.processes[0].points[:, row]
-        scales = [process.hyper_parameters.length_scale[row] * process.input_scale[row] for process in learnt.processes]
+    for row, quantity in enumerate(input_quantities(record.space, learnt.residual.history_inputs)):
+        values = learnt.residual.regressions[0].points[:, row]
         known = f"{decimal(values.min())} … {decimal(values.max())}"
-        rows.append([with_unit(quantity), known, *map(decimal, scales)])
-    lengths = table("Length scales, in the unit of each input", ["input", "range of the data", *names], rows)
-    heads = ["process", "noise", "signal", "constant", "leave-one-out RMSE", "its spread [std]", "within 95 %"]
-    return lengths + table("Gaussian processes, in the unit of each coordinate", heads, _processes(record, learnt))
+        rows.append([with_unit(quantity), known, *(_shown(parameter, row) for parameter in parameters)])
+    heads = ["input", "range of the data", *(f"for {quantity.name}" for quantity in record.space.state)]
+    return table(f"{name[:1].upper()}{name[1:]}, {UNIT_NOTES[unit]}", heads, rows)
 
 
-def _processes(record: RunRecord, learnt: Learnt) -> list[list[str]]:
-    rows = []
-    for quantity, process in zip(record.space.state, learnt.processes, strict=True):
-        left, found = surprise(process), process.hyper_parameters
-        error = process.values - leave_one_out(process)[0]
-        numbers = [found.noise_std, found.signal_std, process.coefficient, float(np.sqrt(np.mean(error**2)))]
-        inside = f"{100 * float(np.mean(np.abs(left) <= INTERVAL)):.1f} %"
-        rows.append([with_unit(quantity), *map(decimal, numbers), decimal(float(np.sqrt(np.mean(left**2)))), inside])
-    return rows
+def _shown(parameter: Parameter | None, row: int = 0) -> str:
+    """A number of a parameter; a dash where a regression does not have it."""
+    return decimal(float(np.ravel(parameter.value)[row])) if parameter else "–"
+
+
+def _left_out(learnt: Learnt, row: int) -> list[str]:
+    """How well the regression of a state coordinate predicts each of its values from all others."""
+    values, (mean, _) = learnt.residual.regressions[row].values, learnt.leave_one_out[row]
+    standardised = learnt.standardised_errors[row]
+    inside = f"{100 * float(np.mean(np.abs(standardised) <= INTERVAL_95)):.1f} %"
+    return [decimal(_rms(values - mean)), decimal(_rms(standardised)), inside]
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def coverage_table(record: RunRecord) -> str:

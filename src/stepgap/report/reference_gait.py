@@ -7,7 +7,7 @@ import numpy as np
 
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.observations import next_context
+from stepgap.learning.observations import next_history
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.html import table, with_unit
 from stepgap.report.learnt import Learnt
@@ -72,8 +72,8 @@ def reference_gait(record: RunRecord, nominal: StepMap, learnt: Learnt | None) -
     centre = targets[np.argmin(np.sum(away**2, axis=1))]
     maps = {"nominal": nominal}
     if learnt is not None:
-        before = next_context(record.steps, nominal, learnt.iteration)
-        maps["corrected"] = CorrectedMap(nominal, learnt.residual.given(before))
+        before = next_history(record.steps, nominal, learnt.iteration)
+        maps["corrected"] = CorrectedMap(nominal, learnt.residual.conditioned_on(before))
     gaits = [_gait(name, step_map, targets, centre) for name, step_map in maps.items()]
     return ReferenceGait(nominal.space, targets, len(distinct) - len(targets), centre, tuple(gaits))
 

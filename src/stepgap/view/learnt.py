@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.residual import Residual
 from stepgap.step import Array, StepSpace
 
 POINTS = 60
-BAND = 1.96
-"""Standard deviations on either side of the mean that hold 95 % of a normal distribution."""
+"""Inputs of a curve."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ def curve_along(residual: Residual, space: StepSpace, point: Array, index: int) 
     """The residual along one coordinate of a point.
 
     Args:
-        residual: Given the context of the step, where it needs one.
+        residual: Conditioned on the history of the step, where it has history inputs.
         space: Ranges of the coordinates; the curve covers that, and the point.
         point: State and applied command of the present step; shape (n + m,).
         index: Which coordinate is varied.
@@ -43,5 +43,5 @@ def curve_along(residual: Residual, space: StepSpace, point: Array, index: int) 
     inputs = np.union1d(np.linspace(*ends, POINTS), [present])
     points = np.tile(point, (len(inputs), 1))
     points[:, index] = inputs
-    margin = BAND * residual.std(points, include_noise=True)
+    margin = INTERVAL_95 * residual.std(points, include_noise=True)
     return Curve(inputs, residual.mean(points), margin, int(np.searchsorted(inputs, present)))

@@ -15,7 +15,7 @@ import numpy as np
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import layout_of, logged_ticks, replayed_hops
 from stepgap.experiment.settings import InputError, read_experiment
-from stepgap.learning.observations import next_context
+from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep, StepLog, read_step_log
@@ -133,7 +133,7 @@ class Source:
             if logged is steps[number - 1]:
                 break
             before.append(logged)
-        return residual.given(next_context(StepLog(self.space, before), self.nominal, iteration))
+        return residual.conditioned_on(next_history(StepLog(self.space, before), self.nominal, iteration))
 
     def poll(self) -> bool:
         """Takes in what is new; says whether there were steps."""

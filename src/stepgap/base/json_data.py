@@ -1,17 +1,16 @@
-"""Numbers as JSON holds them, read strictly: an error names the key and what would be right."""
+"""Readers of values from JSON data; an error names the key and what would be right."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-
-from stepgap.step import Array
+from numpy.typing import NDArray
 
 _WORDS = ("a number", "a list of numbers", "a list of equally long lists of numbers")
 
 
-def numbers(data: Mapping[str, Any], key: str, dimensions: int) -> Array:
-    """The array of finite numbers saved under `key`.
+def numbers(data: Mapping[str, Any], key: str, dimensions: int) -> NDArray[np.float64]:
+    """The array of finite numbers under `key`.
 
     Raises:
         ValueError: The key is missing, or holds anything else.
@@ -27,20 +26,29 @@ def numbers(data: Mapping[str, Any], key: str, dimensions: int) -> Array:
     return array.astype(float)
 
 
-def whole(data: Mapping[str, Any], key: str, least: int = 1) -> int:
-    """The whole number saved under `key`.
+def number(data: Mapping[str, Any], key: str) -> float:
+    """The finite number under `key`.
 
     Raises:
-        ValueError: The key is missing, or holds anything else or less.
+        ValueError: The key is missing, or holds anything else.
+    """
+    return float(numbers(data, key, 0))
+
+
+def integer(data: Mapping[str, Any], key: str, least: int = 1) -> int:
+    """The integer under `key`.
+
+    Raises:
+        ValueError: The key is missing, or holds anything else or less than `least`.
     """
     value = data.get(key)
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise ValueError(f"{key} must be a whole number from {least} on, not {value!r:.40}")
+        raise ValueError(f"{key} must be an integer of at least {least}, not {value!r:.40}")
     return value
 
 
-def truth(data: Mapping[str, Any], key: str) -> bool:
-    """The truth value saved under `key`.
+def boolean(data: Mapping[str, Any], key: str) -> bool:
+    """The boolean under `key`.
 
     Raises:
         ValueError: The key is missing, or holds anything else.

@@ -1,0 +1,33 @@
+"""Residual models by name: those of this package and of others, found by their entry points."""
+
+from stepgap.base.plugins import load_plugin, plugin_names
+from stepgap.base.settings_file import InputError
+from stepgap.learning.regression import ResidualModel
+from stepgap.learning.settings import RESIDUALS
+
+
+def residual_names() -> tuple[str, ...]:
+    """Names of all installed residual models, in alphabetical order; imports none of them."""
+    return plugin_names(RESIDUALS)
+
+
+def load_residual_model(name: str) -> ResidualModel:
+    """The residual model with a name.
+
+    Raises:
+        InputError: There is no such model, what it needs is not installed, or it is none.
+    """
+    wanted = "a ResidualModel of stepgap.learning.regression"
+    model = load_plugin(RESIDUALS, "residual", name, lambda found: isinstance(found, ResidualModel), wanted)
+    if model.name != name:
+        raise InputError(f"residual '{name}': its model calls itself '{model.name}'; both names must be the same")
+    return model
+
+
+def residual_models() -> list[ResidualModel]:
+    """All installed residual models, from simple to complex.
+
+    Raises:
+        InputError: One of them cannot be used.
+    """
+    return sorted(map(load_residual_model, residual_names()), key=lambda model: (model.complexity, model.name))

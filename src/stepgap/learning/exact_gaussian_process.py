@@ -1,0 +1,161 @@
+"""The Gaussian process conditioned on all data without approximation, by a Cholesky factor that grows with them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import get_lapack_funcs
+
+from stepgap.learning.cholesky import factorise, is_safe
+from stepgap.learning.covariance import covariance_matrix
+from stepgap.learning.gaussian_process import (
+    GaussianProcess,
+    HyperParameters,
+    check_sizes,
+    checked_data,
+    saved_data,
+    saved_hyper_parameters,
+)
+from stepgap.learning.kernel import MATERN_52, Kernel
+from stepgap.learning.least_squares import LeastSquares, append_value, fit_least_squares
+from stepgap.step import Array
+
+(_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ExactGaussianProcess(GaussianProcess):
+    """A Gaussian process conditioned on data; made by `condition`, or by a fit of `gaussian_process_fit`.
+
+    Attributes:
+        least_squares: β and the weights of the data at these hyper-parameters.
+    """
+
+    least_squares: LeastSquares
+
+    @property
+    def coefficient(self) -> float:
+        """β by generalised least squares [unit of the values]."""
+        return self.least_squares.coefficient
+
+    @property
+    def log_likelihood(self) -> float:
+        """Logarithm of p(values) at these hyper-parameters and this β (RW Eq. 2.30)."""
+        return self.least_squares.log_likelihood(self.hyper_parameters.signal_std)
+
+    def append(self, point: ArrayLike, value: float) -> "ExactGaussianProcess":
+        """The process given one more point (d,) and value, at the same hyper-parameters, in O(N²).
+
+        The same as `condition` on all data but for rounding; a point that can hardly be told apart from the others
+        leads to exactly that.
+        """
+        hyper_parameters, solved = self.hyper_parameters, self.least_squares
+        new, value_, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
+        points, values = np.concatenate([self.points, new]), np.concatenate([self.values, value_])
+        row = self._whiten(new)[:, 0]
+        prior = self._covariance.prior_variance(points)
+        noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2 + solved.factor.jitter
+        squared_pivot = float(prior[-1] + noise - row @ row)
+        if not is_safe(squared_pivot, prior):
+            return condition(points, values, self.input_scale, hyper_parameters, self.kernel)
+        least_squares = append_value(solved, row, math.sqrt(squared_pivot), float(value_[0]))
+        return ExactGaussianProcess(points, values, self.input_scale, hyper_parameters, self.kernel, least_squares)
+
+    def leave_one_out(self) -> tuple[Array, Array]:
+        """As `GaussianProcess.leave_one_out`; of a single value the mean is NaN and the standard deviation infinite.
+
+        With the estimated β as part of the prediction: RW Eq. 5.12, with K⁻¹ − K⁻¹1 1ᵀK⁻¹ / 1ᵀK⁻¹1 for K⁻¹.
+        """
+        solved = self.least_squares
+        if len(self.values) == 1:
+            return np.array([np.nan]), np.array([np.inf])
+        K_inv, _ = _potri(solved.factor.assembled(), lower=1)
+        K_inv_1 = solved.factor.solve_transposed(solved.basis)
+        precision = K_inv.diagonal() - K_inv_1**2 / K_inv_1.sum()
+        return self.values - solved.weights / precision, self.hyper_parameters.signal_std / np.sqrt(precision)
+
+    def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
+        """As `GaussianProcess.leave_out`: RW Eq. 5.12 for blocks of values."""
+        solved, values = self.least_squares, self.values
+        mean, variance = np.full(len(values), np.nan), np.full(len(values), np.inf)
+        whitened = solved.factor.solve(np.eye(len(values)))
+        basis = solved.basis / np.linalg.norm(solved.basis)
+        whitened -= np.outer(basis, basis @ whitened)
+        for block in blocks:
+            if len(values[block]) < len(values):
+                covariance = np.linalg.inv(whitened[:, block].T @ whitened[:, block])
+                mean[block] = values[block] - covariance @ solved.weights[block]
+                variance[block] = covariance.diagonal()
+        return mean, self.hyper_parameters.signal_std * np.sqrt(variance)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any], kernel: Kernel = MATERN_52) -> "ExactGaussianProcess":
+        """The process that `to_dict` saved.
+
+        Raises:
+            ValueError: A key is missing, or holds anything but finite numbers of the right size and sign.
+        """
+        hyper_parameters = saved_hyper_parameters(data)
+        return condition(*saved_data(data), hyper_parameters, kernel)
+
+    def _solve_weights(self) -> tuple[Array, Array]:
+        weights = self.least_squares.weights
+        return weights, self._covariance.centre_features.T @ weights
+
+    def _variance(self, query: Array) -> Array:
+        return self._covariance.prior_variance(query) - (self._whiten(query) ** 2).sum(axis=0)
+
+    def _kriging_variance(self, query: Array) -> Array:
+        whitened, basis = self._whiten(query), self.least_squares.basis
+        by_constant = (1 - basis @ whitened) ** 2 / (basis @ basis)  # what the uncertainty of β adds
+        return self._covariance.prior_variance(query) - (whitened**2).sum(axis=0) + by_constant
+
+    def _half_variance_gradient(self, query: Array) -> Array:
+        return self._gradient_of(query, self._whiten(query))
+
+    def _half_kriging_variance_gradient(self, query: Array) -> Array:
+        whitened, basis = self._whiten(query), self.least_squares.basis
+        of_constant = (1 - basis @ whitened) / (basis @ basis)
+        return self._gradient_of(query, whitened + np.outer(basis, of_constant))
+
+    def _whiten(self, query: Array) -> Array:
+        """factor⁻¹ (covariance of data and queries / signal²); shape (N, Q)."""
+        covariance = self._covariance
+        cross = covariance.cross_covariance(query) + covariance.linear_features(query) @ covariance.centre_features.T
+        return self.least_squares.factor.solve(cross.T)
+
+    def _gradient_of(self, query: Array, whitened: Array) -> Array:
+        """½ ∂variance/∂query [signal²], given factorᵀ times the weights that values have (N, Q); shape (Q, d)."""
+        covariance, weights = self._covariance, self.least_squares.factor.solve_transposed(whitened).T
+        linear = covariance.linear_features(query) - weights @ covariance.centre_features
+        return linear * covariance.slope_scale - covariance.cross_covariance_gradient(query, weights)
+
+
+def condition(
+    points: ArrayLike,
+    values: ArrayLike,
+    input_scale: ArrayLike,
+    hyper_parameters: HyperParameters,
+    kernel: Kernel = MATERN_52,
+) -> ExactGaussianProcess:
+    """Gaussian process given the data, at fixed hyper-parameters.
+
+    Args:
+        points: Shape (N, d), N ≥ 1.
+        values: Shape (N,).
+        input_scale: Fixed size of each input, not taken from the data; shape (d,).
+        hyper_parameters: Where `noise_std` is too small for the points to be told apart in double
+            precision, the least variance that suffices is added to the noise.
+        kernel: Covariance of f.
+    """
+    points, values, input_scale = checked_data(points, values, input_scale)
+    check_sizes(hyper_parameters, input_scale)
+    covariance = hyper_parameters.covariance(kernel, points, input_scale)
+    noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2
+    matrix = covariance_matrix(covariance.correlation_of_centres(), covariance.centre_features, noise)
+    least_squares = fit_least_squares(factorise(matrix), values)
+    return ExactGaussianProcess(points, values, input_scale, hyper_parameters, kernel, least_squares)

@@ -1,0 +1,87 @@
+"""The residual that corrects nothing: the nominal map as it is."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stepgap.base.json_data import integer, number
+from stepgap.learning.polynomial import NOISE_SCALE, PRIOR_COUNT
+from stepgap.learning.regression import Prediction, Regression, ResidualModel, TrainingData
+from stepgap.step import Array
+
+
+@final
+@dataclass(frozen=True)
+class Zero(Regression):
+    """No correction: zero, and without any doubt.
+
+    Attributes:
+        size: Number of inputs d.
+        noise: How far noisy values lie from zero; 0 where that is not known.
+    """
+
+    size: int
+    noise: float = 0.0
+
+    @property
+    def points(self) -> Array:
+        """It keeps none; shape (0, d)."""
+        return np.empty((0, self.size))
+
+    @property
+    def values(self) -> Array:
+        """It keeps none; shape (0,)."""
+        return np.empty(0)
+
+    @property
+    def noise_std(self) -> float:
+        """As given."""
+        return self.noise
+
+    def mean(self, point: ArrayLike) -> Array:
+        """Zero; shape (…)."""
+        return np.where(np.isfinite(point).all(axis=-1), 0.0, np.nan)
+
+    def mean_gradient(self, point: ArrayLike) -> Array:
+        """Zero; shape (…, d)."""
+        return np.where(np.isfinite(point).all(axis=-1, keepdims=True), np.zeros(np.shape(point)), np.nan)
+
+    def std(self, point: ArrayLike) -> Array:
+        """Zero; shape (…)."""
+        return self.mean(point)
+
+    def std_gradient(self, point: ArrayLike) -> Array:
+        """Zero; shape (…, d)."""
+        return self.mean_gradient(point)
+
+    def left_out(self, blocks: Sequence[slice]) -> Prediction:
+        """Zero, with the noise of all values."""
+        size = blocks[-1].stop
+        return Prediction(np.zeros(size), np.full(size, self.noise))
+
+    def append(self, point: ArrayLike, value: float) -> "Zero":  # noqa: ARG002
+        """The same."""
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """The number of inputs, and the noise."""
+        return {"inputs": self.size, "noise_std": self.noise}
+
+
+def _fit(data: TrainingData, start: Regression | None) -> Zero:
+    prior = PRIOR_COUNT * (NOISE_SCALE * data.value_scale) ** 2
+    degrees_of_freedom = PRIOR_COUNT + len(data.values)
+    squares = prior + float(data.values @ data.values)
+    return Zero(data.points.shape[1], math.sqrt(squares / (degrees_of_freedom - 2)))
+
+
+def _from_dict(saved: Mapping[str, Any]) -> Zero:
+    return Zero(integer(saved, "inputs"), number(saved, "noise_std"))
+
+
+NONE: Final = ResidualModel("none", "nothing: the nominal map as it is", _fit, _from_dict, candidate=True, complexity=0)
+"""The residual `none`."""

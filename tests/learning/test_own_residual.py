@@ -1,0 +1,173 @@
+"""The residual of docs/own_residual.md: its code runs, it keeps the contract, and everything knows it by its name."""
+
+import json
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.base.settings_file import InputError
+from stepgap.bench.learning import measure
+from stepgap.control.reference import Reference
+from stepgap.experiment.loop import run
+from stepgap.learning.entry_points import load_residual_model, residual_names
+from stepgap.learning.regression import ResidualModel
+from stepgap.learning.residual_fit import fit_residual, residual_from_dict
+from stepgap.learning.settings import LearningSettings
+from stepgap.plants.model_plant import ModelPlant
+from stepgap.report import write_report
+from tests.control.maps import LossyHopper
+from tests.learning.residual_contract import ResidualContract, training_data
+from tests.learning.test_residual import steps
+from tests.report.pages import Page, check_alone
+from tests.report.runs import REAL, TARGETS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "own_residual.md").read_text("utf-8")
+MODULE, *USES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+PYPROJECT, SETTINGS = map(tomllib.loads, re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL))
+NAME = "bayesian_linear"
+
+
+def install(folder: Path, package: str, code: str, **entries: str) -> None:
+    """Puts a package with residual models into a folder, as pip would."""
+    info = folder / f"{package}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    lines = [f"{name} = {value}" for name, value in entries.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[stepgap.residuals]", *lines, ""]))
+    (folder / f"{package}.py").write_text(code, "utf-8")
+
+
+@pytest.fixture
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder in which Python finds installed packages."""
+    (tmp_path / "packages").mkdir()
+    monkeypatch.syspath_prepend(tmp_path / "packages")
+    for name in ("own_residual", "broken"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return tmp_path / "packages"
+
+
+@pytest.fixture
+def installed(packages: Path) -> None:
+    """The page's package."""
+    install(packages, "own_residual", MODULE, **PYPROJECT["project"]["entry-points"]["stepgap.residuals"])
+
+
+@pytest.mark.usefixtures("installed")
+class TestOwnResidual(ResidualContract):
+    @pytest.fixture
+    def model(self) -> ResidualModel:
+        return load_residual_model(NAME)
+
+
+def test_it_is_short() -> None:
+    assert len([line for line in MODULE.splitlines() if line.strip()]) < 40
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile("\n".join(USES), "docs/own_residual.md", "exec"), {"__name__": "page"})  # noqa: S102  (our own document)
+    said = re.fullmatch(
+        rf"{NAME} with previous error: (.*) m/s without it, (.*) m/s with it\n", capsys.readouterr().out
+    )
+    assert said
+    assert float(said[2]) < 0.2 * float(said[1])
+
+
+@pytest.mark.usefixtures("installed")
+def test_it_is_the_posterior_of_a_gaussian_process_with_a_linear_kernel() -> None:
+    """The function-space view of the same model, RW Eqs. 2.25 and 2.26, with nothing of its own formulae."""
+    regression = load_residual_model(NAME).fit(data := training_data(), None)
+    noise, prior = (regression.to_dict()[name] for name in ("noise", "prior"))
+    queries = training_data(5, seed=3).points
+
+    def covariance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return prior**2 * (1 + data.scaled(one) @ data.scaled(other).T)
+
+    matrix, cross = covariance(data.points, data.points) + noise**2 * np.eye(30), covariance(queries, data.points)
+    np.testing.assert_allclose(regression.mean(queries), cross @ np.linalg.solve(matrix, data.values), rtol=1e-8)
+    variance = covariance(queries, queries) - cross @ np.linalg.solve(matrix, cross.T)
+    np.testing.assert_allclose(regression.std(queries), np.sqrt(np.diag(variance)), rtol=1e-7)
+
+
+@pytest.mark.usefixtures("installed")
+def test_settings_take_it_and_it_brings_its_features() -> None:
+    assert NAME in residual_names()
+    assert "own_residual" not in sys.modules, "names are known without imports"
+    LearningSettings(**SETTINGS["learning"])
+    assert "own_residual" not in sys.modules
+    assert fit_residual(NAME, steps()).history_inputs.features == "previous_error"
+    assert fit_residual(NAME, steps(), "previous_step").history_inputs.features == "previous_step"
+    assert fit_residual(NAME, steps(), "auto").history_inputs.features in ("previous_error", "previous_step")
+    assert fit_residual("auto", steps()).kind != NAME, "it does not declare itself a candidate"
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_benchmark_compares_it() -> None:
+    short = Reference.from_segments(("speed", "height"), [(1, (0.0, 0.55)), (5, (0.17, 0.58))], steps=10)
+    rows = measure(short, 0, 1, [NAME])
+    assert [row["method"] for row in rows] == ["none", NAME]
+    assert np.isfinite(rows[-1]["error"])
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_run_uses_it_and_the_report_shows_it(tmp_path: Path) -> None:
+    def plant(rng: np.random.Generator) -> ModelPlant:
+        return ModelPlant(REAL, np.array([0.1, 0.56]), np.array([0.005, 0.002]), rng)
+
+    folder = tmp_path / "run"
+    folder.mkdir()
+    run(LossyHopper(), plant, TARGETS, LearningSettings(NAME, 1, least_gain=0.0), folder, seed=0)
+    saved = json.loads((folder / "models" / "iteration_1.json").read_text())
+    assert (saved["kind"], saved["features"]) == (NAME, "previous_error")
+    page = Page(write_report(folder))
+    check_alone(page)
+    assert f"Deployment 1 began with the residual '{NAME} with previous error'" in page.text
+    assert "for each state coordinate a linear function, fitted to actual − nominal of the 40 hops before" in page.text
+    assert "leave-one-out RMSE" in page.text
+    assert (folder / "figures" / "left_out.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_without_its_package_a_model_file_is_refused_in_one_line() -> None:
+    saved = {**fit_residual("linear", steps(5)).to_dict(), "kind": NAME}
+    with pytest.raises(InputError, match=rf"^residual '{NAME}': unknown; the residuals installed here are constant, "):
+        residual_from_dict(saved)
+    with pytest.raises(
+        ValueError, match=r"^residual = 'linar', but it must be one of auto, .*; did you mean linear\?$"
+    ):
+        LearningSettings("linar")
+
+
+@pytest.mark.parametrize("path", ["own_residual:MODEL", "os.path", "../own_residual", "stepgap.learning.zero"])
+def test_a_file_cannot_have_code_imported(packages: Path, path: str) -> None:
+    (packages / "own_residual.py").write_text("raise SystemExit('imported')")
+    with pytest.raises(InputError, match="unknown"):
+        residual_from_dict({"kind": path, "regressions": [{}], "command_size": 1, "features": "none", "memory": None})
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("import no_such_package", "residual 'own' needs no_such_package: pip install 'no_such_package'"),
+        ("MODEL = 3", "residual 'own': broken:MODEL of broken must be a ResidualModel"),
+        (
+            "from stepgap.learning.zero import NONE as MODEL",
+            "residual 'own': its model calls itself 'none'; both names",
+        ),
+    ],
+)
+def test_a_model_that_cannot_be_used_says_why(packages: Path, code: str, says: str) -> None:
+    install(packages, "broken", code, own="broken:MODEL")
+    with pytest.raises(InputError, match=re.escape(says)):
+        fit_residual("own", steps())
+    LearningSettings("linear")  # others are not affected
+
+
+def test_links_lead_somewhere() -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
+        assert (docs / target).exists(), target

@@ -1,0 +1,29 @@
+"""Every installed residual model keeps the contract."""
+
+import pytest
+
+from stepgap.learning.entry_points import residual_models
+from stepgap.learning.regression import ResidualModel
+from tests.learning.residual_contract import ResidualContract
+
+MODELS = {model.name: model for model in residual_models()}
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "fitrgp"])
+class TestInstalled(ResidualContract):
+    @pytest.fixture
+    def model(self, name: str) -> ResidualModel:
+        return MODELS[name]
+
+
+class TestFitrgp(ResidualContract):
+    overconfident = True
+
+    @pytest.fixture
+    def model(self) -> ResidualModel:
+        return MODELS["fitrgp"]
+
+
+def test_they_are_sorted_from_simple_to_complex() -> None:
+    assert list(MODELS) == ["none", "constant", "linear", "quadratic", "gp", "gp_on_linear", "fitrgp"]
+    assert [name for name, model in MODELS.items() if not model.candidate] == ["fitrgp"]
