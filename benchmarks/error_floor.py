@@ -21,9 +21,10 @@ from stepgap.experiment.noise_floor import repeated
 from stepgap.experiment.plants import plant_on, remade_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.learner import Learner
-from stepgap.learning.step_log import StepLog, read_step_log, row_of
+from stepgap.learning.step_log import StepLog
 from stepgap.plants.plant import Plant
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.records.steps_csv import read_step_log, row_of
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepRecord, StepSpace

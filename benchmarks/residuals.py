@@ -16,7 +16,8 @@ from stepgap.experiment.settings import read_experiment
 from stepgap.learning.entry_points import residual_models
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import AUTO, Features, LearningSettings
-from stepgap.learning.step_log import StepLog, read_step_log
+from stepgap.learning.step_log import StepLog
+from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array
 
 

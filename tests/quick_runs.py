@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.cli.run_report import Report
-from stepgap.report import drawing
+from stepgap.report import WrittenReport, drawing
 
 
 def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
@@ -17,9 +16,9 @@ def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
 def leave_out_report(patch: pytest.MonkeyPatch) -> None:
     """A run writes an empty report."""
 
-    def report_run(folder: Path, *_: object) -> Report:
+    def report_run(folder: Path, *_: object) -> WrittenReport:
         (folder / "report.html").touch()
-        return Report(folder / "report.html", ())
+        return WrittenReport(folder / "report.html", ())
 
     patch.setattr("stepgap.cli.run_report.report_run", report_run)
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from stepgap.learning.residual_fit import residual_from_dict
-from stepgap.learning.step_log import LoggedStep, StepWriter
+from stepgap.learning.step_log import LoggedStep
+from stepgap.records.steps_csv import StepWriter
 from stepgap.robots.hopper import CommandBounds
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.step import StepRecord, StepStatus

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from stepgap.cli.app import main
-from stepgap.experiment.replay import layout_of, replay
+from stepgap.experiment.replay import replay, sensor_model_of
 from stepgap.experiment.settings import Experiment
+from stepgap.plants.model_plant import ModelPlant
+from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.realtime.states import RigState
+from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
+from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, Said, refused
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -40,6 +44,20 @@ def test_a_run_has_a_replay_and_its_settings(finished: Path) -> None:
     assert len(text) < 1_000_000
 
 
+def test_the_report_of_a_finished_run_builds_no_plant_and_no_twin(
+    finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def built(*_: object, **__: object) -> None:
+        pytest.fail("a plant or a twin was built")
+
+    shutil.copytree(finished, "run")
+    for kind in (Twin, RigPlant, ModelPlant, RealtimePlant):
+        monkeypatch.setattr(kind, "__init__", built)
+    monkeypatch.setattr("stepgap.robots.hopper.twin.twin.build_model", built)
+    assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
+    assert contents(Path("run")) == contents(finished)
+
+
 @pytest.mark.parametrize("damage", [b"", b"foreign"])
 def test_a_damaged_replay_is_made_again(finished: Path, stepgap: Command, damage: bytes) -> None:
     shutil.copytree(finished, "run")
@@ -62,7 +80,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
 ) -> None:
     shutil.copytree(finished, "run")
     shutil.rmtree("run/replay")
-    layout = layout_of(Experiment())
+    layout = sensor_model_of(Experiment())
     for iteration in (0, 1):
         ticks = replay(finished, iteration)
         rows = np.column_stack([ticks.rows[:, : len(TICK_UNITS)], np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
@@ -72,7 +90,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))
     said = stepgap("report", "run")
     assert said.err == "stepgap: left out of the report: replay (.: Is a directory; give an existing TOML file)\n"
-    monkeypatch.setattr("stepgap.cli.run_report.layout_of", lambda settings: layout)
+    monkeypatch.setattr("stepgap.cli.run_report.sensor_model_of", lambda settings: layout)
     assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
     for iteration in (0, 1):
         name = f"replay/deployment_{iteration}.npz"
@@ -95,9 +113,9 @@ def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
     said = stepgap("report", "run")
     assert (said.code, said.out) == (0, "run/report.html\n")
     assert said.err == (
-        "stepgap: left out of the report: the last line of steps.csv (it breaks off); errors (no deployment is "
+        "stepgap: left out of the report: the last line of steps.csv (it is cut off); errors (no deployment is "
         "finished according to summary.json); what was learnt (no models/iteration_1.json); settings, gait and replay "
-        "(no experiment.toml)\n"
+        "(the folder holds no experiment.toml)\n"
     )
 
 
@@ -118,9 +136,12 @@ def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap:
 def test_settings_that_are_not_understood_are_named(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     Path("run/experiment.toml").write_text("unheard_of = 1\n")
-    assert stepgap("report", "run").code == 0
+    said = stepgap("report", "run")
+    assert said.code == 0
+    assert said.err.startswith("stepgap: left out of the report: settings, gait and replay (the settings are not")
     text = Path("run/report.html").read_text(encoding="utf-8")
-    assert "The settings are not understood here: run/experiment.toml: unheard_of" in text
+    for part in ("comparison with the default settings", "gait", "replay"):
+        assert f"There is no {part}: the settings are not understood here: run/experiment.toml: unheard_of" in text
 
 
 def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
@@ -137,7 +158,7 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "a", "b", "--out", "none/page.html"), "none/page.html: cannot be written")
     refused(stepgap("report", "a", "a"), "a run is named twice")
     refused(stepgap("report", "a", "none"), "none/steps.csv: no such file")
-    refused(stepgap("report", "a", "--out", "other.html"), "--out: goes with several runs")
+    refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
 
 
 @pytest.mark.usefixtures("svg_only")

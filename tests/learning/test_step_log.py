@@ -1,36 +1,17 @@
-"""The record of steps: bit-exact, strict, on disk step by step, one writer at a time."""
+"""The record of steps in memory."""
 
-import hashlib
 import math
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from stepgap.learning import step_log
-from stepgap.learning.step_log import (
-    LoggedStep,
-    RecordError,
-    StepLog,
-    StepWriter,
-    column_names,
-    digest,
-    read_step_log,
-    row_of,
-)
+from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
-from tests.full_disk import SAYS, largest_file
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.5, 0.6)),
     (Quantity("fx", "N", -15, 15), Quantity("fy", "N", -20, 20)),
 )
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
-PAIR = st.tuples(FINITE, FINITE).map(np.array)
 NO_STATE = np.full(2, np.nan)
 
 
@@ -38,50 +19,6 @@ def step(iteration: int = 0, number: int = 1, status: StepStatus = StepStatus.OK
     next_state = np.array([0.1 + 0.01 * number + offset, 0.55]) if status == StepStatus.OK else NO_STATE
     record = StepRecord(np.array([0.1, 0.55]), np.array([1.0, -2.0]), np.array([0.5, -2.0]), next_state, status)
     return LoggedStep(iteration, number, np.array([0.2, 0.58]), np.array([0.2, 0.58]), np.zeros(2), record)
-
-
-def write(path: Path, *steps: LoggedStep) -> None:
-    with StepWriter(path, SPACE) as writer:
-        for logged in steps:
-            writer.append(logged)
-
-
-@st.composite
-def any_step(draw: st.DrawFn) -> LoggedStep:
-    status = draw(st.sampled_from(list(StepStatus)))
-    next_state = draw(PAIR) if status == StepStatus.OK else NO_STATE
-    predicted = draw(st.one_of(PAIR, st.just(NO_STATE)))
-    yaw = draw(st.one_of(FINITE, st.just(math.nan)))
-    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, yaw)
-    return LoggedStep(0, 1, draw(PAIR), predicted, draw(PAIR), record)
-
-
-def numbers_of(logged: LoggedStep) -> bytes:
-    record = logged.record
-    arrays = (record.state, logged.target, record.command, record.applied, record.next_state)
-    return np.concatenate([*arrays, logged.predicted, logged.std, [record.yaw_after]]).tobytes()
-
-
-@given(logged=any_step())
-def test_a_step_is_read_back_to_the_last_bit(tmp_path_factory: pytest.TempPathFactory, logged: LoggedStep) -> None:
-    path = tmp_path_factory.mktemp("log") / "steps.csv"
-    write(path, logged)
-    (read,) = read_step_log(path, SPACE)
-    assert (read.iteration, read.step, read.record.status) == (0, 1, logged.record.status)
-    assert numbers_of(read) == numbers_of(logged)
-    assert row_of(read) == row_of(logged)
-
-
-def test_the_columns_are_the_contract(tmp_path: Path) -> None:
-    write(tmp_path / "steps.csv", step(), step(number=2, status=StepStatus.FELL))
-    header, *rows = (tmp_path / "steps.csv").read_text().splitlines()
-    assert header == (
-        "iteration,step,speed,height,target_speed,target_height,fx,fy,applied_fx,applied_fy,"
-        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,yaw_after,status"
-    )
-    assert header.split(",") == column_names(SPACE)
-    assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,0.11,0.55,0.2,0.58,0.0,0.0,nan,ok"
-    assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,nan,nan,0.2,0.58,0.0,0.0,nan,fell"
 
 
 def test_the_yaw_of_a_step_is_where_the_one_before_ended() -> None:
@@ -94,12 +31,6 @@ def test_the_yaw_of_a_step_is_where_the_one_before_ended() -> None:
     np.testing.assert_array_equal(left_out.yaw, [math.nan, math.nan])
 
 
-def test_an_infinite_yaw_is_refused() -> None:
-    record = step().record
-    with pytest.raises(ValueError, match="yaw_after = inf, but it must be an angle, or NaN where it is not known"):
-        replace(record, yaw_after=math.inf)
-
-
 def test_the_log_by_columns() -> None:
     log = StepLog(SPACE, [step(), step(number=2, status=StepStatus.FELL), step(1, 1)])
     assert (len(log), log.falls, log.iterations) == (3, 1, [0, 1])
@@ -108,131 +39,3 @@ def test_the_log_by_columns() -> None:
     for column in (log.state, log.applied, log.next_state, log.target, log.predicted, log.std):
         assert column.shape == (3, 2)
     assert StepLog(SPACE).next_state.shape == (0, 2)
-
-
-def test_each_row_is_on_disk_before_append_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, on_disk = tmp_path / "steps.csv", []
-    sync = os.fsync
-
-    def watched(descriptor: int) -> None:
-        sync(descriptor)
-        on_disk.append(path.read_text().count("\n"))
-
-    monkeypatch.setattr(step_log.os, "fsync", watched)
-    with StepWriter(path, SPACE) as writer:
-        for number in (1, 2, 3):
-            writer.append(step(number=number))
-            assert on_disk[-1] == number + 1
-            assert len(read_step_log(path, SPACE)) == number
-
-
-def test_wherever_a_file_is_cut_off_it_goes_on_from_the_last_whole_row(tmp_path: Path) -> None:
-    path = tmp_path / "steps.csv"
-    write(path, step(), step(number=2))
-    whole = path.read_bytes()
-    header = whole.index(b"\n")
-    for length in {0, 1, header - 1, header, header + 1, *range(header + 2, len(whole), 9), len(whole) - 1, len(whole)}:
-        path.write_bytes(whole[:length])
-        kept = max(0, whole[:length].count(b"\n") - 1)
-        assert len(read_step_log(path, SPACE)) == kept
-        with StepWriter(path, SPACE) as writer:
-            assert len(writer.recorded) == kept
-            assert path.read_bytes() == whole[:length], "opening changes nothing"
-            for number in range(kept + 1, 3):
-                writer.append(step(number=number))
-        assert path.read_bytes() == whole or kept == 2
-
-
-def test_a_full_disk_is_said_with_the_file_and_spoils_no_row(tmp_path: Path) -> None:
-    path = tmp_path / "steps.csv"
-    write(path, step())
-    whole = path.read_bytes()
-    with largest_file(len(whole) + 20), pytest.raises(OSError, match=SAYS) as caught:
-        write(path, step(number=2))
-    assert caught.value.filename == str(path)
-    assert path.read_bytes()[: len(whole)] == whole
-    write(path, step(number=2))
-    assert len(read_step_log(path, SPACE)) == 2
-
-
-def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "steps.csv"
-    write(path, step(), step(number=2, status=StepStatus.NO_APEX))
-    assert digest(read_step_log(path, SPACE)) == hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-@pytest.mark.parametrize(
-    ("spoil", "line", "says"),
-    [
-        (lambda text: text.replace("speed", "pace", 1), 1, "the columns must be iteration,step,speed"),
-        (lambda text: text.replace("yaw_after", "place_after", 1), 1, "column yaw_after was called place_after"),
-        (lambda text: "hello", 1, "columns"),
-        (lambda text: "\n" + text, 1, "columns"),
-        (lambda text: text.replace("0.55", "0.5x", 1), 2, "could not convert"),
-        (lambda text: text.replace("0.55", "nan", 1), 2, "not finite"),
-        (lambda text: text.replace("0.12000000000000001", "inf"), 3, "not finite"),
-        (lambda text: text.replace(",ok", ",fine", 1), 2, "unknown status 'fine'"),
-        (lambda text: text.replace(",ok", ",ok,", 1), 2, "19 columns instead of 18"),
-        (lambda text: text.replace("0,2,", "0,3,"), 3, "step 3 of deployment 0 where step 2 of deployment 0"),
-        (lambda text: text.replace("0,2,", "0,1,"), 3, "step 1 of deployment 0"),
-        (lambda text: text.replace("0,2,", "2,1,"), 3, "or step 1 of deployment 1"),
-        (lambda text: text.replace("0,1,", "1,1,"), 2, "where step 1 of deployment 0 must be"),
-        (lambda text: text.replace("0,1,", "0.0,1,"), 2, "invalid literal"),
-        (lambda text: text + "\n", 4, "1 columns"),
-        (lambda text: text.replace("0.55", "z" * 200_000, 1), 2, "could not convert"),
-        (lambda text: text + "x" * 200_000 + "\n", 4, "1 columns"),
-        (lambda text: text.replace("0.11,0.55", "nan,nan").replace("ok", "fell", 1), 3, "step 1 of deployment 1"),
-    ],
-)
-def test_a_spoilt_file_is_refused_by_line_and_left_alone(tmp_path: Path, spoil, line: int, says: str) -> None:
-    path = tmp_path / "steps.csv"
-    write(path, step(), step(number=2))
-    path.write_text(spoil(path.read_text()))
-    before = path.read_bytes()
-    with pytest.raises(RecordError) as caught:
-        read_step_log(path, SPACE)
-    message = str(caught.value)
-    assert message.startswith(f"{path}, line {line}: ")
-    assert says in message
-    assert len(message) < 500
-    with pytest.raises(RecordError):
-        StepWriter(path, SPACE)
-    assert path.read_bytes() == before
-
-
-def test_what_is_no_text_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "steps.csv"
-    path.write_bytes(b"\xff\xfe\x00\n")
-    with pytest.raises(RecordError, match=r"steps\.csv: not a text file in UTF-8"):
-        read_step_log(path, SPACE)
-    write(tmp_path / "large.csv", step())
-    monkeypatch.setattr(step_log, "LARGEST_FILE", 100)
-    with pytest.raises(RecordError, match=r"large\.csv: larger than 100 bytes"):
-        read_step_log(tmp_path / "large.csv", SPACE)
-    with pytest.raises(FileNotFoundError):
-        read_step_log(tmp_path / "none.csv", SPACE)
-
-
-def test_a_fall_with_numbers_is_read_as_well(tmp_path: Path) -> None:
-    """A safety stop in the very tick of the apex has a next state and no success."""
-    record = StepRecord(np.zeros(2), np.zeros(2), np.zeros(2), np.array([0.1, math.nan]), StepStatus.STOPPED)
-    write(tmp_path / "steps.csv", LoggedStep(0, 1, np.zeros(2), np.zeros(2), np.zeros(2), record))
-    assert read_step_log(tmp_path / "steps.csv", SPACE).falls == 1
-
-
-def test_one_writer_at_a_time(tmp_path: Path) -> None:
-    path = tmp_path / "steps.csv"
-    with StepWriter(path, SPACE) as first:
-        first.append(step())
-        with pytest.raises(RecordError, match=r"steps\.csv: another process is writing this run"):
-            StepWriter(path, SPACE)
-        first.append(step(number=2))
-    write(path, step(number=3))
-    assert len(read_step_log(path, SPACE)) == 3
-
-
-def test_lines_may_end_as_on_windows(tmp_path: Path) -> None:
-    path = tmp_path / "steps.csv"
-    write(path, step())
-    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
-    assert len(read_step_log(path, SPACE)) == 1

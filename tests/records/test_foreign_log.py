@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.learning.step_log import RecordError
 from stepgap.learning.step_table import StepTable
 from stepgap.records import foreign_log
 from stepgap.records.columns import Columns, read_columns
 from stepgap.records.foreign_log import read_foreign_logs
+from stepgap.records.steps_csv import RecordError
 
 NUMBERS = st.floats(-1e12, 1e12) | st.just(float("nan"))
 WHOLE = Columns(state=("v", "y"), next=("v2", "y2"), command=("f",))
@@ -151,7 +151,7 @@ def test_what_is_wrong_with_a_file_is_named(text: str | bytes, words: str) -> No
 
 
 def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foreign_log, "LARGEST_FILE", 20)
+    monkeypatch.setattr(foreign_log, "LARGEST_LOG", 20)
     (tmp_path / "log.csv").write_text("v,y,v2,y2,f\n1,2,3,4,5\n")
     with pytest.raises(RecordError, match="larger than 20 bytes"):
         read_foreign_logs([tmp_path / "log.csv"], WHOLE)

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stepgap.learning.step_log import StepWriter, column_names, digest
-from stepgap.records import run_folder
-from stepgap.records.run_folder import read_run_folder, space_of_header
+from stepgap.records import steps_csv
+from stepgap.records.run_folder import SettingsFile, read_run_folder
+from stepgap.records.steps_csv import StepWriter, column_names, digest, space_of_header
 from stepgap.records.summary import parse_summary
-from stepgap.report.settings_table import parsed
 from stepgap.step import Quantity, StepSpace, StepStatus
 from tests.report.runs import logged, write_run, write_summary
 
@@ -45,21 +44,21 @@ def test_record_is_what_was_written(folder: Path) -> None:
     record = read_run_folder(folder)
     assert record.space.state_names == NAMES
     assert [quantity.unit for quantity in record.space.state] == ["m/s", ""]
-    assert [len(record.steps.of_iteration(number)) for number in record.shown] == [5, 5]
+    assert [len(record.steps.of_iteration(number)) for number in record.shown_iterations] == [5, 5]
     np.testing.assert_array_equal(record.deployments[1].errors["rmse"], [np.nan, 0.25])
-    np.testing.assert_array_equal(record.repeatability, [np.nan, np.nan])
+    np.testing.assert_array_equal(record.noise_floor, [np.nan, np.nan])
     assert record.summary.versions == (("mujoco", "3.17"), ("cores", "2"))
-    assert record.settings == "seed = 0\n"
+    assert record.settings == SettingsFile("seed = 0\n", {"seed": 0})
     assert record.unfinished == {}
 
 
 def test_deployment_under_way_is_no_error(folder: Path) -> None:
     edit_summary(folder, lambda content: content["iterations"].pop())
     record = read_run_folder(folder)
-    assert (record.shown, record.unfinished) == ([0], {1: 5})
+    assert (record.shown_iterations, record.unfinished) == ([0], {1: 5})
     (folder / "summary.json").unlink()
     record = read_run_folder(folder)
-    assert (record.shown, record.unfinished, record.summary.seed) == ([0, 1], {0: 5, 1: 5}, None)
+    assert (record.shown_iterations, record.unfinished, record.summary.seed) == ([0, 1], {0: 5, 1: 5}, None)
 
 
 def test_row_being_written_is_left_out(folder: Path) -> None:
@@ -169,13 +168,13 @@ def test_summary_that_is_none(folder: Path, content: bytes, message: str) -> Non
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda content: content.pop("seed"), "seed is missing, but it must be a whole number from 0"),
+        (lambda content: content.pop("seed"), "seed is missing, but it must be an integer from 0"),
         (lambda content: content.update(seed=10**400), "seed is 1000"),
         (lambda content: content.pop("repeatability"), "repeatability is missing"),
         (lambda content: content.update(versions=[1]), "versions is [1], but it must be an object"),
         (lambda content: content["iterations"][0].update(residual=3), "iterations[0]: residual is 3"),
         (lambda content: content["iterations"][0].update(residual="x" * 101), "but it must be a short text"),
-        (lambda content: content["iterations"][0].update(steps=True), "steps is True, but it must be a whole"),
+        (lambda content: content["iterations"][0].update(steps=True), "steps is True, but it must be an integer"),
         (lambda content: content["iterations"][0].pop("mae"), "iterations[0]: mae is missing"),
         (lambda content: content["iterations"][1].update(mae={"speed": 1}), "but it must be of speed, tilt"),
         (
@@ -197,7 +196,7 @@ def test_summary_that_is_wrong(folder: Path, change: Callable[[dict[str, Any]], 
 
 
 @pytest.mark.parametrize(
-    ("content", "message"), [(b"seed 3", "not TOML"), (b"\xff", "not a text file"), (b"#" * 2**19, "larger than")]
+    ("content", "message"), [(b"seed 3", "not TOML"), (b"\xff", "this is not text"), (b"#" * 2**21, "larger than")]
 )
 def test_settings_that_are_none(folder: Path, content: bytes, message: str) -> None:
     (folder / "experiment.toml").write_bytes(content)
@@ -208,7 +207,7 @@ def test_settings_that_are_none(folder: Path, content: bytes, message: str) -> N
 
 def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
     (folder / "experiment.toml").write_text("seed = 3\n", encoding="utf-8-sig")
-    assert parsed(read_run_folder(folder).settings) == {"seed": 3}
+    assert read_run_folder(folder).settings == SettingsFile("seed = 3\n", {"seed": 3})
 
 
 def test_directories_in_place_of_files(folder: Path) -> None:
@@ -225,14 +224,14 @@ def test_steps_that_are_none_yet(folder: Path, content: str) -> None:
 def test_steps_changed_after_the_summary(folder: Path) -> None:
     record = read_run_folder(folder)
     edit_summary(folder, lambda content: content.update(steps_sha256=digest(record.steps)))
-    assert read_run_folder(folder).shown == record.shown
+    assert read_run_folder(folder).shown_iterations == record.shown_iterations
     path = folder / "steps.csv"
     path.write_text(path.read_text().replace(",0.0,0.0,nan,ok", ",0.0,0.5,nan,ok", 1))
     assert "RUN/summary.json: steps.csv was changed after it was written" in complaint(folder)
 
 
 def test_too_many_coordinates(tmp_path: Path) -> None:
-    names = tuple(f"x{number}" for number in range(run_folder.MOST_COORDINATES + 1))
+    names = tuple(f"x{number}" for number in range(steps_csv.MOST_COORDINATES + 1))
     assert "at most 12" in complaint(write_run(tmp_path / "run", names, steps=1))
 
 

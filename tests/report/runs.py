@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.control.reference import Reference
-from stepgap.experiment.loop import run
+from stepgap.experiment.loop import run_experiment
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, column_names, row_of
+from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.report.motion import RATE, Motion
+from stepgap.records.steps_csv import column_names, row_of
+from stepgap.report import NO_CONTEXT, RunContext, read_run_folder, write_report
+from stepgap.report.motion import RATE, DeploymentMotion
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper
 
@@ -56,7 +58,7 @@ def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), rea
         made.lasts = next(tired, made.lasts)
         return made
 
-    run(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, least_gain=0.0), folder, seed=0)
+    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, least_gain=0.0), folder, seed=0)
     return folder
 
 
@@ -102,8 +104,13 @@ def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: 
     (folder / "summary.json").write_text(json.dumps(content), encoding="utf-8")
 
 
-def motion(frames: int) -> Motion:
+def motion(frames: int) -> DeploymentMotion:
     """A made-up motion whose steps take 0.8 s, from step 0 on."""
     time = np.arange(frames) / RATE
     moving = [0.2 * time, 0.5 + 0.1 * np.sin(7 * time), 0.1 * np.cos(7 * time), 1 + 0.3 * np.sin(7 * time)]
-    return Motion(np.floor(time / 0.8), moving[0], moving[1], moving[2], moving[3], np.zeros(frames))
+    return DeploymentMotion(np.floor(time / 0.8), moving[0], moving[1], moving[2], moving[3], np.zeros(frames))
+
+
+def report_of(folder: Path, context: RunContext = NO_CONTEXT, space: StepSpace | None = None) -> Path:
+    """The page of the report of a run folder, just written."""
+    return write_report(read_run_folder(folder, space), context).path

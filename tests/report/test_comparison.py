@@ -74,8 +74,8 @@ def test_settings_that_differ() -> None:
     one = flat_settings({"a": 1, "t": {"b": 2.0, "c": [1, 2]}, "s": ""})
     two = flat_settings({"a": 1.0, "t": {"b": 2, "c": (1, 3)}, "d": True})
     assert differing([one, two]) == [["t.c", "[1, 2]", "[1, 3]"], ["s", "(empty)", "–"], ["d", "–", "true"]]
-    assert "All settings are the defaults." in changed_settings("x = 1\n", {"x": 1.0})
-    assert "&lt;" in changed_settings("x = '<'\n", json.loads('{"x": 2}'))
+    assert "All settings are the defaults." in changed_settings({"x": 1}, {"x": 1.0})
+    assert "&lt;" in changed_settings({"x": "<"}, json.loads('{"x": 2}'))
 
 
 def test_calibrating_steps_are_no_other_reference(folders: list[Path], tmp_path: Path) -> None:

@@ -1,14 +1,14 @@
-"""A figure that cannot be drawn is a sentence."""
+"""A figure that cannot be drawn leaves its reason."""
 
 import builtins
 from pathlib import Path
 
 import pytest
 
-from stepgap.report import write_report
+from stepgap.records.missing import Missing
 from stepgap.report.drawing import LONGEST_ERROR, draw
 from tests.report.pages import Page, check_alone
-from tests.report.runs import write_run
+from tests.report.runs import report_of, write_run
 
 
 def test_the_reason_is_one_short_line() -> None:
@@ -16,10 +16,10 @@ def test_the_reason_is_one_short_line() -> None:
         raise OSError("no font\n" * 100)
 
     said = draw(fail, "errors")
-    assert isinstance(said, str)
-    assert said.startswith("No figure of errors could be drawn (OSError: no font no font")
-    assert "pip install --force-reinstall matplotlib" in said
-    assert len(said) < 250 + LONGEST_ERROR
+    assert isinstance(said, Missing)
+    assert said.reason.startswith("no figure of errors could be drawn (OSError: no font no font")
+    assert "pip install --force-reinstall matplotlib" in said.reason
+    assert len(said.reason) < 250 + LONGEST_ERROR
 
 
 def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,7 +32,7 @@ def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.Monkey
 
     folder = write_run(tmp_path / "run", ("x",), steps=3)
     monkeypatch.setattr(builtins, "__import__", without)
-    page = Page(write_report(folder))
+    page = Page(report_of(folder))
     check_alone(page, 0)
     assert page.text.count("could be drawn (ImportError: libfreetype.so.6") == 3
     assert not (folder / "figures").exists()

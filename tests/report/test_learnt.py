@@ -9,14 +9,14 @@ import pytest
 
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import FEATURES
-from stepgap.report import Background, read_run_folder, write_report
+from stepgap.report import RunContext, read_run_folder
 from stepgap.report.learnt import input_quantities, read_learnt
 from stepgap.report.learnt_table import coverage_table, learnt_tables
 from stepgap.report.reference_gait import gait_table, reference_gait
-from stepgap.report.words import decimal
+from stepgap.report.sentences import decimal
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
-from tests.report.runs import TARGETS, make_run
+from tests.report.runs import TARGETS, make_run, report_of
 
 SPACE = LossyHopper().space
 
@@ -47,7 +47,7 @@ def test_without_a_model_it_is_said(folder: Path, tmp_path: Path) -> None:
     assert read_learnt(folder, 0, SPACE) is None
     shutil.copytree(folder, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "models")
-    page = Page(write_report(tmp_path / "run"))
+    page = Page(report_of(tmp_path / "run"))
     check_alone(page)
     assert "Nothing is said of the model: there is no models/iteration_2.json." in page.text
 
@@ -96,7 +96,7 @@ def test_gaits_hold_the_targets(folder: Path) -> None:
 
 def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "run")
-    page = Page(write_report(tmp_path / "run", background=Background("map", {"seed": 1}, LossyHopper())))
+    page = Page(report_of(tmp_path / "run", RunContext("map", {"seed": 1}, LossyHopper())))
     check_alone(page, 6)
     assert "Nominal map: 4 of 4 targets are held by a constant command within its bounds" in page.text
     assert (tmp_path / "run" / "figures" / "gait.pdf").read_bytes().startswith(b"%PDF")
@@ -106,6 +106,6 @@ def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
 def test_a_run_that_still_calibrates_has_no_gait(folder: Path, tmp_path: Path) -> None:
     header, first, *_ = (folder / "steps.csv").read_text().splitlines(keepends=True)
     (tmp_path / "steps.csv").write_text(header + first.replace("0,1,", "0,0,", 1))
-    page = Page(write_report(tmp_path, background=Background("map", {}, LossyHopper())))
+    page = Page(report_of(tmp_path, RunContext("map", {}, LossyHopper())))
     check_alone(page)
-    assert "No target was tracked yet" in page.text
+    assert "There is no gait: no target was tracked yet." in page.text

@@ -1,4 +1,4 @@
-"""The replay's data, as the page's script unpacks them, and the file that keeps a motion."""
+"""The replay's data, as the page's script unpacks them."""
 
 import json
 import re
@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.report import Background, read_run_folder, write_report
-from stepgap.report.motion import RATE, Motion, Replay, read_motion, sensed_motion, write_motion
+from stepgap.report import RunContext, read_run_folder
+from stepgap.report.motion import RATE, DeploymentMotion, Replay, sensed_motion
 from stepgap.report.replay_view import LEVELS, MOST_FRAMES, replay_view
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from tests.report.pages import Page, check_alone
-from tests.report.runs import make_run, motion
+from tests.report.runs import make_run, motion, report_of
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
     assert entry["rate"] == RATE / every
     assert entry["frames"] == -(-frames // every)
     packed = np.frombuffer(b64decode(entry["packed"]), "<u2").reshape(6, entry["frames"])
-    assert entry["channels"] == [field.name for field in fields(Motion)]
+    assert entry["channels"] == [field.name for field in fields(DeploymentMotion)]
     for name, levels, (low, high) in zip(entry["channels"], packed, entry["ranges"], strict=True):
         values = low + (high - low) * levels / LEVELS
         np.testing.assert_allclose(values, getattr(shown, name)[::every], atol=0.51 * (high - low) / LEVELS + 1e-12)
@@ -47,10 +47,10 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
 @pytest.mark.usefixtures("svg_only")
 def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
     replay = Replay({0: motion(300), 1: motion(200)}, RobotParameters(), 0.4)
-    page = Page(write_report(folder, background=Background(replay=replay)))
+    page = Page(report_of(folder, RunContext(replay=replay)))
     check_alone(page)
     names = {given.get("id") for _, given in page.tags}
-    assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-words"} <= names
+    assert {"replay-canvas", "replay-slider", "replay-play", "replay-deployment", "replay-moment"} <= names
 
 
 def test_a_sensed_motion_is_read_from_counts() -> None:
@@ -76,37 +76,7 @@ def test_a_sensed_motion_is_read_from_counts() -> None:
         sensed_motion(TickTable(units, np.full((1, 6), np.nan)), layout)
 
 
-def test_a_kept_motion_is_that_of_its_origin(tmp_path: Path) -> None:
-    path, kept = tmp_path / "replay" / "one.npz", motion(100)
-    write_motion(path, kept, "origin")
-    found = read_motion(path, "origin")
-    assert found is not None
-    for field in fields(Motion):
-        np.testing.assert_allclose(getattr(found, field.name), getattr(kept, field.name), rtol=1e-6)
-    assert read_motion(path, "another") is None
-    assert read_motion(tmp_path / "none.npz", "origin") is None
-    assert read_motion(tmp_path, "origin") is None
-
-
-def test_a_damaged_motion_is_none(tmp_path: Path) -> None:
-    path = tmp_path / "one.npz"
-    write_motion(path, motion(50), "origin")
-    whole = path.read_bytes()
-    for size in range(0, len(whole), 97):
-        path.write_bytes(whole[:size])
-        assert read_motion(path, "origin") is None
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        spoilt = bytearray(whole)
-        spoilt[rng.integers(len(whole))] ^= 1 << rng.integers(8)
-        path.write_bytes(spoilt)
-        found = read_motion(path, "origin")
-        assert found is None or len(found.step) == 50
-    np.savez(path, origin=np.array("origin"), step=np.array([{}], object))
-    assert read_motion(path, "origin") is None
-
-
 @pytest.mark.parametrize("bad", [np.array([1.0, np.nan]), np.zeros(3), np.zeros((2, 1))])
 def test_a_motion_is_equally_long_rows_of_numbers(bad: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"must be (equally long|finite)"):
-        Motion(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), bad)
+        DeploymentMotion(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), bad)

@@ -13,13 +13,13 @@ from matplotlib.image import imread
 from stepgap.control.reference import paper_reference
 from stepgap.records import paper
 from stepgap.records.summary import MEASURES
-from stepgap.report import Background, read_run_folder, write_report
+from stepgap.report import RunContext, read_run_folder
 from stepgap.report.bands import coverage
 from stepgap.report.figures import tracking_figure
-from stepgap.report.words import decimal
+from stepgap.report.sentences import decimal
 from stepgap.step import Quantity, StepSpace
 from tests.report.pages import Page, check_alone
-from tests.report.runs import make_run, write_run, write_summary
+from tests.report.runs import make_run, report_of, write_run, write_summary
 
 HOSTILE = "<img src=http://evil/?x='1' onerror=alert(1)>&\"--></svg></pre><script>alert(2)</script>$\\frac{"
 
@@ -32,7 +32,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     content["versions"] = {"stepgap": "0.1.0"}
     (folder / "summary.json").write_text(json.dumps(content))
     (folder / "experiment.toml").write_text("seed = 0\nreference = 'a<b>.csv'\n")
-    assert write_report(folder) == folder / "report.html"
+    assert report_of(folder) == folder / "report.html"
     return folder
 
 
@@ -46,7 +46,7 @@ def like_paper(tmp_path_factory: pytest.TempPathFactory) -> Page:
     """The report of a run along the paper's reference, of which no error is known."""
     targets = paper_reference().targets
     folder = tmp_path_factory.mktemp("like_paper") / "run"
-    return Page(write_report(write_run(folder, ("speed", "height"), 227, 5, targets=targets)))
+    return Page(report_of(write_run(folder, ("speed", "height"), 227, 5, targets=targets)))
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_pictures_are_pictures(written: Path) -> None:
 
 def test_writing_again_gives_the_same(written: Path) -> None:
     before = {path: path.read_bytes() for path in written.rglob("*") if path.is_file()}
-    write_report(written)
+    report_of(written)
     assert {path: path.read_bytes() for path in written.rglob("*") if path.is_file()} == before
 
 
@@ -149,7 +149,7 @@ def test_a_part_of_the_papers_reference_is_another_one(
 
 @pytest.mark.usefixtures("svg_only")
 def test_first_deployment_alone(tmp_path: Path) -> None:
-    page = Page(write_report(make_run(tmp_path / "run", iterations=0)))
+    page = Page(report_of(make_run(tmp_path / "run", iterations=0)))
     check_alone(page)
     assert "One deployment so far, so there is nothing to compare with" in page.text
     assert "Tracking of a single deployment" in page.text
@@ -159,7 +159,7 @@ def test_first_deployment_alone(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("svg_only")
 def test_falls(tmp_path: Path) -> None:
-    page = Page(write_report(make_run(tmp_path / "run", iterations=1, lasts=(15, 0))))
+    page = Page(report_of(make_run(tmp_path / "run", iterations=1, lasts=(15, 0))))
     check_alone(page)
     assert "It did not track to the end: deployment 1 fell at step 1." in page.text
     assert "Deployment 0 fell at step 16; its errors are of the steps before only." in page.text
@@ -171,7 +171,7 @@ def test_a_stop_is_no_fall(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", iterations=0, lasts=(15,))
     for name, words in {"steps.csv": (",fell", ",stopped"), "summary.json": ("steps_sha256", "former_sha256")}.items():
         (folder / name).write_text((folder / name).read_text().replace(*words))
-    text = Page(write_report(folder)).text
+    text = Page(report_of(folder)).text
     assert "It did not track to the end: deployment 0 ended without an apex (stopped) at step 16." in text
 
 
@@ -181,9 +181,9 @@ def test_run_under_way(tmp_path: Path) -> None:
     write_summary(folder, ("x",), 3, 1)
     with (folder / "steps.csv").open("a") as file:
         file.write("1,4,0.")
-    assert "Deployment 1 is under way or was broken off: its 3 steps so far" in Page(write_report(folder)).text
+    assert "Deployment 1 is running or was interrupted: its 3 steps so far" in Page(report_of(folder)).text
     (folder / "summary.json").unlink()
-    page = Page(write_report(folder))
+    page = Page(report_of(folder))
     check_alone(page)
     assert "No deployment is finished yet." in page.text
     assert "paper's hardware" not in page.text
@@ -199,7 +199,7 @@ def test_hostile_words_stay_words(tmp_path: Path) -> None:
     (folder / "experiment.toml").write_text(f"robot = '''{HOSTILE}'''\n")
     (tmp_path / "precious").write_text("precious")
     (folder / "report.html.partial").symlink_to(tmp_path / "precious")
-    page = Page(write_report(folder, background=Background(HOSTILE)))
+    page = Page(report_of(folder, RunContext(HOSTILE)))
     check_alone(page)
     assert page.text.count(HOSTILE) >= 6
     assert (tmp_path / "precious").read_text() == "precious"
@@ -211,14 +211,14 @@ def test_hostile_words_stay_words(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("svg_only")
 def test_equal_file_names_are_kept_apart(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("a b", "A_b"), steps=2, iterations=1)
-    write_report(folder)
+    report_of(folder)
     assert len(list((folder / "figures").glob("*.png"))) == 4
 
 
 @pytest.mark.usefixtures("svg_only")
 def test_units_of_a_given_space(tmp_path: Path) -> None:
     space = StepSpace((Quantity("tilt", "rad", -1, 1),), (Quantity("push", "N", -1, 1),))
-    page = Page(write_report(write_run(tmp_path / "run", ("tilt",), steps=2), space, Background("hardware of ours")))
+    page = Page(report_of(write_run(tmp_path / "run", ("tilt",), steps=2), RunContext("hardware of ours"), space))
     assert "Error of tilt [rad]" in page.text
     assert "this run: hardware of ours" in page.text
 
@@ -229,7 +229,7 @@ def test_nothing_is_written_of_a_bad_run(written: Path, tmp_path: Path) -> None:
     (folder / "summary.json").write_text("{}")
     before = (folder / "report.html").read_bytes()
     with pytest.raises(ValueError, match=r"^[^\n]*summary\.json: schema is missing, but it must be 1[^\n]*$"):
-        write_report(folder)
+        report_of(folder)
     assert (folder / "report.html").read_bytes() == before
 
 

@@ -44,11 +44,11 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     page.set_viewport_size(SMALL)
     page.goto(served)
     body = page.locator("body")
-    expect(body).to_contain_text("The robot is let go.")
+    expect(body).to_contain_text("The robot is released.")
     robot = partial(page.screenshot, clip=ROBOT)
     held = robot()
     page.get_by_text("One step", exact=True).click()  # the hop of the release
-    expect(body).to_contain_text("The robot has been let go.")
+    expect(body).to_contain_text("The robot has been released.")
     expect(body).to_contain_text("Paused.")
     page.get_by_text("One step", exact=True).click()
     expect(body).to_contain_text("Step 1")
@@ -64,7 +64,7 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     watched_page.keep_screenshot("view_learnt")
 
     choose(watched_page, "Deployment", "0: uncorrected map")
-    expect(body).to_contain_text("The robot is let go.")
+    expect(body).to_contain_text("The robot is released.")
     choose(watched_page, "Overlay", "1: corrected map")
     choose(watched_page, "Speed", "16")
     page.get_by_text("Pause / play").click()

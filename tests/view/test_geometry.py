@@ -15,11 +15,11 @@ from stepgap.robots.hopper.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.view.geometry import Pose, joints_at, turned_to
+from stepgap.view.geometry import HopperPose, joints_at, turned_to
 
 ROBOT = RobotParameters()
 ANGLES = st.floats(-1.2, 1.2)
-POSES = st.builds(Pose, ANGLES, st.floats(-0.4, 0.4), ANGLES, st.floats(0.05, 2.5), ANGLES, ANGLES)
+POSES = st.builds(HopperPose, ANGLES, st.floats(-0.4, 0.4), ANGLES, st.floats(0.05, 2.5), ANGLES, ANGLES)
 
 
 def length(start: np.ndarray, end: np.ndarray) -> float:
@@ -28,7 +28,7 @@ def length(start: np.ndarray, end: np.ndarray) -> float:
 
 @settings(deadline=None)
 @given(POSES)
-def test_the_four_bar_closes(pose: Pose) -> None:
+def test_the_four_bar_closes(pose: HopperPose) -> None:
     joints = joints_at(ROBOT, 0.4, pose)
     assert length(joints.hip, joints.front_knee) == pytest.approx(ROBOT.top_length)
     assert length(joints.hip, joints.rear_knee) == pytest.approx(ROBOT.top_length)
@@ -40,7 +40,7 @@ def test_the_four_bar_closes(pose: Pose) -> None:
 
 @settings(deadline=None)
 @given(POSES)
-def test_the_foot_is_that_of_the_leg(pose: Pose) -> None:
+def test_the_foot_is_that_of_the_leg(pose: HopperPose) -> None:
     level = replace_pose(pose, yaw=0.0, pitch=0.0)
     joints = joints_at(ROBOT, 0.4, level)
     toe = foot(leg_of(ROBOT), four_bar(leg_of(ROBOT), pose.alpha_2), pose.alpha_1)
@@ -49,7 +49,7 @@ def test_the_foot_is_that_of_the_leg(pose: Pose) -> None:
 
 @settings(deadline=None)
 @given(POSES)
-def test_the_boom_is_rigid_and_the_leg_swings_in_the_plane_of_its_tip(pose: Pose) -> None:
+def test_the_boom_is_rigid_and_the_leg_swings_in_the_plane_of_its_tip(pose: HopperPose) -> None:
     joints = joints_at(ROBOT, 0.4, replace_pose(pose, deflection_forward=0.0, deflection_up=0.0))
     boom = joints.hip - joints.pivot
     assert np.linalg.norm(boom) == pytest.approx(ROBOT.boom_length)
@@ -57,7 +57,7 @@ def test_the_boom_is_rigid_and_the_leg_swings_in_the_plane_of_its_tip(pose: Pose
         assert (joint - joints.hip) @ boom == pytest.approx(0, abs=1e-12)
 
 
-def replace_pose(pose: Pose, **changes: float) -> Pose:
+def replace_pose(pose: HopperPose, **changes: float) -> HopperPose:
     return pose._replace(**changes)
 
 
@@ -72,7 +72,7 @@ def test_every_joint_is_where_mujoco_has_it(stiffness: float) -> None:
         true, layout = twin.true_state(), twin.sensor_model
         front, rear = true.leg
         (yaw, pitch), (along, up) = true.boom, true.deflection
-        pose = Pose(yaw, pitch, (front + rear) / 2, (front - rear) / 2, along, up)
+        pose = HopperPose(yaw, pitch, (front + rear) / 2, (front - rear) / 2, along, up)
         joints = joints_at(ROBOT, layout.pivot_height, pose)
         near = {"rtol": 0, "atol": max(1e-6, 5 * true.closure_error)}
         np.testing.assert_allclose(joints.hip, data.body("front_top").xpos, rtol=0, atol=1e-9)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.view.page import Page
 from stepgap.view.source import Source
 from stepgap.view.watch import HERE, start_server, stop_server, watch
@@ -78,7 +78,7 @@ def test_what_was_learnt_is_drawn_along_the_chosen_input(page: Page) -> None:
     page.player.show(2)
     page.update(0.0)
     assert not np.isfinite(page._learnt[0]._chart.data[-1]).any()
-    assert "uncorrected" in page._said.content
+    assert "uncorrected" in page._model_note.content
 
 
 def test_deployment_overlay_and_speed_can_be_chosen(page: Page) -> None:

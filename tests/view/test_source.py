@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.base.errors import InputError
 from stepgap.experiment.replay import replay
-from stepgap.experiment.settings import InputError
-from stepgap.learning.step_log import RecordError, read_step_log
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
-from stepgap.view.geometry import Pose, joints_at
-from stepgap.view.motion import STILL, Hop, true_hop
+from stepgap.view.geometry import HopperPose, joints_at
+from stepgap.view.motion import STILL, HopMotion, true_hop
 from stepgap.view.source import RING_FIELDS, Source
 from tests.view.conftest import STEPS
 
@@ -25,7 +25,7 @@ def copy(run_folder: Path, tmp_path: Path) -> Path:
     return shutil.copytree(run_folder, tmp_path / "run")
 
 
-def found(source: Source, iteration: int) -> list[Hop]:
+def found(source: Source, iteration: int) -> list[HopMotion]:
     """All motion of a deployment, once it is known."""
     source.want(iteration)
     source.await_motion(iteration)
@@ -42,7 +42,7 @@ def test_motion_is_the_deployment_made_again(run_folder: Path) -> None:
     feet = np.column_stack([table["foot_x"], table["foot_y"], table["foot_z"]])
     poses = np.concatenate([hop.poses for hop in hops])
     for pose, true_foot in zip(poses[::20], feet[::20], strict=True):
-        drawn = joints_at(source.settings.robot, source.pivot_height, Pose(*pose)).foot
+        drawn = joints_at(source.settings.robot, source.pivot_height, HopperPose(*pose)).foot
         np.testing.assert_allclose(drawn, true_foot, atol=1e-5)
 
 
@@ -82,10 +82,11 @@ def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
         assert truth
         assert hop.duration == pytest.approx(truth.duration, abs=0.02)
     assert len(hops) == 1 + STEPS
-    assert source.words == ""
+    assert source.missing_motion is None
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
     assert [hop.duration for hop in found(source, 1)] == [STILL] * (1 + STEPS)
-    assert "ticks-1.mcap" in source.words
+    assert source.missing_motion
+    assert "ticks-1.mcap" in source.missing_motion.reason
 
 
 def test_a_changed_record_is_shown_without_motion(copy: Path) -> None:
@@ -94,7 +95,8 @@ def test_a_changed_record_is_shown_without_motion(copy: Path) -> None:
     source = Source(copy)
     hops = found(source, 0)
     assert hops[-1].duration == STILL
-    assert "could not be made again" in source.words
+    assert source.missing_motion
+    assert "could not be made again" in source.missing_motion.reason
 
 
 def test_steps_that_come_are_seen(copy: Path) -> None:

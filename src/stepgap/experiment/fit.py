@@ -11,9 +11,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from stepgap.experiment.settings import InputError, read_experiment
+from stepgap.base.errors import InputError
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.residual import Residual
-from stepgap.learning.step_log import RecordError, StepLog, joined, read_step_log
+from stepgap.learning.step_log import StepLog, joined
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
 from stepgap.learning.validation import (
     FOLDS,
@@ -27,6 +28,7 @@ from stepgap.learning.validation import (
 )
 from stepgap.records.columns import Columns
 from stepgap.records.foreign_log import read_foreign_logs
+from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.step import Array, Quantity, StepSpace
 

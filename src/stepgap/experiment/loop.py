@@ -3,7 +3,6 @@
 It knows no robot: a nominal `StepMap`, something that makes a `Plant`, and a `Reference` are all it takes.
 """
 
-import json
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -14,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.base.files import write_whole
 from stepgap.base.random_streams import random_stream
 from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
@@ -22,8 +20,10 @@ from stepgap.experiment.deployment import Steps, deploy, estimate_noise_floor, s
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog, digest
+from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
+from stepgap.records.model_files import write_model
+from stepgap.records.steps_csv import digest
 from stepgap.records.summary import Deployment, Summary, write_summary
 from stepgap.step import Array, StepMap, StepSpace
 
@@ -51,7 +51,7 @@ class Observer:
     on_fault: Callable[[str], None] = lambda message: None
 
 
-def run(
+def run_experiment(
     nominal: StepMap,
     make_plant: Callable[[np.random.Generator], Plant],
     reference: Reference,
@@ -96,7 +96,7 @@ def run(
             iteration = len(deployments)
             learner = Learner.start(nominal, past + log, learning, iteration)
             if iteration > 0 or len(past):
-                _write_model(folder, learner)
+                write_model(folder, learner.iteration, learner.residual)
             execute = partial(_execute, learner, make_plant, reference, seed, observer)
             steps = _observed(recording.steps(iteration, execute), nominal.space, observer)
             log += steps
@@ -142,11 +142,6 @@ def _observed(steps: Steps, space: StepSpace, observer: Observer) -> StepLog:
 
     with closing(steps):
         return StepLog(space, reported())
-
-
-def _write_model(folder: Path, learner: Learner) -> None:
-    """Writes the residual that a deployment starts with."""
-    write_whole(folder / "models" / f"iteration_{learner.iteration}.json", json.dumps(learner.residual.to_dict()))
 
 
 def _residual_name(learner: Learner) -> str:

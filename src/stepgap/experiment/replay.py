@@ -1,4 +1,4 @@
-"""What went on between the steps of a deployment: made again, tick by tick, or read from the tick log of a rig."""
+"""The ticks of a recorded deployment: simulated again, or read from the tick log of a rig."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
-from stepgap.experiment.settings import Experiment, InputError, read_experiment
-from stepgap.learning.step_log import LoggedStep, RecordError, read_step_log, row_of
+from stepgap.experiment.settings import Experiment, read_experiment
+from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.steps_csv import RecordError, read_step_log, row_of
 from stepgap.records.summary import read_summary
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.limits import RigLimits
@@ -22,6 +24,7 @@ from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.step import Array
 
 REPLAY_UNITS = {
@@ -41,20 +44,20 @@ REPLAY_UNITS = {
 """Columns of a replay: those of a tick, the step it belongs to, and what is true of the twin when its sensors are read.
 
 The hip's x is the distance travelled along the circle; the foot is in MuJoCo's frame, whose z points up from the floor.
-The step before the first recorded one is the hop with which the robot is let go.
+The step before the first recorded one is the hop after the release.
 """
 
 
 def replay(
-    folder: Path, iteration: int, every: int = 1, tell: Callable[[int, int], None] = lambda done, total: None
+    folder: Path, iteration: int, every: int = 1, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> TickTable:
-    """The ticks of a recorded deployment on the twin or an emulated ring, made again from its seed and its commands.
+    """The ticks of a recorded deployment on the twin or an emulated ring, simulated again from its seed and commands.
 
     Args:
         folder: The run folder.
         iteration: Number of the deployment.
-        every: One of so many ticks is kept, from 1 on.
-        tell: Is told how many steps of how many are done.
+        every: Every how many ticks one is kept, from 1 on.
+        progress: Is called with the number of steps done and in total.
 
     Raises:
         InputError: The run cannot be read, has no such deployment, or was not a simulation.
@@ -64,33 +67,32 @@ def replay(
     rows = []
     for done, ticks in enumerate(_hops(folder, experiment, steps, every)):
         rows.append(ticks)
-        tell(done, len(steps))
+        progress(done, len(steps))
     return TickTable(REPLAY_UNITS, np.concatenate(rows))
 
 
 def replayed_hops(folder: Path, iteration: int, every: int = 1) -> Iterator[TickTable]:
-    """The same hop by hop, as they are made; the first one is that before the first recorded step."""
+    """The ticks of `replay` hop by hop, as they are simulated; the first hop is the one after the release."""
     for ticks in _hops(folder, *_read(folder, iteration), every):
         yield TickTable(REPLAY_UNITS, ticks)
 
 
-def layout_of(settings: Experiment) -> HopperSensorModel:
-    """How to read the counts of an experiment's ticks.
+def sensor_model_of(settings: Experiment) -> HopperSensorModel:
+    """How to read the counts of an experiment's ticks; builds no twin.
 
     Raises:
         InputError: The rig, or the file that describes it, is not there.
     """
     if settings.plant in SIMULATED:
-        return sensors_of(remade_rig(settings, 0)[0])
+        return twin_sensor_model(settings.robot, settings.gap)
     return sensors_of(load_rig(settings.plant, Path(settings.rig), settings.robot))
 
 
 def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
     """The ticks of a rig's deployment from its log, with a column `step`, as far as the sensors were read.
 
-    They begin when torque is given, and end with the last step, or where the robot had come to rest after a fall. Which
-    step a tick belongs to is told by the apexes passed while the robot hopped; the one before the first recorded step
-    is the hop with which the robot is let go.
+    They begin when torque is given, and end with the last step, or where the robot had come to rest after a fall. The
+    apexes that were passed while the robot hopped separate the steps; step 0 is the hop after the release.
 
     Args:
         folder: The run folder.
@@ -110,9 +112,9 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
     if len(passed) < len(steps):
         number = steps[0].iteration
         raise InputError(f"{path}: has fewer hops than deployment {number}, so it is not known which are which")
-    shown = (ticks["state"] >= RigState.STAND) & (hop <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
+    kept = (ticks["state"] >= RigState.STAND) & (hop <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
     step = (hop + steps[0].step - 1).astype(float)
-    return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, step])[shown])
+    return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, step])[kept])
 
 
 def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:
@@ -138,18 +140,18 @@ def _hops(folder: Path, settings: Experiment, steps: list[LoggedStep], every: in
         try:
             plant.start()
         except RigFault as fault:
-            raise RecordError(f"{_not_again(folder, steps[0], plant.space.state_names)} ({fault})") from None
+            raise RecordError(f"{_mismatch(folder, steps[0], plant.space.state_names)} ({fault})") from None
         yield recorder.drain()
         for logged in steps:
             recorder.step = logged.step
             made = replace(logged, record=plant.take_step(logged.record.command))
             if row_of(made) != row_of(logged):
-                raise RecordError(_not_again(folder, logged, plant.space.state_names))
+                raise RecordError(_mismatch(folder, logged, plant.space.state_names))
             yield recorder.drain()
 
 
-def _not_again(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
-    """That a step could not be made again, and what may be the reason."""
+def _mismatch(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
+    """The message that a step could not be reproduced, with a possible reason."""
     here = versions_here()
     try:
         recorded = read_summary(folder / "summary.json", names).versions
@@ -167,7 +169,7 @@ class _Recorder:
     """Keeps ticks with what was true when their sensors were read.
 
     Attributes:
-        step: The one that goes on.
+        step: Number of the step that is being executed.
     """
 
     def __init__(self, twin: Twin, every: int):
@@ -201,7 +203,7 @@ def _truth(twin: Twin) -> tuple[float, ...]:
 
 
 class _Watched(Rig):
-    """A rig that tells of every read.
+    """A rig that reports every read.
 
     Args:
         rig: What moves.

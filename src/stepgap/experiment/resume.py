@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Self
 
 from stepgap.experiment.deployment import Steps
-from stepgap.learning.step_log import LoggedStep, RecordError, StepLog, StepWriter, digest, row_of
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.records.summary import Summary, WarmStart, read_summary
 from stepgap.step import Array, StepSpace
 

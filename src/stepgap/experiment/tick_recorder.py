@@ -1,4 +1,4 @@
-"""Ticks of a run that goes on: which hop they belong to, and those that its report will show."""
+"""Ticks during a run: to which hop each belongs, and those that the report will show."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,11 +14,11 @@ from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 
 
 class HopCount:
-    """Which hop of which deployment goes on.
+    """Counts hops and deployments while they are executed.
 
     Attributes:
         iteration: Number of the deployment.
-        hop: 0 is the one with which the robot is let go, k the k-th recorded step of the deployment.
+        hop: 0 is the hop after the release, k the k-th recorded step of the deployment.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class HopCount:
         self._phase = tick.phase
 
     def observing(self, observer: Observer) -> Observer:
-        """The observer, whose steps and deployments are counted after it has been told of them."""
+        """An observer that first calls this one, then counts the step or deployment."""
 
         def on_step(logged: LoggedStep) -> None:
             observer.on_step(logged)
@@ -48,7 +48,7 @@ class TickRecorder:
     """Keeps ticks of deployment 0 and of the latest one, as far as they were executed since it was made.
 
     Args:
-        every: One of so many ticks is kept.
+        every: Every how many ticks one is kept.
     """
 
     def __init__(self, every: int):
@@ -69,7 +69,7 @@ class TickRecorder:
         self._hops.on_tick(tick)
 
     def observing(self, observer: Observer) -> Observer:
-        """The observer, from which steps and deployments are learnt here as well."""
+        """An observer that calls this one and counts steps and deployments here."""
 
         def on_step(logged: LoggedStep) -> None:
             self._before = logged.step - self._hops.hop

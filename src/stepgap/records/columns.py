@@ -6,8 +6,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from stepgap.base.settings_file import InputError, read_toml
-from stepgap.learning.step_log import RecordError
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import read_toml
+from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array, Quantity, StepSpace
 
 LARGEST_NUMBER = 1e12

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.learning.step_log import RecordError
 from stepgap.learning.step_table import Labels, StepTable, describe_left_out
 from stepgap.records.columns import LARGEST_NUMBER, ROLES, Columns, column_of, unknown_column
+from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
-LARGEST_FILE = 64 * 2**20
+LARGEST_LOG = 64 * 2**20
 """Largest log that is read [bytes]."""
 
 MISSING = {"", "na", "n/a", "nan", "null", "none", "inf", "-inf"}
@@ -93,18 +93,18 @@ def _read(path: Path, columns: Columns) -> _Rows:
     _, header = next(lines, (1, []))
     if not header:
         raise RecordError(f"{path}: empty; it must have a line of column names and rows below it")
-    places = {column: _place(header, column, role, path) for column, role in columns.numbers.items()}
-    deployment = _place(header, columns.deployment, "deployment", path) if columns.deployment else None
+    indices = {column: _index(header, column, role, path) for column, role in columns.numbers.items()}
+    deployment = _index(header, columns.deployment, "deployment", path) if columns.deployment else None
     labels: dict[str, int] = {}
     numbers: list[list[float]] = []
     deployments: list[int] = []
     for line, cells in lines:
         if len(cells) != len(header):
             raise RecordError(f"{path}, line {line}: {len(cells)} values; it must have {len(header)}, as the header")
-        numbers.append([_number(cells[at], f"{path}, line {line}, column {name!r}") for name, at in places.items()])
+        numbers.append([_number(cells[at], f"{path}, line {line}, column {name!r}") for name, at in indices.items()])
         deployments.append(labels.setdefault(cells[deployment] if deployment is not None else "", len(labels)))
-    table = np.array(numbers, float).reshape(len(numbers), len(places))
-    scaled = {name: table[:, i] * columns.factors.get(name, 1.0) for i, name in enumerate(places)}
+    table = np.array(numbers, float).reshape(len(numbers), len(indices))
+    scaled = {name: table[:, i] * columns.factors.get(name, 1.0) for i, name in enumerate(indices)}
     return _Rows(scaled, np.array(deployments, np.intp))
 
 
@@ -112,9 +112,9 @@ def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
     """The rows that are not empty, with their line numbers, separated by what the first line has most of."""
     try:
         with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise RecordError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not read")
+            content = file.read(LARGEST_LOG + 1)
+        if len(content) > LARGEST_LOG:
+            raise RecordError(f"{path}: larger than {LARGEST_LOG} bytes, so it is not read")
         text = content.decode("utf-8-sig")
     except OSError as error:
         raise RecordError(f"{path}: {error.strerror}; give an existing CSV file, or the folder of a run") from None
@@ -130,15 +130,15 @@ def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
         raise RecordError(f"{path}, line {rows.line_num}: {error}; it must be a CSV file") from None
 
 
-def _place(header: Sequence[str], column: str, role: str, path: Path) -> int:
-    """Where a column is."""
+def _index(header: Sequence[str], column: str, role: str, path: Path) -> int:
+    """Index of a column."""
     if header.count(column) != 1:
         found = "more than one such column" if column in header else unknown_column(column, header)
         raise RecordError(f"{path}, line 1: {role} {column!r}: {found}")
     return list(header).index(column)
 
 
-def _number(cell: str, place: str) -> float:
+def _number(cell: str, source: str) -> float:
     """The number in a cell, NaN if it is missing."""
     if cell.lower() in MISSING:
         return np.nan
@@ -148,5 +148,5 @@ def _number(cell: str, place: str) -> float:
         value = np.inf
     if not abs(value) <= LARGEST_NUMBER:
         right = f"a number within ±{LARGEST_NUMBER:g}, such as 0.5, or empty"
-        raise RecordError(f"{place}: {cell!r:.40}; it must be {right}")
+        raise RecordError(f"{source}: {cell!r:.40}; it must be {right}")
     return value

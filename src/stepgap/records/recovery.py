@@ -1,18 +1,20 @@
-"""What is left of records that were cut off or damaged: `steps.csv`, and logs of ticks."""
+"""Recovers the intact part of truncated or damaged files: `steps.csv`, and logs of ticks."""
 
 from pathlib import Path
 
 from mcap.writer import MCAP0_MAGIC
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import naming
-from stepgap.base.settings_file import InputError
-from stepgap.learning.step_log import recover_steps, text_of
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
-from stepgap.records.run_folder import space_of_header
+from stepgap.records.steps_csv import recover_steps, space_of_header, text_of
 
 
-def recover(path: Path, out: Path) -> list[str]:
-    """Writes what is whole of a file into a new one, and says what that is; the file itself stays as it is.
+def recover_file(path: Path, out: Path) -> list[str]:
+    """Writes the intact part of a file into a new one; the file itself is not changed.
+
+    Returns:
+        Messages: what is wrong with the file, and how much was recovered.
 
     Raises:
         InputError: Nothing can be recovered, or `out` exists or cannot be written.

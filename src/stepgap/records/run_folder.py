@@ -1,48 +1,57 @@
-"""A run folder read strictly: what was executed, how well it tracked, and with which settings.
+"""A run folder, read strictly: the steps executed, how well they tracked, and with which settings.
 
 The folder may still be growing: `steps.csv` may hold steps of a deployment that `summary.json` does not know yet.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from stepgap.base.settings_file import parse_toml
+from stepgap.base.settings_file import read_toml_text
 from stepgap.control.reference import paper_reference
-from stepgap.learning.step_log import StepLog, check_not_older, column_names, digest, read_step_log
-from stepgap.records.paper import STATE_NAMES, UNITS
-from stepgap.records.summary import LARGEST_NUMBER, Deployment, Summary, read_summary, read_text
-from stepgap.step import Array, Quantity, StepSpace
+from stepgap.learning.step_log import StepLog
+from stepgap.records.paper import STATE_NAMES
+from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
+from stepgap.records.summary import LARGEST_NUMBER, Deployment, Summary, read_summary
+from stepgap.step import Array, StepSpace
 
-LARGEST_SETTINGS = 2**18
-"""Largest `experiment.toml` that is shown [bytes]."""
 
-LONGEST_HEADER = 2**14
-"""Longest first line of `steps.csv` [bytes]."""
+@dataclass(frozen=True)
+class SettingsFile:
+    """An `experiment.toml`, whether or not its settings are known here.
 
-MOST_COORDINATES = 12
-"""State coordinates at most; each has a figure of its own."""
+    Attributes:
+        text: Its text.
+        table: Its content as TOML.
+    """
+
+    text: str
+    table: Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """What a run folder says.
+    """The content of a run folder.
 
     Attributes:
         folder: Where it was read.
         space: Names and units of state and command; a unit may be empty, the bounds mean nothing.
         steps: Every step recorded; at least one.
         summary: Errors of the deployments that are finished.
-        settings: Text of `experiment.toml`; None if there is none.
+        settings: `experiment.toml`; None if there is none.
+        cut_off: Whether the last row of `steps.csv` was cut off in the middle of writing; it is not in `steps`.
     """
 
     folder: Path
     space: StepSpace
     steps: StepLog
     summary: Summary
-    settings: str | None
+    settings: SettingsFile | None
+    cut_off: bool = False
 
     @property
     def deployments(self) -> tuple[Deployment, ...]:
@@ -50,13 +59,13 @@ class RunRecord:
         return self.summary.deployments
 
     @property
-    def repeatability(self) -> Array:
-        """Spread of the next state at equal state and command, NaN where unknown; shape (n,)."""
+    def noise_floor(self) -> Array:
+        """Standard deviation of the next state at equal state and command, NaN where unknown; shape (n,)."""
         spread = self.summary.repeatability
         return np.full(len(self.space.state), np.nan) if spread is None else spread
 
     @property
-    def shown(self) -> list[int]:
+    def shown_iterations(self) -> list[int]:
         """Iterations that figures show: the finished ones, or while there are none, those with steps."""
         return [deployment.iteration for deployment in self.deployments] or self.steps.iterations
 
@@ -100,39 +109,8 @@ def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
     summary = read_summary(folder / "summary.json", space.state_names)  # before the steps, which only grow meanwhile
     steps = _read_steps(path, space)
     _check_same_run(summary, steps, folder / "summary.json")
-    return RunRecord(folder, space, steps, summary, _read_settings(folder / "experiment.toml"))
-
-
-def space_of_header(path: Path) -> StepSpace:
-    """Names of state and command as the header of `steps.csv` gives them.
-
-    The file does not know bounds, so that they are −1 and 1, nor units, so that they are the paper's for the
-    coordinates that it has, and empty for others.
-
-    Raises:
-        ValueError: The first line is not a header of a step log.
-        OSError: The file cannot be read.
-    """
-    with path.open("rb") as file:
-        header = file.readline(LONGEST_HEADER).decode(errors="replace").rstrip("\r\n").split(",")
-    if header == [""]:
-        raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
-    check_not_older(header, path)
-    for n in range(1, min(MOST_COORDINATES, len(header) // 5) + 1):
-        m = (len(header) - 4 - 5 * n) // 2
-        state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
-        space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)))
-        if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
-            return space
-    raise ValueError(
-        f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
-        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, yaw_after, "
-        "status"
-    )
-
-
-def _coordinate(name: str) -> Quantity:
-    return Quantity(name, UNITS.get(name, ""), -1.0, 1.0)
+    settings = _read_settings(folder / "experiment.toml")
+    return RunRecord(folder, space, steps, summary, settings, not ends_with_whole_row(path))
 
 
 def _read_steps(path: Path, space: StepSpace) -> StepLog:
@@ -162,10 +140,9 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
         raise ValueError(f"{path}: steps.csv was changed after it was written; both must be of one run")
 
 
-def _read_settings(path: Path) -> str | None:
-    text = read_text(path, LARGEST_SETTINGS)
-    try:
-        parse_toml(text or "")
-    except ValueError as error:
-        raise ValueError(f"{path}: not TOML ({error}); it must be the file that the run wrote") from None
-    return text
+def _read_settings(path: Path) -> SettingsFile | None:
+    if not path.exists():
+        return None
+    if not path.is_file():
+        raise ValueError(f"{path}: not a file; it must be a text file that the run wrote")
+    return SettingsFile(*read_toml_text(path, "the file that the run wrote"))

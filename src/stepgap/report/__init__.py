@@ -1,48 +1,68 @@
 """What people look at: figures and the report of a run, and the comparison of several.
 
-`run_folder` reads a run, with its `summary`, and `learnt` what it learnt; `reference_gait` finds its limit cycles.
-`figures`, `learnt_figure` and `gait` draw, `error_table`, `learnt_table` and `settings_table` are the numbers, `words`
-the sentences, `replay_view` the motion; `page` puts all on one page, beside the numbers of the `paper`.
+A report is made from a finished record alone: the run folder as `records.run_folder` reads it, and a `run_context` with
+the nominal map and the motions. Nothing here builds a plant or a twin.
+
+`learnt` reads what the run learnt; `reference_gait` finds its limit cycles. `figures`, `learnt_figure` and `gait` draw,
+`error_table`, `learnt_table` and `settings_table` are the numbers, `sentences` the text, `replay_view` the motion;
+`page` puts all on one page, beside the numbers of the `paper`, and `missing_parts` lists what it does without.
 `comparison` is the page of several runs.
 """
 
 import re
 from collections.abc import Container
 from pathlib import Path
+from typing import NamedTuple
 
 from stepgap.base.files import write_whole
+from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
-from stepgap.report.background import BARE, Background
 from stepgap.report.comparison import comparison_html
 from stepgap.report.drawing import Drawing, draw
 from stepgap.report.learnt import Learnt, read_learnt
+from stepgap.report.missing_parts import missing_parts
 from stepgap.report.page import report_html
 from stepgap.report.reference_gait import ReferenceGait, reference_gait
-from stepgap.step import StepSpace
+from stepgap.report.run_context import NO_CONTEXT, RunContext
 
-__all__ = ["Background", "RunRecord", "comparison_html", "read_run_folder", "write_report"]
+__all__ = [
+    "NO_CONTEXT",
+    "RunContext",
+    "RunRecord",
+    "WrittenReport",
+    "comparison_html",
+    "read_run_folder",
+    "write_report",
+]
 
 
-def write_report(folder: Path, space: StepSpace | None = None, background: Background = BARE) -> Path:
+class WrittenReport(NamedTuple):
+    """A report on disk.
+
+    Attributes:
+        path: Path of the page.
+        missing: Parts that it does without, each with the reason in brackets.
+    """
+
+    path: Path
+    missing: tuple[str, ...]
+
+
+def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> WrittenReport:
     """Writes `figures/*.png`, `figures/*.pdf` and `report.html` of a run, whether or not it is finished.
 
     A reader of these files sees the old ones or the new ones, never a part.
 
     Args:
-        folder: The run folder.
-        space: Names and units of state and command; by default those of the header of `steps.csv`.
-        background: What else is known of the run.
-
-    Returns:
-        Path of the report.
+        record: The run; the files are written into its folder.
+        context: What is known of the run besides its files.
 
     Raises:
-        ValueError: A file of the run is not what it must be; the message names it and says what would be right.
+        ValueError: The model in the folder is not one of this run, or the nominal map is of another state or command.
         OSError: A file cannot be read or written.
     """
-    record = read_run_folder(folder, space)
-    learnt = read_learnt(folder, record.shown[-1], record.space)
-    gait = _gait(record, background, learnt)
+    learnt = read_learnt(record.folder, record.shown_iterations[-1], record.space)
+    gait = _gait(record, context, learnt)
     drawings = _drawings(record, learnt, gait)
     names: list[str] = []
     for name, drawing in drawings.items():
@@ -50,23 +70,23 @@ def write_report(folder: Path, space: StepSpace | None = None, background: Backg
         wanted = f"map_{record.space.state_names[int(number)]}" if number != name else name
         names.append(_file_name(wanted, names))
         if isinstance(drawing, Drawing):
-            write_whole(folder / "figures" / f"{names[-1]}.png", drawing.png)
-            write_whole(folder / "figures" / f"{names[-1]}.pdf", drawing.pdf)
-    path = folder / "report.html"
-    write_whole(path, report_html(record, drawings, background, learnt, gait))
-    return path
+            write_whole(record.folder / "figures" / f"{names[-1]}.png", drawing.png)
+            write_whole(record.folder / "figures" / f"{names[-1]}.pdf", drawing.pdf)
+    path = record.folder / "report.html"
+    write_whole(path, report_html(record, drawings, context, learnt, gait))
+    return WrittenReport(path, tuple(missing_parts(record, context, learnt, gait)))
 
 
-def _gait(record: RunRecord, background: Background, learnt: Learnt | None) -> ReferenceGait | str:
+def _gait(record: RunRecord, context: RunContext, learnt: Learnt | None) -> ReferenceGait | Missing:
     """Limit cycles at the targets, or why they are not known."""
-    if isinstance(background.nominal, str):
-        return background.nominal
-    if not len(record.steps.of_iteration(record.shown[-1]).tracking()):
-        return "No target was tracked yet, so nothing is said of gaits."
-    return reference_gait(record, background.nominal, learnt)
+    if isinstance(context.nominal, Missing):
+        return context.nominal
+    if not len(record.steps.of_iteration(record.shown_iterations[-1]).tracking()):
+        return Missing("no target was tracked yet")
+    return reference_gait(record, context.nominal, learnt)
 
 
-def _drawings(record: RunRecord, learnt: Learnt | None, gait: ReferenceGait | str) -> dict[str, Drawing | str]:
+def _drawings(record: RunRecord, learnt: Learnt | None, gait: ReferenceGait | Missing) -> dict[str, Drawing | Missing]:
     """Every figure of a run by its name in `report_html`."""
 
     def tracking() -> object:

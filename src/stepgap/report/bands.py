@@ -25,7 +25,7 @@ def tracking_errors(steps: StepLog) -> Array:
 def hops_to_band(errors: Array) -> int | None:
     """After how many of N steps with tracking errors (N, 2) the error of the last 20 is in the paper's band for good.
 
-    None where it never is, or where there are too few steps to tell.
+    None where it never is, or where there are fewer than 20 steps.
     """
     if len(errors) < WINDOW:
         return None

@@ -11,13 +11,13 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.report.bands import hops_to_band, tracking_errors
 from stepgap.report.drawing import draw
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
-from stepgap.report.settings_table import MISSING, differing, flat_settings, parsed
-from stepgap.report.words import decimal, headline
+from stepgap.report.sentences import decimal, headline
+from stepgap.report.settings_table import DASH, differing, flat_settings
 
 MOST_RUNS: Final = 12
-"""Runs on one page, so that they can be told apart."""
+"""Runs on one page, so that they can be distinguished."""
 
-SHOWN: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
+COMPARED: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
 """Errors that are compared."""
 
 CAPTION: Final = (
@@ -82,7 +82,7 @@ def run_names(folders: Sequence[Path]) -> list[str]:
 
 def _references(records: Sequence[RunRecord]) -> str:
     """Whether the errors can be compared at all."""
-    targets = [record.steps.of_iteration(record.shown[0]).tracking().target for record in records]
+    targets = [record.steps.of_iteration(record.shown_iterations[0]).tracking().target for record in records]
     shortest = min(map(len, targets))
     if all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets):
         return "All runs tracked the same reference. Errors are next state − target."
@@ -93,12 +93,12 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     numbers = sorted({entry.iteration for record in records for entry in record.deployments})
     entries = [{entry.iteration: entry for entry in record.deployments} for record in records]
     found = []
-    for measure, words in SHOWN.items():
+    for measure, words in COMPARED.items():
         for index, quantity in enumerate(records[0].space.state):
             rows = [
                 [
                     str(number),
-                    *(decimal(each[number].errors[measure][index]) if number in each else MISSING for each in entries),
+                    *(decimal(each[number].errors[measure][index]) if number in each else DASH for each in entries),
                 ]
                 for number in numbers
             ]
@@ -106,7 +106,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     rows = [
         [
             str(number),
-            *(f"{each[number].steps}, {each[number].falls}" if number in each else MISSING for each in entries),
+            *(f"{each[number].steps}, {each[number].falls}" if number in each else DASH for each in entries),
         ]
         for number in numbers
     ]
@@ -124,7 +124,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
 
 def _to_band(record: RunRecord) -> str:
     if not record.deployments:
-        return MISSING
+        return DASH
     if record.deployments[-1].falls:
         return "never: fell"
     errors = [tracking_errors(record.steps.of_iteration(entry.iteration)) for entry in record.deployments]
@@ -134,7 +134,8 @@ def _to_band(record: RunRecord) -> str:
 
 def _settings(records: Sequence[RunRecord], names: Sequence[str]) -> str:
     columns = [
-        flat_settings(parsed(record.settings)) | {f"version of {name}": text for name, text in record.summary.versions}
+        flat_settings(record.settings.table if record.settings else {})
+        | {f"version of {name}": text for name, text in record.summary.versions}
         for record in records
     ]
     without = [name for name, record in zip(names, records, strict=True) if record.settings is None]

@@ -1,8 +1,10 @@
-"""Figures as files and as parts of a page; one that cannot be drawn is a sentence that says why."""
+"""Figures as files and as parts of a page."""
 
 from collections.abc import Callable, Mapping
 from io import BytesIO
 from typing import Any, Final, NamedTuple
+
+from stepgap.records.missing import Missing
 
 DOTS_PER_INCH: Final = 200
 """Resolution of the PNG files."""
@@ -21,7 +23,7 @@ UNDATED: Final[Mapping[str, Mapping[str, None]]] = {
     "svg": dict.fromkeys(("Creator", "Date", "Format", "Type")),
     "pdf": dict.fromkeys(("Creator", "Producer", "CreationDate")),
 }
-"""What is left out of files, so that the same run gives the same bytes."""
+"""Metadata that files do not get, so that the same run gives the same bytes."""
 
 HOW_TO_MEND: Final = (
     "figures need a sound matplotlib, pip install --force-reinstall matplotlib, and no unknown backend in the "
@@ -31,23 +33,23 @@ HOW_TO_MEND: Final = (
 
 
 LONGEST_ERROR: Final = 120
-"""Characters of an error that are shown."""
+"""Characters of an error that are quoted at most."""
 
 
 class Drawing(NamedTuple):
-    """A figure in the forms in which it is kept."""
+    """A figure in the formats in which it is kept."""
 
     svg: str
     png: bytes
     pdf: bytes
 
 
-def draw(make: Callable[[], Any], what: str) -> Drawing | str:
-    """The figure that `make` gives, or a sentence that says why it cannot be drawn.
+def draw(make: Callable[[], Any], what: str) -> Drawing | Missing:
+    """The figure that `make` gives, or why it cannot be drawn.
 
     Args:
         make: Gives a `matplotlib.figure.Figure`; it may import what it needs.
-        what: What is shown, for the sentence.
+        what: Subject of the figure, for the reason.
     """
     try:
         from matplotlib import rc_context
@@ -55,14 +57,14 @@ def draw(make: Callable[[], Any], what: str) -> Drawing | str:
         with rc_context(LOOK):
             figure = make()
             figure.draw_without_rendering()
-            figure.set_layout_engine("none")  # found once, and the same in all forms
+            figure.set_layout_engine("none")  # found once, and the same in all formats
             return Drawing(_saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf"))
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         short = " ".join(str(error).split())[:LONGEST_ERROR]
-        return f"No figure of {what} could be drawn ({type(error).__name__}: {short}); {HOW_TO_MEND}."
+        return Missing(f"no figure of {what} could be drawn ({type(error).__name__}: {short}); {HOW_TO_MEND}")
 
 
-def _saved(figure: Any, form: str) -> bytes:
+def _saved(figure: Any, file_format: str) -> bytes:
     stream = BytesIO()
-    figure.savefig(stream, format=form, dpi=DOTS_PER_INCH, metadata=dict(UNDATED.get(form, {})))
+    figure.savefig(stream, format=file_format, dpi=DOTS_PER_INCH, metadata=dict(UNDATED.get(file_format, {})))
     return stream.getvalue()

@@ -9,7 +9,7 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURES
 from stepgap.report.bands import PAPER_BAND, WINDOW, hops_to_band, tracking_errors, window_errors
 from stepgap.report.html import safe, table, with_unit
-from stepgap.report.words import decimal
+from stepgap.report.sentences import decimal
 from stepgap.step import Array
 
 
@@ -17,7 +17,7 @@ def error_table(record: RunRecord, row: int, plant: str) -> str:
     """Errors of one state coordinate by deployment, the paper's beside them where the reference is the paper's."""
     quantity, hardware = record.space.state[row], record.like_paper
     entries = {deployment.iteration: deployment for deployment in record.deployments}
-    places, lines = _places([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
+    decimals, lines = _decimals([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
     for iteration in sorted(set(entries) | set(range(paper.LAST_ITERATION + 1) if hardware else ())):
         entry = entries.get(iteration)
         counts = [entry.residual, str(entry.steps), str(entry.falls)] if entry else ["–"] * 3
@@ -25,7 +25,7 @@ def error_table(record: RunRecord, row: int, plant: str) -> str:
         theirs = [paper.paper_error(measure, quantity.name, iteration) for measure in MEASURES] if hardware else []
         texts = "".join(f"<td>{safe(count)}</td>" for count in counts)
         lines.append(
-            f'<tr><th scope="row">{iteration}</th>{texts}{_cells(ours, "run", places)}{_cells(theirs, "paper")}</tr>'
+            f'<tr><th scope="row">{iteration}</th>{texts}{_cells(ours, "run", decimals)}{_cells(theirs, "paper")}</tr>'
         )
     return (
         f'<div class="wide"><table><caption>Error of {safe(with_unit(quantity))}</caption>'
@@ -44,21 +44,21 @@ def _heads(plant: str, hardware: bool) -> str:
     return f"<tr>{whose}</tr>\n<tr>{which}</tr>"
 
 
-def _places(errors: Sequence[float]) -> int | None:
-    """Decimals that leave the median error three digits; None where that would be an unreadable number of them."""
+def _decimals(errors: Sequence[float]) -> int | None:
+    """Number of decimals that gives the median error three digits; None where that would be more than seven."""
     sizes = [abs(error) for error in errors if np.isfinite(error) and error]
-    places = 2 - int(np.floor(np.log10(np.median(sizes)))) if sizes else 0
-    return places if 0 <= places <= 7 else None
+    decimals = 2 - int(np.floor(np.log10(np.median(sizes)))) if sizes else 0
+    return decimals if 0 <= decimals <= 7 else None
 
 
-def _cells(values: Iterable[float | None], kind: str, places: int | None = None) -> str:
+def _cells(values: Iterable[float | None], kind: str, decimals: int | None = None) -> str:
     """Table cells, all with the same decimals if given; the exact number stands in each `<data>`."""
     cells = []
     for value in values:
         if value is None or not np.isfinite(value):
             cells.append(f'<td class="{kind} missing">–</td>')
         else:
-            text = f"{value:g}" if places is None else f"{value:.{places}f}"
+            text = f"{value:g}" if decimals is None else f"{value:.{decimals}f}"
             text = text.replace("-", "−")
             cells.append(f'<td class="{kind}"><data value="{float(value)!r}">{text}</data></td>')
     return "".join(cells)

@@ -25,26 +25,26 @@ MOST_VECTORS: Final = 2000
 """Steps beyond which curves are drawn as pixels inside the vector graphic, so that it stays small."""
 
 LEAST_FLOOR: Final = 1e-2
-"""Of the least error: a repeatability below that is not drawn, since it would leave no room for the errors."""
+"""Share of the least error below which the noise floor is not drawn: it would leave no room for the errors."""
 
 MOST_CHANGES: Final = 60
 """Changes of the target up to which each is marked."""
 
 LONGEST_NAME: Final = 26
-"""Characters of a name that are shown."""
+"""Characters of a name that are drawn at most."""
 
-# Colours after Okabe and Ito, told apart by colour-blind readers; dark ones in front of light ones.
+# Colours after Okabe and Ito, distinguished by colour-blind readers; dark ones in front of light ones.
 BLACK, BLUE, VERMILLION, SKY, GREY, LIGHT = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676", "#b8b8b8"
 RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
 RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
 RUN_LINES: Final = ("-", "--", "-.", ":")
-FIRST: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.1}
-LAST: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.1, "marker": ".", "markersize": 3}
+FIRST_LOOK: Final[dict[str, Any]] = {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.1}
+LAST_LOOK: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth": 1.1, "marker": ".", "markersize": 3}
 
 
 def tracking_figure(record: RunRecord) -> Figure:
     """Every state coordinate against the step number, first and last deployment, with the reference (Fig. 4)."""
-    first, last = record.shown[0], record.shown[-1]
+    first, last = record.shown_iterations[0], record.shown_iterations[-1]
     figure, panels = _panels(len(record.space.state))
     longest = max((record.steps.of_iteration(number) for number in record.steps.iterations), key=len)
     panels[0].set_xlim(0, 1.02 * len(longest) + 1)
@@ -52,10 +52,10 @@ def tracking_figure(record: RunRecord) -> Figure:
         reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
         panel.plot(_numbers(longest), longest.target[:, index], **reference, **_pixels(longest))
         steps = record.steps.of_iteration(first)
-        _draw_tracking(panel, steps, index, _name(record, first), {**FIRST, **_pixels(steps)})
+        _draw_tracking(panel, steps, index, _name(record, first), {**FIRST_LOOK, **_pixels(steps)})
         if last != first:
             steps = record.steps.of_iteration(last)
-            _draw_tracking(panel, steps, index, _name(record, last), {**LAST, **_pixels(steps)})
+            _draw_tracking(panel, steps, index, _name(record, last), {**LAST_LOOK, **_pixels(steps)})
         panel.set_ylabel(axis_label(quantity))
     _finish(figure, panels, "Step")
     return figure
@@ -72,10 +72,10 @@ def error_figure(record: RunRecord) -> Figure:
             values = [deployment.errors[measure][index] for deployment in record.deployments]
             if np.isfinite(values).any():
                 panel.plot(numbers, values, look, color=BLUE, label=f"{measure.upper()}, this run")
-        floor = record.repeatability[index]
+        floor = record.noise_floor[index]
         drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
         if floor > LEAST_FLOOR * np.min(drawn, where=drawn > 0, initial=np.inf):
-            panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="repeatability, this run")
+            panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="noise floor, this run")
         if hardware:
             values = paper.MAE_BY_ITERATION[quantity.name]
             panel.plot(range(len(values)), values, "^:", color=VERMILLION, label="MAE, the paper's hardware")
@@ -119,15 +119,15 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     """
     figure, (upper, lower) = _panels(2)
     quantity = record.space.state[index]
-    last = record.steps.of_iteration(record.shown[-1])
+    last = record.steps.of_iteration(record.shown_iterations[-1])
     _draw_prediction(upper, last, index)
     upper.set_ylabel(axis_label(quantity))
-    upper.set_title(f"(a) {_name(record, record.shown[-1])}", loc="left", fontsize="medium")
-    learnt = [number for number in record.shown if record.steps.of_iteration(number).std[:, index].any()]
+    upper.set_title(f"(a) {_name(record, record.shown_iterations[-1])}", loc="left", fontsize="medium")
+    learnt = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, index].any()]
     redeployed = list(dict.fromkeys(learnt[:1] + learnt[-1:]))
     shown = [record.steps.of_iteration(number) for number in redeployed]
     upper.set_xlim(0, 1.02 * max(map(len, [last, *shown])) + 1)
-    for number, steps, style in zip(redeployed, shown, (FIRST, LAST)[-len(shown) :], strict=False):
+    for number, steps, style in zip(redeployed, shown, (FIRST_LOOK, LAST_LOOK)[-len(shown) :], strict=False):
         lower.plot(_numbers(steps), steps.std[:, index], label=_name(record, number), **style, **_pixels(steps))
     if learnt:
         lower.set_ylim(0, 1.08 * max(float(np.max(steps.std[:, index])) for steps in shown))
@@ -161,7 +161,7 @@ def _name(record: RunRecord, iteration: int) -> str:
     """What legends call a deployment."""
     kind = next((entry.residual for entry in record.deployments if entry.iteration == iteration), None)
     kind = "none" if iteration == 0 and kind is None else kind
-    words = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "under way"}
+    words = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "unfinished"}
     return f"deployment {iteration}, {words.get(kind) or 'residual: ' + plain(str(kind))}"
 
 
@@ -211,7 +211,7 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
 
 
 def _note(panel: Axes, text: str) -> None:
-    """Says why a panel is empty."""
+    """Writes into an empty panel why it is empty."""
     panel.set_yticks([])
     panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", color=GREY)
 

@@ -18,31 +18,31 @@ LOOKS: tuple[dict[str, Any], ...] = (
     {"color": VERMILLION, "marker": "x", "linestyle": "", "markersize": 4},
     {"color": BLUE, "marker": "o", "linestyle": "", "markersize": 3, "markerfacecolor": "none"},
 )
-"""Of each residual; told apart by marker, too."""
+"""Look of each residual; they differ by marker, too."""
 
-FORMATS = ("pdf", "png", "svg")
-"""Forms of pictures."""
+PICTURE_FORMATS = ("pdf", "png", "svg")
+"""File formats of pictures."""
 
 
 def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) -> bytes:
     """Predicted against actual error of the nominal map, a panel for each state coordinate.
 
-    Shown are the constant and the best of the residuals that go beyond it.
+    Drawn are the constant and the best of the residuals that go beyond it.
 
     Args:
         state: Its coordinates.
         validation: What residuals predicted of steps held out.
-        form: One of `FORMATS`.
+        form: One of `PICTURE_FORMATS`.
     """
     everything = range(len(state))
     beyond: list[str] = [kind for kind in validation.held_out if kind not in ("none", "constant")]
     best = max(beyond, key=lambda kind: validation.reduction(kind, "none", everything).value)
-    shown = [validation.held_out["constant"], validation.held_out[best]]
+    drawn = [validation.held_out["constant"], validation.held_out[best]]
     figure = Figure(figsize=(PANEL * len(state), PANEL + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(state), squeeze=False)[0]
     for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
-        for held_out, look in zip(shown, LOOKS, strict=True):
+        for held_out, look in zip(drawn, LOOKS, strict=True):
             label = f"{held_out.kind}, fitted to other steps"
             panel.plot(held_out.error[:, index], held_out.mean[:, index], **look, label=label)
         panel.axline((0, 0), slope=1, color=BLACK, linewidth=0.8, label="predicted = actual")

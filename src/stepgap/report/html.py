@@ -12,6 +12,7 @@ from html import escape
 from importlib.resources import files
 from typing import Final
 
+from stepgap.records.missing import Missing
 from stepgap.report.drawing import Drawing
 from stepgap.step import Quantity
 
@@ -49,11 +50,11 @@ def section(name: str, title: str, *parts: str) -> str:
 
 
 def safe(text: str) -> str:
-    """Text that HTML takes for text, without control characters."""
-    shown = "".join(
+    """Escaped text without control characters."""
+    printable = "".join(
         letter if letter.isprintable() or letter in "\n\t" else "\N{REPLACEMENT CHARACTER}" for letter in text
     )
-    return escape(shown)
+    return escape(printable)
 
 
 def inline_svg(drawing: Drawing, prefix: str) -> str:
@@ -73,10 +74,10 @@ def inline_svg(drawing: Drawing, prefix: str) -> str:
     return svg.replace("<svg ", '<svg role="img" ', 1)
 
 
-def picture(drawn: Drawing | str, prefix: str, caption: str) -> str:
-    """A figure with its caption, or a sentence that says why there is none."""
-    if isinstance(drawn, str):
-        return paragraph(drawn)
+def picture(drawn: Drawing | Missing, prefix: str, caption: str) -> str:
+    """A figure with its caption, or a sentence with the reason why there is none."""
+    if isinstance(drawn, Missing):
+        return paragraph(f"{drawn.reason[:1].upper()}{drawn.reason[1:]}.")
     return f"<figure>{inline_svg(drawn, prefix)}<figcaption>{safe(caption)}</figcaption></figure>"
 
 
@@ -88,6 +89,11 @@ def with_unit(quantity: Quantity) -> str:
 def paragraph(text: str) -> str:
     """One paragraph."""
     return f"<p>{safe(text)}</p>"
+
+
+def absence(part: str, missing: Missing) -> str:
+    """One paragraph that says why a part is not there."""
+    return paragraph(f"There is no {part}: {missing.reason}.")
 
 
 def bullets(lines: Sequence[str]) -> str:

@@ -1,21 +1,13 @@
 """What a run learnt: the last residual of its folder, and what it says of the steps it was fitted to."""
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final
-
-import numpy as np
 
 from stepgap.learning.regression import Prediction
 from stepgap.learning.residual import HistoryInputs, Residual
-from stepgap.learning.residual_fit import residual_from_dict
-from stepgap.records.summary import read_text
+from stepgap.records.model_files import read_model
 from stepgap.step import Array, Quantity, StepSpace
-
-LARGEST_MODEL: Final = 2**28
-"""Largest `models/iteration_K.json` that is read [bytes]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,19 +52,8 @@ def read_learnt(folder: Path, last: int, space: StepSpace) -> Learnt | None:
         ValueError: The file is not a model of this run.
         OSError: It cannot be read.
     """
-    path = folder / "models" / f"iteration_{last}.json"
-    text = read_text(path, LARGEST_MODEL)
-    if text is None:
-        return None
-    try:
-        residual = residual_from_dict(json.loads(text))
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, np.linalg.LinAlgError) as error:
-        short = " ".join(str(error).split())[:120]
-        raise ValueError(f"{path}: not a residual ({short}); it must be the file that the run wrote") from None
-    wanted = (len(space.state), len(space.command))
-    if residual.sizes != wanted:
-        raise ValueError(f"{path}: of (state, command) sizes {residual.sizes}, in steps.csv {wanted}; not of one run")
-    return Learnt(last, residual)
+    residual = read_model(folder, last, space)
+    return None if residual is None else Learnt(last, residual)
 
 
 def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:

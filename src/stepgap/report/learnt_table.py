@@ -10,7 +10,7 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.report.bands import coverage
 from stepgap.report.html import table, with_unit
 from stepgap.report.learnt import Learnt, input_quantities
-from stepgap.report.words import decimal
+from stepgap.report.sentences import decimal
 from stepgap.step import Array
 
 UNIT_NOTES: Final = {
@@ -25,7 +25,7 @@ UNIT_NOTES: Final = {
 def learnt_sentences(record: RunRecord, learnt: Learnt | None) -> list[str]:
     """What models the error, and what the tables mean."""
     if learnt is None:
-        last = record.shown[-1]
+        last = record.shown_iterations[-1]
         why = "deployment 0 began with the map as it is" if last == 0 else f"there is no models/iteration_{last}.json"
         return [f"Nothing is said of the model: {why}."]
     begun = f"Deployment {learnt.iteration} began with the residual '{learnt.residual.name}'"

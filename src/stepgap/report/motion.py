@@ -1,40 +1,39 @@
-"""How a deployment moved, thinned for a replay, and the file that keeps it."""
+"""How the robot moved in a deployment, at the frame rate of the replay."""
 
-import zipfile
-import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from io import BytesIO
+from hashlib import sha256
 from math import tau
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from stepgap.base.files import write_whole
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.motion_file import check_channels, motion_path, read_motion, write_motion
+from stepgap.records.run_folder import RunRecord
+from stepgap.records.steps_csv import digest
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.step import Array
 
 RATE: Final = 100
-"""Frames a second."""
-
-LARGEST_FILE: Final = 2**27
-"""Largest file of a motion that is read [bytes]."""
+"""Frames of a replay per second."""
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class DeploymentMotion:
     """A hopper on its boom, frame by frame; arrays have shape (F,).
 
     Attributes:
-        step: Number of the step that goes on.
+        step: Number of the step that is being executed.
         travel: Distance of the hip along the circle [m].
-        height: Of the hip [m].
+        height: Height of the hip [m].
         alpha_1: Leg angle [rad].
         alpha_2: Half the angle between the top links [rad].
-        force: On the foot [N].
+        force: Vertical ground force on the foot [N].
+
+    Raises:
+        ValueError: The arrays are not equally long, empty, or not finite.
     """
 
     step: Array
@@ -45,68 +44,67 @@ class Motion:
     force: Array
 
     def __post_init__(self) -> None:
-        sizes = {getattr(self, field.name).shape for field in fields(self)}
-        if len(sizes) != 1 or len(next(iter(sizes))) != 1 or sizes == {(0,)}:
-            raise ValueError(f"the channels of a motion must be equally long rows, not of the shapes {sorted(sizes)}")
-        if not all(np.isfinite(getattr(self, field.name)).all() for field in fields(self)):
-            raise ValueError("a motion must be finite numbers")
+        check_channels(self.channels)
+
+    @property
+    def channels(self) -> dict[str, Array]:
+        """The arrays by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Motions and what they are motions of.
+    """Motions of one robot.
 
     Attributes:
         motions: By the number of their deployments.
-        robot: Its links and boom.
-        pivot_height: Of the boom's pivot above the ground [m].
+        robot: Lengths of its links and boom.
+        pivot_height: Height of the boom's pivot above the ground [m].
     """
 
-    motions: Mapping[int, Motion]
+    motions: Mapping[int, DeploymentMotion]
     robot: RobotParameters
     pivot_height: float
 
 
-def sensed_motion(ticks: TickTable, layout: HopperSensorModel) -> Motion:
-    """A motion as the sensors saw it.
+def sensed_motion(ticks: TickTable, sensors: HopperSensorModel) -> DeploymentMotion:
+    """The motion as the sensors measured it.
 
     Args:
         ticks: With a column `step`, `RATE` of them a second.
-        layout: How to read their counts.
+        sensors: How to read their counts.
 
     Raises:
         ValueError: There is no tick, or one whose sensors were not read.
     """
-    yaw = ticks["boom_horizontal"] * tau / layout.boom_counts_horizontal
-    pitch = ticks["boom_vertical"] * tau / layout.boom_counts_vertical
+    yaw = ticks["boom_horizontal"] * tau / sensors.boom_counts_horizontal
+    pitch = ticks["boom_vertical"] * tau / sensors.boom_counts_vertical
     channels = {
         "step": ticks["step"],
-        "travel": layout.boom_length * yaw,
-        "height": layout.pivot_height + layout.boom_length * np.sin(pitch),
+        "travel": sensors.boom_length * yaw,
+        "height": sensors.pivot_height + sensors.boom_length * np.sin(pitch),
         "alpha_1": ticks["alpha_1"],
         "alpha_2": ticks["alpha_2"],
         "force": ticks["contact_force"],
     }
-    # rounded as it is kept, so that the page is the same however the motion was had
-    return Motion(**{name: values.astype(np.float32).astype(float) for name, values in channels.items()})
+    # rounded as in the file, so that the page does not depend on whether the motion was read or made
+    return DeploymentMotion(**{name: values.astype(np.float32).astype(float) for name, values in channels.items()})
 
 
-def write_motion(path: Path, motion: Motion, origin: str) -> None:
-    """Keeps a motion with a text that says what it was made from."""
-    stream = BytesIO()
-    channels = {field.name: getattr(motion, field.name).astype(np.float32) for field in fields(motion)}
-    np.savez_compressed(stream, allow_pickle=False, origin=np.array(origin), **channels)
-    write_whole(path, stream.getvalue())
+def kept_motion(record: RunRecord, iteration: int, make: Callable[[int], DeploymentMotion]) -> DeploymentMotion:
+    """The motion of a deployment as the run folder keeps it, or else a new one, which is then kept.
 
-
-def read_motion(path: Path, origin: str) -> Motion | None:
-    """The motion kept in a file; None if there is none, if it is damaged, or if it was made from something else."""
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            return None
-        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as kept:
-            if str(kept["origin"]) != origin:
-                return None
-            return Motion(**{field.name: kept[field.name].astype(float) for field in fields(Motion)})
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError):
-        return None
+    Args:
+        record: The run.
+        iteration: Number of the deployment.
+        make: Gives the motion of a deployment if the folder has none that was made from these steps and settings.
+    """
+    path, names = motion_path(record.folder, iteration), [field.name for field in fields(DeploymentMotion)]
+    steps, settings = digest(record.steps.of_iteration(iteration)), record.settings and record.settings.text
+    origin = sha256(f"sensed {RATE} {iteration} {steps} {settings}".encode()).hexdigest()
+    channels = read_motion(path, names, origin)
+    if channels is not None:
+        return DeploymentMotion(**channels)
+    motion = make(iteration)
+    write_motion(path, motion.channels, origin)
+    return motion

@@ -65,7 +65,7 @@ def reference_gait(record: RunRecord, nominal: StepMap, learnt: Learnt | None) -
     names = (nominal.space.state_names, nominal.space.command_names)
     if names != (record.space.state_names, record.space.command_names):
         raise ValueError(f"{record.folder}: the nominal map is of {names}, which is not the state and command of it")
-    steps = record.steps.of_iteration(record.shown[-1]).tracking()
+    steps = record.steps.of_iteration(record.shown_iterations[-1]).tracking()
     distinct = list(dict.fromkeys(tuple(logged.target.tolist()) for logged in steps))
     targets = np.array(distinct[:MOST_TARGETS])
     away = (targets - (targets.min(axis=0) + targets.max(axis=0)) / 2) / nominal.space.state_scale

@@ -3,7 +3,7 @@
 (() => {
   const at = (name) => document.getElementById("replay-" + name);
   const data = JSON.parse(at("data").textContent);
-  const canvas = at("canvas"), slider = at("slider"), play = at("play"), words = at("words");
+  const canvas = at("canvas"), slider = at("slider"), play = at("play"), moment = at("moment");
   const choice = at("deployment"), speed = at("speed"), zoom = at("zoom"), follow = at("follow");
   const [top_, bottom, toe] = data.leg, radius = data.boom;
   const MARKS = 12, TRAIL = 120, TICKS = 144;
@@ -25,21 +25,21 @@
     return found;
   }
 
-  // Place on the circle, in the leg's plane: along is forward, up is height.
-  function place(yaw, along, up) {
+  // Point on the circle, in the leg's plane: along is forward, up is height.
+  function pointAt(yaw, along, up) {
     return [radius * Math.sin(yaw) + along * Math.cos(yaw), -radius * Math.cos(yaw) + along * Math.sin(yaw), up];
   }
 
   function leg(i) {
     const yaw = motion.travel[i] / radius, height = motion.height[i];
     const middle = motion.alpha_1[i], half = motion.alpha_2[i];
-    const lean = Math.asin(top_ / bottom * Math.sin(half));
-    const length = top_ * Math.cos(half) + bottom * Math.cos(lean);
-    const reach = (size, angle) => [size * Math.sin(angle), -size * Math.cos(angle)];
-    const on = ([x, y]) => place(yaw, x, height + y);
-    const joint = reach(length, middle), tip = reach(toe, middle + lean);
+    const knee = Math.asin(top_ / bottom * Math.sin(half));
+    const length = top_ * Math.cos(half) + bottom * Math.cos(knee);
+    const polar = (size, angle) => [size * Math.sin(angle), -size * Math.cos(angle)];
+    const on = ([x, y]) => pointAt(yaw, x, height + y);
+    const joint = polar(length, middle), tip = polar(toe, middle + knee);
     return {
-      yaw, hip: on([0, 0]), front: on(reach(top_, middle + half)), rear: on(reach(top_, middle - half)),
+      yaw, hip: on([0, 0]), front: on(polar(top_, middle + half)), rear: on(polar(top_, middle - half)),
       joint: on(joint), foot: on([joint[0] + tip[0], joint[1] + tip[1]]),
     };
   }
@@ -54,9 +54,9 @@
     const turn = azimuth + (follow.checked ? here.yaw : 0);
     const [a, b, c, d] = [Math.cos(turn), Math.sin(turn), Math.cos(elevation), Math.sin(elevation)];
     const size = 2.4 * Math.pow(0.32 / 2.4, zoom.value / 100), scale = Math.min(wide, 1.6 * high) / (3.2 * size);
-    const middle = follow.checked ? place(here.yaw, 0, 0.33) : [0, 0, 0.3], near = Math.min(1, zoom.value / 60);
+    const middle = follow.checked ? pointAt(here.yaw, 0, 0.33) : [0, 0, 0.3], near = Math.min(1, zoom.value / 60);
     const centre = [near * middle[0], near * middle[1], middle[2]];
-    const seen = ([x, y, z]) => {
+    const project = ([x, y, z]) => {
       const [u, v, w] = [x - centre[0], y - centre[1], z - centre[2]];
       return [wide / 2 + scale * (b * u - a * v) * -1, high / 2 - scale * (c * w - d * (a * u + b * v))];
     };
@@ -67,14 +67,14 @@
 
     function line(points, colour, width, dashes = []) {
       pen.beginPath();
-      points.map(seen).forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+      points.map(project).forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
       pen.strokeStyle = colour;
       pen.lineWidth = width;
       pen.setLineDash(dashes);
       pen.stroke();
     }
     function dot(point, colour, r, full) {
-      const [x, y] = seen(point);
+      const [x, y] = project(point);
       pen.beginPath();
       pen.arc(x, y, r, 0, 2 * Math.PI);
       pen.setLineDash([]);
@@ -101,18 +101,18 @@
     const step = motion.step[frame], entry = motion.steps.get(step);
     if (entry && entry[1] !== null) {
       const arc = [];
-      for (let i = -20; i <= 20; i++) arc.push(place(here.yaw + i * 0.02, 0, entry[1]));
+      for (let i = -20; i <= 20; i++) arc.push(pointAt(here.yaw + i * 0.02, 0, entry[1]));
       line(arc, "#000", 1, [6, 5]);
     }
     for (let number = step - MARKS; number < step + (frame === motion.ends.get(step) ? 1 : 0); number++) {
       const end = motion.ends.get(number), known = motion.steps.get(number);
       if (end === undefined || !known) continue;
       const yaw = motion.travel[end] / radius;
-      line([place(yaw, -0.025, known[1]), place(yaw, 0.025, known[1])], "#000", 2);
-      if (known[3] !== null) dot(place(yaw, 0, known[3]), "#d55e00", 3.5, false);
+      line([pointAt(yaw, -0.025, known[1]), pointAt(yaw, 0.025, known[1])], "#000", 2);
+      if (known[3] !== null) dot(pointAt(yaw, 0, known[3]), "#d55e00", 3.5, false);
     }
     const trail = [];
-    for (let i = Math.max(0, frame - TRAIL); i <= frame; i++) trail.push(place(motion.travel[i] / radius, 0, motion.height[i]));
+    for (let i = Math.max(0, frame - TRAIL); i <= frame; i++) trail.push(pointAt(motion.travel[i] / radius, 0, motion.height[i]));
     line(trail, "#e69f00", 1.2);
 
     line([[0, 0, 0], [0, 0, data.pivot]], "#555", 6);
@@ -126,13 +126,13 @@
 
     slider.value = frame;
     const time = (frame / motion.rate).toFixed(2), end = ((motion.frames - 1) / motion.rate).toFixed(2);
-    words.textContent = `deployment ${motion.deployment}, ${time} s of ${end} s: ` + (entry
-      ? `step ${step} of ${motion.last}. Target ${shown(entry[0], "m/s")}, ${shown(entry[1], "m")}; ` +
-        `reached ${entry[3] === null ? "no apex" : shown(entry[2], "m/s") + ", " + shown(entry[3], "m")}; command ${shown(entry[4], "N")}, ${shown(entry[5], "N")}.`
-      : "let go.");
+    moment.textContent = `deployment ${motion.deployment}, ${time} s of ${end} s: ` + (entry
+      ? `step ${step} of ${motion.last}. Target ${format(entry[0], "m/s")}, ${format(entry[1], "m")}; ` +
+        `reached ${entry[3] === null ? "no apex" : format(entry[2], "m/s") + ", " + format(entry[3], "m")}; command ${format(entry[4], "N")}, ${format(entry[5], "N")}.`
+      : "released.");
   }
 
-  function shown(value, unit) {
+  function format(value, unit) {
     return value === null ? "unknown" : value.toFixed(unit === "N" ? 1 : 3).replace("-", "\u2212") + " " + unit;
   }
 

@@ -2,16 +2,16 @@
 
 import json
 from base64 import b64encode
-from dataclasses import fields
 from importlib.resources import files
 from typing import Any, Final
 
 import numpy as np
 
 from stepgap.learning.step_log import StepLog
+from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.html import paragraph, safe
-from stepgap.report.motion import RATE, Motion, Replay
+from stepgap.report.html import absence, safe
+from stepgap.report.motion import RATE, DeploymentMotion, Replay
 from stepgap.step import Array
 
 REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(encoding="utf-8")
@@ -21,11 +21,11 @@ LEVELS: Final = 65535
 """Steps into which the range of a channel is divided."""
 
 MOST_FRAMES: Final = 60_000
-"""Of one motion on the page; of a longer one, frames are left out."""
+"""Frames of one motion on the page at most; a longer one is thinned."""
 
 CONTROLS: Final = """<div id="replay-view">
 <canvas id="replay-canvas" tabindex="0" role="img" aria-label="The hopper on its boom; drag to turn the view"></canvas>
-<p id="replay-words" aria-live="off">The replay needs JavaScript, which does not run here.</p>
+<p id="replay-moment" aria-live="off">The replay needs JavaScript, which does not run here.</p>
 <input id="replay-slider" type="range" min="0" max="0" value="0" aria-label="Time">
 <p class="controls"><button id="replay-play" type="button">Play</button>
 <label>deployment <select id="replay-deployment"></select></label>
@@ -36,10 +36,10 @@ CONTROLS: Final = """<div id="replay-view">
 </div>"""
 
 
-def replay_view(record: RunRecord, replay: Replay | str) -> str:
+def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
     """Canvas, controls and data, or why there are none."""
-    if isinstance(replay, str):
-        return paragraph(replay)
+    if isinstance(replay, Missing):
+        return absence("replay", replay)
     robot = replay.robot
     data = {
         "levels": LEVELS,
@@ -55,17 +55,17 @@ def replay_view(record: RunRecord, replay: Replay | str) -> str:
 
 def _legend() -> str:
     return (
-        "Drag to turn; the keys ← and → go on by a frame. The leg is drawn as the closed chain it is; the foot is "
+        "Drag to turn; the keys ← and → move by one frame. The leg is drawn as the closed chain it is; the foot is "
         "full while it bears load. Dashed: the height wanted at the next apex. Circles: apexes reached; bars: their "
-        "targets. The motion is what the sensors of boom and motors said; what they do not see, such as the boom's "
-        f"bending, is not in it. Of a second, {RATE} moments are kept."
+        "targets. The motion is what the sensors of boom and motors measured; what they do not measure, such as "
+        f"the boom's bending, is not in it. There are {RATE} frames per second."
     )
 
 
-def _motion(number: int, motion: Motion, log: StepLog) -> dict[str, Any]:
-    """A motion as JSON: its channels as whole numbers of two bytes, one after the other, and its steps."""
+def _motion(number: int, motion: DeploymentMotion, log: StepLog) -> dict[str, Any]:
+    """A motion as JSON: its channels as integers of two bytes, one after the other, and its steps."""
     every = -(-len(motion.step) // MOST_FRAMES)
-    channels = [getattr(motion, field.name)[::every] for field in fields(motion)]
+    channels = [channel[::every] for channel in motion.channels.values()]
     ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
     packed = b"".join(_levels(channel).astype("<u2").tobytes() for channel in channels)
     steps = [
@@ -76,7 +76,7 @@ def _motion(number: int, motion: Motion, log: StepLog) -> dict[str, Any]:
         "deployment": number,
         "rate": RATE / every,
         "frames": len(channels[0]),
-        "channels": [field.name for field in fields(motion)],
+        "channels": list(motion.channels),
         "ranges": ranges,
         "packed": b64encode(packed).decode(),
         "steps": steps,

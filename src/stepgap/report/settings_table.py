@@ -3,11 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from stepgap.base.settings_file import parse_toml
 from stepgap.report.html import paragraph, table
 
-MISSING = "–"
-"""Shown where a setting is not there."""
+DASH = "–"
+"""Stands in a table for a value that is not there."""
 
 
 def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
@@ -17,33 +16,28 @@ def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, st
         if isinstance(value, Mapping):
             flat |= flat_settings(value, f"{prefix}{name}.")
         else:
-            flat[f"{prefix}{name}"] = _shown(value)
+            flat[f"{prefix}{name}"] = _format(value)
     return flat
-
-
-def parsed(text: str | None) -> dict[str, Any]:
-    """The tables of an `experiment.toml` that is known to be TOML; none without a text."""
-    return parse_toml(text or "")
 
 
 def differing(columns: Sequence[Mapping[str, str]]) -> list[list[str]]:
     """Name and values of each setting that is not the same in all columns, in the order of the first."""
     names = list(dict.fromkeys(name for column in columns for name in column))
-    rows = [[name, *(column.get(name, MISSING) for column in columns)] for name in names]
+    rows = [[name, *(column.get(name, DASH) for column in columns)] for name in names]
     return [row for row in rows if len(set(row[1:])) > 1]
 
 
-def changed_settings(text: str, defaults: Mapping[str, Any]) -> str:
+def changed_settings(settings: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
     """A table of the settings of a run that differ from their defaults."""
-    rows = differing([flat_settings(parsed(text)), flat_settings(defaults)])
+    rows = differing([flat_settings(settings), flat_settings(defaults)])
     if not rows:
         return paragraph("All settings are the defaults.")
     return table("Settings that differ from their defaults", ["setting", "this run", "default"], rows)
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_shown, value))}]"
+        return f"[{', '.join(map(_format, value))}]"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):

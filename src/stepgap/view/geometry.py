@@ -15,7 +15,7 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.step import Array
 
 
-class Pose(NamedTuple):
+class HopperPose(NamedTuple):
     """How boom and leg stand.
 
     Attributes:
@@ -37,7 +37,7 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """Places of the joints, each of shape (3,) [m].
+    """Positions of the joints, each of shape (3,) [m].
 
     Attributes:
         pivot: Of the boom.
@@ -67,7 +67,7 @@ class Joints:
         }
 
 
-def joints_at(robot: RobotParameters, pivot_height: float, pose: Pose) -> Joints:
+def joints_at(robot: RobotParameters, pivot_height: float, pose: HopperPose) -> Joints:
     """The joints of a pose, with the boom's pivot at a height [m]."""
     bar = four_bar(leg_of(robot), pose.alpha_2)
     beta = np.arctan2(bar.sin_beta, bar.cos_beta)
@@ -92,7 +92,7 @@ def joints_at(robot: RobotParameters, pivot_height: float, pose: Pose) -> Joints
     )
 
 
-def _tip_axes(pose: Pose) -> tuple[Array, Array, Array]:
+def _tip_axes(pose: HopperPose) -> tuple[Array, Array, Array]:
     """Unit vectors along the boom, along the circle and across both."""
     sin_yaw, cos_yaw = np.sin(pose.yaw), np.cos(pose.yaw)
     inward = np.array([-sin_yaw, cos_yaw, 0.0])

@@ -1,4 +1,4 @@
-"""What a residual says along one of its inputs, the others held."""
+"""A residual along one of its inputs, the others held constant."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Feeds the page of a run that goes on, in another process, without ever waiting for it."""
+"""Feeds the page of a run while it is being executed, in another process, without ever waiting for it."""
 
 import subprocess
 import sys
@@ -9,7 +9,7 @@ from stepgap.experiment.loop import Observer
 from stepgap.experiment.tick_recorder import HopCount
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.robots.hopper.tick import TICK_UNITS, Tick
-from stepgap.view.motion import EVERY
+from stepgap.view.motion import TICK_STRIDE
 
 ROWS = 2**16
 """Ticks that the ring keeps for the page: nine minutes of hopping."""
@@ -32,8 +32,8 @@ class LiveView:
         self._hops, self._count = HopCount(), 0
 
     def on_tick(self, tick: Tick) -> None:
-        """Passes one of `EVERY` ticks on."""
-        if self._count % EVERY == 0:
+        """Passes every `TICK_STRIDE`-th tick on."""
+        if self._count % TICK_STRIDE == 0:
             self._ring.push((self._hops.iteration, self._hops.hop, *tick.row()))
         self._count += 1
         self._hops.on_tick(tick)

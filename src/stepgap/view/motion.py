@@ -1,4 +1,4 @@
-"""How the robot moved in one hop, from whatever recorded it."""
+"""How the robot moved in one hop, from any kind of record."""
 
 from dataclasses import dataclass
 from math import asin, tau
@@ -10,22 +10,22 @@ from stepgap.robots.hopper.leg import knee_angle, leg_of
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.step import Array
-from stepgap.view.geometry import Pose
+from stepgap.view.geometry import HopperPose
 
-EVERY = 8
-"""One of so many ticks is shown."""
+TICK_STRIDE = 8
+"""Every how many ticks a pose is drawn."""
 
 STILL = 0.75
-"""For how long a hop is shown of which no motion is known [s]: about as long as it takes."""
+"""Duration of a hop whose motion is not known [s]: about that of a real one."""
 
 
 @dataclass(frozen=True, eq=False)
-class Hop:
-    """From just after an apex to just after the next one.
+class HopMotion:
+    """The motion from just after an apex to just after the next one.
 
     Attributes:
         time: Since the hop began, rising; shape (k,) [s].
-        poses: A pose a row, in the order of `Pose`; shape (k, 6).
+        poses: A pose a row, in the order of `HopperPose`; shape (k, 6).
         ground: Height of the ground under the foot; shape (k,) [m].
     """
 
@@ -38,41 +38,41 @@ class Hop:
         """How long it takes [s]."""
         return float(self.time[-1])
 
-    def at(self, share: float) -> tuple[Pose, float]:
-        """Pose, and height of the ground [m], when a share (0…1) of the time is over."""
+    def at(self, share: float) -> tuple[HopperPose, float]:
+        """HopperPose, and height of the ground [m], when a share (0…1) of the time is over."""
         row = min(int(np.searchsorted(self.time, share * self.duration)), len(self.time) - 1)
-        return Pose(*self.poses[row].tolist()), float(self.ground[row])
+        return HopperPose(*self.poses[row].tolist()), float(self.ground[row])
 
 
-def true_hop(table: TickTable, layout: HopperSensorModel) -> Hop | None:
-    """A hop of the twin made again, as it really was; None without a tick."""
+def true_hop(table: TickTable, sensors: HopperSensorModel) -> HopMotion | None:
+    """A hop of the twin, simulated again, as it really was; None without a tick."""
     if not len(table):
         return None
     yaw, pitch = table["boom_yaw"], table["boom_pitch"]
-    radius = layout.boom_length
+    radius = sensors.boom_length
     along = table["hip_x"] - radius * yaw
-    across = (table["hip_height"] - layout.pivot_height - radius * np.sin(pitch)) / np.cos(pitch)
+    across = (table["hip_height"] - sensors.pivot_height - radius * np.sin(pitch)) / np.cos(pitch)
     poses = np.column_stack([yaw, pitch, table["true_alpha_1"], table["true_alpha_2"], along, across])
-    return Hop(table["time"] - table["time"][0], poses, table["ground_height"])
+    return HopMotion(table["time"] - table["time"][0], poses, table["ground_height"])
 
 
-def sensed_hop(table: TickTable, layout: HopperSensorModel) -> Hop | None:
+def sensed_hop(table: TickTable, sensors: HopperSensorModel) -> HopMotion | None:
     """A hop as the sensors saw it, on level ground; None without a tick whose sensors were read."""
     table = TickTable(table.units, table.rows[np.isfinite(table.rows).all(axis=1)])
     if not len(table):
         return None
-    yaw = table["boom_horizontal"] * tau / layout.boom_counts_horizontal
-    pitch = table["boom_vertical"] * tau / layout.boom_counts_vertical
+    yaw = table["boom_horizontal"] * tau / sensors.boom_counts_horizontal
+    pitch = table["boom_vertical"] * tau / sensors.boom_counts_vertical
     none = np.zeros(len(table))
     poses = np.column_stack([yaw, pitch, table["alpha_1"], table["alpha_2"], none, none])
-    return Hop(table["time"] - table["time"][0], poses, none)
+    return HopMotion(table["time"] - table["time"][0], poses, none)
 
 
-def still_hop(robot: RobotParameters, gains: Gains, pivot_height: float, state: Array) -> Hop:
+def still_hop(robot: RobotParameters, gains: Gains, pivot_height: float, state: Array) -> HopMotion:
     """A hop of which only the apex is known: the robot stands still there, its leg in the landing posture."""
     speed, height = state
     pitch = asin(np.clip((height - pivot_height) / robot.boom_length, -1, 1))
     alpha_1 = gains.speed_gain * (speed - gains.speed_setpoint)
     alpha_2 = knee_angle(leg_of(robot), gains.landing_length)
     pose = [0.0, pitch, alpha_1, alpha_2, 0.0, 0.0]
-    return Hop(np.array([0.0, STILL]), np.array([pose, pose]), np.zeros(2))
+    return HopMotion(np.array([0.0, STILL]), np.array([pose, pose]), np.zeros(2))

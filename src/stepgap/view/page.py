@@ -1,4 +1,4 @@
-"""The page: 3-D, buttons, charts. It only shows; nothing here reaches the run."""
+"""The page: 3-D, buttons, charts. It only displays; nothing here acts on the run."""
 
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
@@ -11,19 +11,19 @@ from stepgap.learning.observations import error_of
 from stepgap.learning.residual import join_points
 from stepgap.learning.step_log import LoggedStep
 from stepgap.step import StepStatus
-from stepgap.view.geometry import Pose
+from stepgap.view.geometry import HopperPose
 from stepgap.view.learnt import curve_along
 from stepgap.view.player import Player
 from stepgap.view.plots import BAND, BLUE, INK, VERMILLION, LearntPlot, TrackingPlot, add_legend, named
 from stepgap.view.robot_scene import Ground, RobotScene
 from stepgap.view.source import Source
 
-NOTHING = "nothing"
+NO_OVERLAY = "nothing"
 SPEEDS = {"¼": 0.25, "½": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "16": 16.0}
 """Times real time."""
 
 CAMERA, LOOK_AT = (0.62, -0.8, 0.14), (0.04, 0.1, -0.13)
-"""Place of the camera and what it looks at, from 0.45 m above the floor where the robot hops [m]."""
+"""Position of the camera and what it looks at, from 0.45 m above the floor where the robot hops [m]."""
 
 
 class Page:
@@ -35,7 +35,7 @@ class Page:
         server: Serves the page.
         source: What to show.
         iteration: Deployment shown first; without one, the last.
-        live: The run goes on: the newest hop is shown.
+        live: Whether the run is being executed, so that the newest hop is drawn.
     """
 
     def __init__(self, server: ViserServer, source: Source, iteration: int | None = None, live: bool = False):
@@ -65,10 +65,10 @@ class Page:
         self.overlaid = iteration
         if iteration is not None:
             self._source.want(iteration)
-        self._overlay.value = NOTHING if iteration is None else self._label(iteration)
+        self._overlay.value = NO_OVERLAY if iteration is None else self._label(iteration)
 
     def toggle(self) -> None:
-        """Stops time, or lets it go on."""
+        """Stops time, or lets it run."""
         self.player.toggle()
 
     def one_step(self) -> None:
@@ -101,10 +101,18 @@ class Page:
         player.advance(elapsed, count, self._duration)
         with self._server.atomic():
             self._show_motion()
-            shown = (self.iteration, self.overlaid, player.hop, count, self._along.value, source.words, player.playing)
-            if shown != self._drawn:
+            state = (
+                self.iteration,
+                self.overlaid,
+                player.hop,
+                count,
+                self._along.value,
+                source.missing_motion,
+                player.playing,
+            )
+            if state != self._drawn:
                 self._show_step()
-                self._drawn = shown
+                self._drawn = state
 
     def _duration(self, number: int) -> float | None:
         hop = self._source.hop(self.iteration, number)
@@ -118,9 +126,9 @@ class Page:
         self._robot = RobotScene(scene, "/world/robot", robot, height)
         self._ghost = RobotScene(scene, "/world/ghost", robot, height, ghost=True)
         self._ghost.hide()
-        place = np.array([0.0, -robot.boom_length, 0.45])
-        self._server.initial_camera.position = tuple(place + CAMERA)
-        self._server.initial_camera.look_at = tuple(place + LOOK_AT)
+        above_track = np.array([0.0, -robot.boom_length, 0.45])
+        self._server.initial_camera.position = tuple(above_track + CAMERA)
+        self._server.initial_camera.look_at = tuple(above_track + LOOK_AT)
 
     def _build_controls(self) -> None:
         gui = self._server.gui
@@ -129,20 +137,20 @@ class Page:
         gui.set_panel_label(f"StepGap – {self._source.folder.resolve().name}")
         self._status = gui.add_markdown("")
         self._deployment = gui.add_dropdown("Deployment", [self._label(0)])
-        self._overlay = gui.add_dropdown("Overlay", [NOTHING], hint="A deployment shown beside it, step for step")
-        self._step = gui.add_slider("Step", 0, 1, 1, 0, hint="0: the hop with which the robot is let go")
+        self._overlay = gui.add_dropdown("Overlay", [NO_OVERLAY], hint="A deployment shown beside it, step for step")
+        self._step = gui.add_slider("Step", 0, 1, 1, 0, hint="0: the hop after the release")
         self._buttons = gui.add_button_group("Play", ("Pause / play", "One step", "Newest"))
         self._speed = gui.add_dropdown("Speed", list(SPEEDS), initial_value="1", hint="Times real time")
         self._ride = gui.add_checkbox("Ride along", True, hint="The robot stays in view, the floor turns under it")
         does = {"Pause / play": self.toggle, "One step": self.one_step, "Newest": self.follow}
         self._buttons.on_click(lambda event: self._pressed.put(does[event.target.value]))
         self._when_changed(self._deployment, lambda label: self.choose(_number(label)))
-        self._when_changed(self._overlay, lambda label: self.overlay(None if label == NOTHING else _number(label)))
+        self._when_changed(self._overlay, lambda label: self.overlay(None if label == NO_OVERLAY else _number(label)))
         self._when_changed(self._step, self._show_from)
         self._when_changed(self._speed, self.set_speed)
 
     def _show_from(self, number: int) -> None:
-        """Shows a hop from its start; the slider is told again, since a move of time may have crossed with its own."""
+        """Shows a hop from its start; the slider is set again, since a move of time may have crossed with its own."""
         self.player.show(number)
         self._step.value = number + 1 if number < self._step.max else number - 1
         self._drawn = ()
@@ -172,13 +180,13 @@ class Page:
             self._along: GuiDropdownHandle[str] = gui.add_dropdown(
                 "Along", names, initial_value=names[0], hint="The other inputs are those of the step shown"
             )
-            self._said = gui.add_markdown("")
+            self._model_note = gui.add_markdown("")
             add_legend(gui, [("━", BLUE, "mean"), ("▇", BAND, "95 % of steps"), ("●", VERMILLION, "this step")])
             self._learnt = [LearntPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
 
     def _find_deployments(self) -> None:
         labels = [self._label(number) for number in self._source.iterations] or [self._label(0)]
-        for control, options in ((self._deployment, labels), (self._overlay, [NOTHING, *labels])):
+        for control, options in ((self._deployment, labels), (self._overlay, [NO_OVERLAY, *labels])):
             if list(control.options) != options:
                 control.options = options
 
@@ -201,7 +209,7 @@ class Page:
         self._show_ghost(hop.poses[0, 0])
 
     def _show_ghost(self, start: float) -> None:
-        """Draws the overlaid deployment in the same step, begun at the same place of the circle."""
+        """Draws the overlaid deployment in the same step, begun at the same yaw."""
         number, other, hop = self.player.hop, self.overlaid, None
         if other is not None and other != self.iteration and number < self._source.hop_count(other):
             hop = self._source.hop(other, number)
@@ -209,7 +217,7 @@ class Page:
             self._ghost.hide()
             return
         pose = hop.at(self.player.share)[0]
-        self._ghost.show(Pose(start + pose.yaw - hop.poses[0, 0], *pose[1:]))
+        self._ghost.show(HopperPose(start + pose.yaw - hop.poses[0, 0], *pose[1:]))
 
     def _show_step(self) -> None:
         source, number = self._source, self.player.hop
@@ -226,7 +234,7 @@ class Page:
     def _show_learnt(self, steps: list[LoggedStep], number: int) -> None:
         residual = self._source.residual(self.iteration, number)
         if residual is None:
-            self._said.content = "Nothing yet: this deployment began with the uncorrected map." * (number > 0)
+            self._model_note.content = "Nothing yet: this deployment began with the uncorrected map." * (number > 0)
             for plot in self._learnt:
                 plot.clear()
             return
@@ -234,7 +242,7 @@ class Page:
         index = (*space.state_names, *space.command_names).index(self._along.value)
         curve = curve_along(residual, space, join_points(record.state, record.applied), index)
         error = error_of(record, self._source.nominal)
-        self._said.content = f"Actual − nominal, as deployment {self.iteration} began ({residual.name})."
+        self._model_note.content = f"Actual − nominal, as deployment {self.iteration} began ({residual.name})."
         for plot in self._learnt:
             plot.show(curve, named((*space.state, *space.command)[index]), error)
 
@@ -242,13 +250,13 @@ class Page:
         """The step shown, in a table."""
         lines = [] if self.player.playing else ["**Paused.**"]
         if not number:
-            lines.append("The robot is let go." if self.player.share < 1 else "The robot has been let go.")
+            lines.append("The robot is released." if self.player.share < 1 else "The robot has been released.")
         elif number > len(steps):
-            lines.append("This step is under way.")
+            lines.append("This step is being executed.")
         else:
             lines.append(_step_table(steps[number - 1], self._source))
-        if self._source.words:
-            lines.append(f"No motion is shown: {self._source.words}")
+        if missing := self._source.missing_motion:
+            lines.append(f"There is no motion: {missing.reason}")
         return "\n\n".join(lines)
 
 

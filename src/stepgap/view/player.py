@@ -1,4 +1,4 @@
-"""Which moment of a deployment is shown; knows no clock and no page."""
+"""The moment of a deployment that is drawn; knows no clock and no page."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ Duration = Callable[[int], float | None]
 class Player:
     """Moves on hop by hop as far as there are hops.
 
-    Hop 0 is the one with which the robot is let go, hop k the k-th recorded step of the deployment.
+    Hop 0 is the hop after the release, hop k the k-th recorded step of the deployment.
 
     Attributes:
-        hop: Which is shown.
-        share: How much of its time is over, 0…1.
-        playing: Time goes on.
+        hop: Number of the hop that is drawn.
+        share: Share of its duration that is over, 0…1.
+        playing: Whether time is running.
         speed: Times real time.
-        follow: After each hop the newest one is shown, whatever lies between.
+        follow: Whether the newest hop follows each one, whatever lies between.
         last: Where it stops by itself; None: nowhere.
     """
 
@@ -37,7 +37,7 @@ class Player:
         self.hop, self.share, self.follow, self.last = max(0, hop), 0.0, False, None
 
     def toggle(self) -> None:
-        """Stops time, or lets it go on."""
+        """Stops time, or lets it run."""
         self.playing, self.last = not self.playing, None
 
     def one_step(self, count: int) -> None:
@@ -47,12 +47,12 @@ class Player:
         self.playing, self.follow, self.last = True, False, self.hop
 
     def advance(self, elapsed: float, count: int, duration: Duration) -> None:
-        """Lets time go on [s], as far as the `count` hops are known."""
-        left = elapsed * self.speed if self.playing else 0.0
-        while left > 0 and self.hop < count and (length := duration(self.hop)) is not None:
-            used = min(left, (1.0 - self.share) * length)
+        """Advances the time [s], as far as the `count` hops are known."""
+        remaining = elapsed * self.speed if self.playing else 0.0
+        while remaining > 0 and self.hop < count and (length := duration(self.hop)) is not None:
+            used = min(remaining, (1.0 - self.share) * length)
             self.share = min(1.0, self.share + used / length) if length > 0 else 1.0
-            left -= used
+            remaining -= used
             if self.share < 1.0 - 1e-12:
                 return
             self.share = 1.0

@@ -6,11 +6,17 @@ import numpy as np
 from viser import CylinderHandle, IcosphereHandle, SceneApi
 
 from stepgap.robots.hopper.parameters import RobotParameters
-from stepgap.view.geometry import Joints, Pose, joints_at, turned_to
+from stepgap.view.geometry import HopperPose, Joints, joints_at, turned_to
 
 Colour = tuple[int, int, int]
 
-DARK, BLUE, SKY, VERMILLION, GREY = (60, 62, 70), (0, 114, 178), (86, 180, 233), (213, 94, 0), (225, 227, 230)
+DARK_RGB, BLUE_RGB, SKY_RGB, VERMILLION_RGB, LIGHT_RGB = (
+    (60, 62, 70),
+    (0, 114, 178),
+    (86, 180, 233),
+    (213, 94, 0),
+    (225, 227, 230),
+)
 
 RADII: Mapping[str, float] = {
     "boom": 0.014,
@@ -42,23 +48,29 @@ class RobotScene:
     def __init__(self, scene: SceneApi, name: str, robot: RobotParameters, pivot_height: float, ghost: bool = False):
         self._robot, self._pivot_height = robot, pivot_height
         self._root = scene.add_frame(name, show_axes=False)
-        colours = {"boom": DARK, "front_top": BLUE, "rear_top": SKY, "front_bottom": BLUE, "rear_bottom": SKY}
+        colours = {
+            "boom": DARK_RGB,
+            "front_top": BLUE_RGB,
+            "rear_top": SKY_RGB,
+            "front_bottom": BLUE_RGB,
+            "rear_bottom": SKY_RGB,
+        }
         look = {"opacity": 0.35, "cast_shadow": False, "receive_shadow": False} if ghost else {}
-        ends = joints_at(robot, pivot_height, Pose(0.0, 0.0, 0.0, 0.5)).links
+        ends = joints_at(robot, pivot_height, HopperPose(0.0, 0.0, 0.0, 0.5)).links
         lengths = {link: float(np.linalg.norm(end - start)) for link, (start, end) in ends.items()}
         self._links: dict[str, CylinderHandle] = {
             link: scene.add_cylinder(
-                f"{name}/{link}", radius, lengths[link], VERMILLION if ghost else colours[link], **look
+                f"{name}/{link}", radius, lengths[link], VERMILLION_RGB if ghost else colours[link], **look
             )
             for link, radius in RADII.items()
         }
-        dark = VERMILLION if ghost else DARK
+        dark = VERMILLION_RGB if ghost else DARK_RGB
         self._body = scene.add_cylinder(f"{name}/body", BODY_RADIUS, BODY_WIDTH, dark, **look)
         self._joints: dict[str, IcosphereHandle] = {
             joint: scene.add_icosphere(f"{name}/{joint}", radius, dark, **look) for joint, radius in JOINT_RADII.items()
         }
 
-    def show(self, pose: Pose) -> None:
+    def show(self, pose: HopperPose) -> None:
         """Draws the robot in a pose."""
         joints = joints_at(self._robot, self._pivot_height, pose)
         for link, (start, end) in joints.links.items():
@@ -90,7 +102,7 @@ class Ground:
 
     def __init__(self, scene: SceneApi, name: str, radius: float, pivot_height: float):
         self._root = scene.add_frame(name, show_axes=False)
-        scene.add_cylinder(f"{name}/floor", 1.6 * radius, 0.02, GREY, position=(0, 0, -0.011), cast_shadow=False)
+        scene.add_cylinder(f"{name}/floor", 1.6 * radius, 0.02, LIGHT_RGB, position=(0, 0, -0.011), cast_shadow=False)
         count = round(2 * np.pi * radius / MARK_EVERY)
         angles = 2 * np.pi * np.arange(count) / count
         outward = np.stack([np.sin(angles), -np.cos(angles), np.zeros(count)], axis=-1)
@@ -99,7 +111,7 @@ class Ground:
         marks = np.stack([(radius - reach) * outward, (radius + reach) * outward], axis=1)
         lines = np.concatenate([circle, marks]) + np.array([0, 0, 0.001])
         scene.add_line_segments(f"{name}/marks", lines.astype(np.float32), (150, 153, 160), thickness=0.004)
-        scene.add_cylinder(f"{name}/post", 0.03, pivot_height, DARK, position=(0, 0, pivot_height / 2))
+        scene.add_cylinder(f"{name}/post", 0.03, pivot_height, DARK_RGB, position=(0, 0, pivot_height / 2))
 
     def show(self, height: float) -> None:
         """Moves the floor to the height that it has under the foot [m]."""

@@ -1,10 +1,9 @@
-"""What there is to show of a run, whether it is over or goes on: steps, motion, what was learnt.
+"""All data of a run, finished or being executed: steps, motion, what was learnt.
 
-Steps and models are read from the run folder. Motion comes from a ring of ticks while the run goes on beside, from the
-tick logs of a rig, and else from making the deployment again.
+Steps and models are read from the run folder. Motion comes from a ring of ticks while the run is being executed, from
+the tick logs of a rig, and else from simulating the deployment again.
 """
 
-import json
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
@@ -12,19 +11,22 @@ from threading import Event, Thread
 
 import numpy as np
 
+from stepgap.base.errors import InputError, message_of
 from stepgap.experiment.plants import SIMULATED
-from stepgap.experiment.replay import layout_of, logged_ticks, replayed_hops
-from stepgap.experiment.settings import InputError, read_experiment
+from stepgap.experiment.replay import logged_ticks, replayed_hops, sensor_model_of
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
-from stepgap.learning.residual_fit import residual_from_dict
-from stepgap.learning.step_log import LoggedStep, StepLog, read_step_log
+from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.missing import Missing
+from stepgap.records.model_files import read_model
+from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS
-from stepgap.view.motion import EVERY, Hop, sensed_hop, still_hop, true_hop
+from stepgap.view.motion import TICK_STRIDE, HopMotion, sensed_hop, still_hop, true_hop
 
 RING_FIELDS = 2 + len(TICK_UNITS)
 """Of a row of the ring: deployment, hop, tick."""
@@ -35,7 +37,7 @@ class Source:
 
     Args:
         folder: The run folder.
-        ring: Ticks as they happen; without one, the motion is made again.
+        ring: Ticks as they happen; without one, the motion is found or simulated again.
 
     Attributes:
         settings: Of the experiment.
@@ -43,7 +45,7 @@ class Source:
         layout: How to read the rig's counts; None where the rig is not known here.
 
     Raises:
-        InputError: It is no run folder, a model in it is none, or it has no step yet and nobody is making one.
+        InputError: It is no run folder, a model in it is not valid, or it has no step yet and no run is adding one.
         RecordError: Its steps cannot be read.
     """
 
@@ -54,10 +56,11 @@ class Source:
         self.settings = read_experiment(folder / "experiment.toml")
         self.nominal = ApexMap(self.settings.robot, self.settings.gains, self.settings.command)
         self.space = self.nominal.space
-        self.sensor_model, self._words = self._find_layout(), ""
+        self.sensor_model = self._find_sensor_model()
+        self._missing: Missing | None = None
         self._size, self._log = -1, StepLog(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
-        self._motion: dict[int, list[Hop | None]] = {}
+        self._motion: dict[int, list[HopMotion | None]] = {}
         self._finders: dict[int, Thread] = {}
         self._closed = Event()
         self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
@@ -74,9 +77,9 @@ class Source:
         return self.sensor_model.pivot_height if self.sensor_model else self.settings.gap.boom_pivot_height
 
     @property
-    def words(self) -> str:
-        """Why there is no motion where there is none; empty while there is."""
-        return self._words
+    def missing_motion(self) -> Missing | None:
+        """Why some motion cannot be found; None while all can."""
+        return self._missing
 
     @property
     def iterations(self) -> list[int]:
@@ -88,10 +91,10 @@ class Source:
         return self._steps.get(iteration, [])
 
     def hop_count(self, iteration: int) -> int:
-        """Hops of a deployment: that after the release, and its steps."""
+        """Number of hops of a deployment: the one after the release, and its steps."""
         return 1 + len(self.steps(iteration))
 
-    def hop(self, iteration: int, number: int) -> Hop | None:
+    def hop(self, iteration: int, number: int) -> HopMotion | None:
         """A hop's motion; None while it is still being made. Without known motion, the robot stands at the apex."""
         hops, steps = self._motion.get(iteration, []), self.steps(iteration)
         if number < len(hops) and (hop := hops[number]):
@@ -136,7 +139,7 @@ class Source:
         return residual.conditioned_on(next_history(StepLog(self.space, before), self.nominal, iteration))
 
     def poll(self) -> bool:
-        """Takes in what is new; says whether there were steps."""
+        """Reads what is new; gives whether there were new steps."""
         grown = self._read_steps()
         if self._ring:
             self._drain(self._ring)
@@ -144,16 +147,15 @@ class Source:
 
     def _model(self, iteration: int) -> Residual | None:
         if iteration not in self._models:
-            path = self.folder / "models" / f"iteration_{iteration}.json"
-            model, sizes = _read_model(path), (len(self.space.state), len(self.space.command))
-            if model and model.sizes != sizes:
-                raise InputError(f"{path}: a model of {model.sizes} coordinates, but the run's steps have {sizes}")
-            self._models[iteration] = model
+            try:
+                self._models[iteration] = read_model(self.folder, iteration, self.space)
+            except (OSError, ValueError) as error:
+                raise InputError(message_of(error)) from None
         return self._models[iteration]
 
-    def _find_layout(self) -> HopperSensorModel | None:
+    def _find_sensor_model(self) -> HopperSensorModel | None:
         try:
-            return layout_of(self.settings)
+            return sensor_model_of(self.settings)
         except InputError:
             if self.settings.plant in SIMULATED:
                 raise
@@ -192,34 +194,25 @@ class Source:
     def _is_sought(self, iteration: int) -> bool:
         return iteration in self._finders and self._finders[iteration].is_alive()
 
-    def _find(self, iteration: int, find: Callable[[int, list[Hop | None]], None]) -> None:
-        """Fills in the motion, hop by hop; whatever goes wrong is said on the page."""
+    def _find(self, iteration: int, find: Callable[[int, list[HopMotion | None]], None]) -> None:
+        """Fills in the motion, hop by hop; the page shows what goes wrong."""
         try:
             find(iteration, self._motion[iteration])
         except (ValueError, OSError) as error:
-            self._words = str(error)
+            self._missing = Missing(str(error))
 
-    def _remake(self, iteration: int, hops: list[Hop | None]) -> None:
+    def _remake(self, iteration: int, hops: list[HopMotion | None]) -> None:
         assert self.sensor_model
-        for table in replayed_hops(self.folder, iteration, EVERY):
+        for table in replayed_hops(self.folder, iteration, TICK_STRIDE):
             hops.append(true_hop(table, self.sensor_model))
             if self._closed.is_set():
                 return
 
-    def _load(self, iteration: int, hops: list[Hop | None]) -> None:
+    def _load(self, iteration: int, hops: list[HopMotion | None]) -> None:
         if self.sensor_model is None:
             raise InputError(f"plant '{self.settings.plant}' is not known here, so its counts cannot be read")
         steps = self.steps(iteration)
         ticks = logged_ticks(self.folder, steps)
         for step in range(steps[0].step - 1, steps[-1].step + 1):
             rows = ticks.rows[ticks["step"] == step]
-            hops.append(sensed_hop(TickTable(ticks.units, rows[::EVERY]), self.sensor_model))
-
-
-def _read_model(path: Path) -> Residual | None:
-    try:
-        return residual_from_dict(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not a model of a run ({error})") from None
+            hops.append(sensed_hop(TickTable(ticks.units, rows[::TICK_STRIDE]), self.sensor_model))

@@ -10,7 +10,7 @@ from time import monotonic, sleep
 
 from viser import ViserServer
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.view.page import Page
 
 HERE = "127.0.0.1"
@@ -37,7 +37,7 @@ def start_server(host: str, port: int | None) -> ViserServer:
         raise InputError(f"--port {port}: it must lie between 1 and 65535")
     for wanted in [port] if port else range(FIRST_PORT, FIRST_PORT + PORTS):
         if _is_free(host, wanted):
-            with redirect_stdout(io.StringIO()):  # what is to be said `announce` says
+            with redirect_stdout(io.StringIO()):  # `announce` prints what is needed
                 return ViserServer(host, wanted, label="StepGap", verbose=False)
     tried = f"--port {port}: it is taken" if port else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are taken"
     raise InputError(f"{tried}; choose another --port")
@@ -61,7 +61,7 @@ def _is_free(host: str, port: int) -> bool:
 
 
 def announce(server: ViserServer) -> None:
-    """Says on stderr where the page is, and who can see it."""
+    """Prints on stderr where the page is, and who can open it."""
     host, port = server.get_host(), server.get_port()
     name = f"[{host}]" if ":" in host else host
     print(f"stepgap: open http://{name}:{port} in a browser; Ctrl-C ends it", file=sys.stderr)
@@ -74,12 +74,12 @@ def announce(server: ViserServer) -> None:
     sys.stderr.flush()
 
 
-def watch(server: ViserServer, page: Page, goes_on: Callable[[], bool] = lambda: True) -> None:
-    """Says where the page is and shows it until it no longer goes on or Ctrl-C comes; then stops the server."""
+def watch(server: ViserServer, page: Page, runs: Callable[[], bool] = lambda: True) -> None:
+    """Announces the page and updates it until `runs` is false or Ctrl-C comes; then stops the server."""
     last = monotonic()
     try:
         announce(server)
-        while goes_on():
+        while runs():
             now = monotonic()
             page.update(now - last)
             last = now
@@ -91,6 +91,6 @@ def watch(server: ViserServer, page: Page, goes_on: Callable[[], bool] = lambda:
 
 
 def stop_server(server: ViserServer) -> None:
-    """Stops it without a word."""
+    """Stops a server without its messages."""
     with redirect_stdout(io.StringIO()):
         server.stop()

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.commissioning.limp import ended, limp_setup
 from stepgap.plants.realtime.session import Session
@@ -24,7 +24,7 @@ from stepgap.step import Array
 FOLDER = Path("dry-run")
 """Where ticks go."""
 
-LOOK_EVERY = 0.1
+_LOOK_EVERY = 0.1
 """Time between two pictures [s]."""
 
 Shown = dict[str, str]
@@ -87,7 +87,7 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
     try:
         with terminated_as_interrupted(), _shown(round(1 / rig.sensor_model.tick)) as show:
             while log.count < wanted and not session.over():
-                sleep(LOOK_EVERY)
+                sleep(_LOOK_EVERY)
                 show(describe(log, session), log.count)
         fault = ended(session)
     except KeyboardInterrupt:

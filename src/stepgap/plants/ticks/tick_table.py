@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from stepgap.step import Array
 
 
@@ -28,3 +30,9 @@ class TickTable:
     def __getitem__(self, name: str) -> Array:
         """One column; shape (k,)."""
         return self.rows[:, list(self.units).index(name)]
+
+    def resampled(self, rate: float) -> "TickTable":
+        """The ticks at a lower rate [1/s], each the first at or after its moment."""
+        time = self["time"]
+        moments = np.arange(time[0], time[-1], 1 / rate) - 1e-6  # times are rounded
+        return TickTable(self.units, self.rows[np.searchsorted(time, moments)])

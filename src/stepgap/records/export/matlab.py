@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from stepgap.base.settings_file import LARGEST_WHOLE, InputError, parse_toml
+from stepgap.base.errors import InputError
+from stepgap.base.ranges import LARGEST_INTEGER
 from stepgap.records.export.columns import Column
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURES, Summary
@@ -27,7 +28,7 @@ def matlab_file(record: RunRecord, columns: Sequence[Column]) -> bytes:
         "steps": {column.name: _column(column.values) for column in columns},
         "units": {column.name: column.unit for column in columns},
         "meanings": {column.name: column.meaning for column in columns},
-        "settings": _struct(parse_toml(record.settings or "")),
+        "settings": _struct(record.settings.table if record.settings else {}),
         "summary": _summary(record.summary, record.space.state_names),
     }
     _check_names(variables)
@@ -53,7 +54,7 @@ def _value(value: Any) -> Any:
         return np.array([_value(each) for each in value] + [None], dtype=object)[:-1]
     if isinstance(value, bool | float):
         return value
-    return float(value) if isinstance(value, int) and abs(value) < LARGEST_WHOLE else str(value)
+    return float(value) if isinstance(value, int) and abs(value) < LARGEST_INTEGER else str(value)
 
 
 def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:

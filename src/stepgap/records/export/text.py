@@ -1,4 +1,4 @@
-"""Steps as text for any program: a table with one line of names, and a second table that says what the names mean."""
+"""Steps as text for any program: a table with one line of names, and a second table with the meanings of the names."""
 
 import csv
 from collections.abc import Iterable, Sequence

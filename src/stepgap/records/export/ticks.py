@@ -23,7 +23,7 @@ def write_ticks(ticks: TickTable, out: Path) -> None:
 
 
 def copy_ticks(logs: Path, out: Path) -> Iterator[str]:
-    """Copies the tick logs of a rig's run into a new folder, what is whole of those that are broken; says of each.
+    """Copies the tick logs of a rig's run into a new folder, the intact part of truncated ones; gives a line for each.
 
     Raises:
         OSError: A file cannot be read or written.

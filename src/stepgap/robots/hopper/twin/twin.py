@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.compiled_record import as_record
+from stepgap.base.ranges import require
 from stepgap.rigs.rig import Rig, RigFault, Torques
-from stepgap.robots.hopper.parameters import Gains, RobotParameters, require
+from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.twin.devices import (
     OUT_OF_REACH,
@@ -29,10 +30,8 @@ from stepgap.robots.hopper.twin.devices import (
 )
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.step import Array
-
-EXACT_COUNTS = 16384
-"""Counts per revolution by which an exact sensor reports; it does not round them."""
 
 LONGEST_STEP = 2.5e-4
 """Longest physics step [s]."""
@@ -125,16 +124,7 @@ class Twin(Rig):
         self._hold_ticks = round(hold / tick)
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
-        self._layout = HopperSensorModel(
-            tick=tick,
-            boom_length=robot.boom_length,
-            pivot_height=gap.boom_pivot_height,
-            motor_counts=_finite(gap.motor_counts),
-            boom_counts_horizontal=_finite(gap.boom_counts_horizontal),
-            boom_counts_vertical=_finite(gap.boom_counts_vertical),
-            touchdown_force=gap.touchdown_force,
-            takeoff_length=gap.takeoff_length,
-        )
+        self._layout = twin_sensor_model(robot, gap, tick)
         self._model = build_model(robot, gap, tick / self._substeps)
         self._data = mujoco.MjData(self._model)
         self._bind()
@@ -352,11 +342,6 @@ class Twin(Rig):
         while self._gap.torque_noise > 0:
             yield from self._rng.standard_normal((512, 2))  # in blocks, because single draws take a microsecond
         yield from repeat(np.zeros(2))
-
-
-def _finite(counts: float) -> float:
-    """Counts per revolution as the layout gives them."""
-    return counts if counts < inf else EXACT_COUNTS
 
 
 def _leg_triangle(robot: RobotParameters, length: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What a run shows, in plain sentences."""
+"""The results of a run in plain sentences."""
 
 import numpy as np
 
@@ -49,7 +49,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
         f"on the {plant}, {_count(record.steps.falls, 'fall')}."
     )
     found += [
-        f"Deployment {iteration} is under way or was broken off: "
+        f"Deployment {iteration} is running or was interrupted: "
         f"its {_count(steps, 'step')} so far are in none of the errors."
         for iteration, steps in record.unfinished.items()
     ]
@@ -71,8 +71,8 @@ def decimal(value: float, digits: int = 3) -> str:
     if value == 0:
         return "0"
     if 1e-6 < abs(value) < 1e6:
-        places = digits - 1 - int(np.floor(np.log10(abs(value))))
-        return f"{value:.{max(places, 0)}f}".replace("-", "−")
+        decimals = digits - 1 - int(np.floor(np.log10(abs(value))))
+        return f"{value:.{max(decimals, 0)}f}".replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")
 
 
@@ -95,24 +95,24 @@ def _times(factor: float) -> str:
 
 
 def _floor(record: RunRecord) -> list[str]:
-    """How far the last errors are above what the plant repeats."""
-    known = [row for row, spread in enumerate(record.repeatability) if spread > 0]
+    """The noise floor of the plant, and how far the last errors are above it."""
+    known = [row for row, spread in enumerate(record.noise_floor) if spread > 0]
     if not known:
         return []
-    state, spread = record.space.state, record.repeatability
+    state, spread = record.space.state, record.noise_floor
     spreads = ", ".join(f"{state[row].name} {decimal(spread[row])}{_unit(state[row])}" for row in known)
     errors = record.deployments[-1].errors["steady_rmse"]
     ratios = ", ".join(f"{decimal(errors[row] / spread[row], 2)} times that in {state[row].name}" for row in known)
     how = (
-        f"is {spreads} (measured: steps repeated with the command and all motion at the apex equal, at other places "
-        "and with other noise). A controller that knows neither cannot do better on average; one that follows what the "
-        "place adds (learning.drift) can"
+        f"is {spreads} (measured by repeating steps with equal command and equal motion at the apex, at other yaw "
+        "angles and with other noise). A controller that knows neither cannot do better on average; one that estimates "
+        "the yaw-dependent disturbance (learning.drift) can"
         if record.summary.measured
-        else f"is at most about {spreads} (what a linear fit leaves of the steady steps of the last deployment; the "
-        "true one may be smaller)"
+        else f"is at most about {spreads} (the residual error of a linear fit to the steady steps of the last "
+        "deployment; the true one may be smaller)"
     )
     compared = f" The last steady RMSE is {ratios}." if np.isfinite([errors[row] for row in known]).all() else ""
-    return [f"Repeatability, how far the next state spreads from equal state and command, {how}.{compared}"]
+    return [f"The noise floor, the standard deviation of the next state at equal state and command, {how}.{compared}"]
 
 
 def _paper_result() -> str:
@@ -130,7 +130,7 @@ def _count(number: int, noun: str) -> str:
 
 
 def _ended(record: RunRecord, deployment: Deployment) -> str:
-    """How a deployment ended before its time."""
+    """How a deployment was aborted."""
     status = list(record.steps.of_iteration(deployment.iteration))[-1].record.status
     how = "fell" if status == StepStatus.FELL else f"ended without an apex ({status.label})"
     return f"deployment {deployment.iteration} {how} at step {deployment.steps}"

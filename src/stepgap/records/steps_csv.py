@@ -1,0 +1,296 @@
+"""`steps.csv`: every executed step of a run, a row at a time, each on disk before the next step starts."""
+
+import errno
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from stepgap.base.errors import InputError
+from stepgap.base.files import naming
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.records.paper import UNITS
+from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
+
+LARGEST_STEPS_FILE = 256 * 2**20
+"""Largest `steps.csv` that is read [bytes]."""
+
+LONGEST_HEADER = 2**14
+"""Longest first line of `steps.csv` [bytes]."""
+
+MOST_COORDINATES = 12
+"""State coordinates at most; each has a figure of its own."""
+
+
+class RecordError(InputError):
+    """A step log cannot be used; the message is one line that names the file and what is wrong with it."""
+
+
+def column_names(space: StepSpace) -> list[str]:
+    """Columns of `steps.csv`."""
+    state, command = space.state_names, space.command_names
+    return [
+        "iteration",
+        "step",
+        *state,
+        *(f"target_{name}" for name in state),
+        *command,
+        *(f"applied_{name}" for name in command),
+        *(f"{kind}_{name}" for kind in ("next", "predicted", "std") for name in state),
+        "yaw_after",
+        "status",
+    ]
+
+
+def values_of(logged: LoggedStep, space: StepSpace) -> dict[str, int | float | str]:
+    """The entries of a row of `steps.csv`, by column."""
+    return dict(zip(column_names(space), _values(logged), strict=True))
+
+
+def row_of(logged: LoggedStep) -> str:
+    """The line of `steps.csv`, without its end; every number is written so that it is read back to the last bit."""
+    return ",".join(map(str, _values(logged)))
+
+
+def _values(logged: LoggedStep) -> list[int | float | str]:
+    record = logged.record
+    before = (record.state, logged.target, record.command, record.applied)
+    after = (record.next_state, logged.predicted, logged.std)
+    numbers = np.concatenate(before + after).tolist()
+    return [logged.iteration, logged.step, *numbers, float(record.yaw_after), record.status.label]
+
+
+def _step_of(row: str, space: StepSpace) -> LoggedStep:
+    """The step that a line holds; ValueError if it holds none."""
+    names, cells = column_names(space), row.split(",")
+    if len(cells) != len(names):
+        raise ValueError(f"{len(cells)} columns instead of {len(names)}")
+    if cells[-1].upper() not in StepStatus.__members__:
+        raise ValueError(f"unknown status {cells[-1]!r:.40}")
+    n, m = len(space.state), len(space.command)
+    numbers = np.array([float(cell) for cell in cells[2:-1]])
+    parts = np.split(numbers, np.cumsum([n, n, m, m, n, n, n]))
+    state, target, command, applied, next_state, predicted, std, (yaw,) = parts
+    status = StepStatus[cells[-1].upper()]
+    known = [state, target, command, applied, std]
+    if status == StepStatus.OK:
+        known.append(next_state)
+    if not np.isfinite(np.concatenate(known)).all():
+        raise ValueError("a number is not finite")
+    record = StepRecord(state, command, applied, next_state, status, float(yaw))
+    return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
+
+
+def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
+    """Raises ValueError unless a step can follow the one before it."""
+    here = (logged.iteration, logged.step)
+    first = (0, min(1, logged.step))
+    following = [first] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, 1)]
+    if last is not None and last.record.status != StepStatus.OK:
+        del following[0]
+    if here not in following:
+        wanted = " or ".join(f"step {step} of deployment {iteration}" for iteration, step in following)
+        raise ValueError(f"step {here[1]} of deployment {here[0]} where {wanted} must be")
+
+
+def space_of_header(path: Path) -> StepSpace:
+    """Names of state and command as the header of `steps.csv` gives them.
+
+    The file does not know bounds, so that they are −1 and 1, nor units, so that they are the paper's for the
+    coordinates that it has, and empty for others.
+
+    Raises:
+        ValueError: The first line is not a header of a step log.
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        header = file.readline(LONGEST_HEADER).decode(errors="replace").rstrip("\r\n").split(",")
+    if header == [""]:
+        raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
+    check_not_older(header, path)
+    for n in range(1, min(MOST_COORDINATES, len(header) // 5) + 1):
+        m = (len(header) - 4 - 5 * n) // 2
+        state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
+        space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)))
+        if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
+            return space
+    raise ValueError(
+        f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
+        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, yaw_after, "
+        "status"
+    )
+
+
+def _coordinate(name: str) -> Quantity:
+    return Quantity(name, UNITS.get(name, ""), -1.0, 1.0)
+
+
+def check_not_older(header: Sequence[str], path: Path) -> None:
+    """Raises RecordError if a header names a column as only earlier versions of StepGap did."""
+    if "place_after" in header:
+        raise RecordError(
+            f"{path}, line 1: recorded by an older version of StepGap, in which the column yaw_after was called "
+            "place_after; run its experiment.toml again, or read the steps alone after renaming the column"
+        )
+
+
+def text_of(log: StepLog) -> str:
+    """The content of the `steps.csv` that holds these steps."""
+    lines = [",".join(column_names(log.space)), *map(row_of, log)]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def digest(log: StepLog) -> str:
+    """SHA-256 of the `steps.csv` that holds these steps."""
+    return hashlib.sha256(text_of(log).encode()).hexdigest()
+
+
+def read_step_log(path: Path, space: StepSpace) -> StepLog:
+    """Reads `steps.csv`; a last line cut off in the middle of writing is left out.
+
+    Raises:
+        RecordError: The file is not a step log of this space; the message names file and line.
+        OSError: The file cannot be read.
+    """
+    return StepLog(space, _steps_in(_read_content(path), path, space))
+
+
+def ends_with_whole_row(path: Path) -> bool:
+    """Whether the last row of a file was written to its end.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
+        return file.read() == b"\n"
+
+
+def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
+    """The steps of a broken `steps.csv` up to the first that is not whole, and what is wrong there; empty: nothing.
+
+    Raises:
+        RecordError: It is not a step log of this space at all.
+        OSError: The file cannot be read.
+    """
+    content, steps = _read_content(path), []
+    readable = _readable(content)
+    try:
+        for logged in _steps_in(content[:readable], path, space):
+            steps.append(logged)
+    except RecordError as error:
+        if not steps:
+            raise
+        return StepLog(space, steps), str(error)
+    if readable < len(content):
+        return StepLog(space, steps), f"{path}: no text from byte {readable} on"
+    cut = content[content.rfind(b"\n") + 1 :]
+    return StepLog(space, steps), f"{path}: the last line breaks off after {len(cut)} bytes" if cut else ""
+
+
+def _read_content(path: Path) -> bytes:
+    """The bytes of a file, and one more than allowed of one that is too large."""
+    with path.open("rb") as file:
+        return file.read(LARGEST_STEPS_FILE + 1)
+
+
+def _readable(content: bytes) -> int:
+    """Number of bytes that are text."""
+    try:
+        content.decode()
+    except UnicodeDecodeError as error:
+        return error.start
+    return len(content)
+
+
+def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedStep]:
+    """The steps of the whole lines, up to the first that holds none, which raises RecordError."""
+    if len(content) > LARGEST_STEPS_FILE:
+        raise RecordError(f"{path}: larger than {LARGEST_STEPS_FILE} bytes, so it is not read")
+    header = ",".join(column_names(space))
+    if header.encode().startswith(content):
+        return  # broken off before the first line was whole
+    try:
+        lines = content[: content.rfind(b"\n") + 1].decode().replace("\r\n", "\n").split("\n")[:-1]
+    except UnicodeDecodeError as error:
+        raise RecordError(f"{path}: not a text file in UTF-8 ({error.reason})") from None
+    if lines[:1] != [header]:
+        check_not_older(lines[0].split(",") if lines else [], path)
+        raise RecordError(f"{path}, line 1: the columns must be {header}")
+    last = None
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            logged = _step_of(line, space)
+            _check_order(last, logged)
+        except ValueError as error:
+            raise RecordError(f"{path}, line {number}: not the next step ({error!s:.200})") from None
+        yield logged
+        last = logged
+
+
+class StepWriter:
+    """Writes steps to a file, each on disk before the next one starts; one writer at a time has the file.
+
+    Args:
+        path: The file; made if there is none. Nothing in it is changed before the first step is added.
+        space: Names of state and command.
+
+    Attributes:
+        recorded: Steps that were in the file.
+
+    Raises:
+        RecordError: Another process has the file, or it is not a step log of this space.
+        OSError: The file cannot be read or written.
+    """
+
+    def __init__(self, path: Path, space: StepSpace):
+        self._header = ",".join(column_names(space))
+        self._path, self._file = path, path.open("a+b")
+        try:
+            self._lock(path)
+            self._file.seek(0)
+            content = self._file.read(LARGEST_STEPS_FILE + 1)
+            self.recorded = StepLog(space, _steps_in(content, path, space))
+        except BaseException:
+            self._file.close()
+            raise
+        self._whole = content.rfind(b"\n") + 1
+
+    def _lock(self, path: Path) -> None:
+        """Takes the file for this process; the kernel frees it whatever happens to the process."""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RecordError(f"{path}: another process is writing this run; wait for it, or stop it") from None
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):  # a file system without locks
+                raise
+
+    def append(self, logged: LoggedStep) -> None:
+        """Writes one row, after the last whole one, and waits until the disk has it.
+
+        Raises:
+            OSError: The row cannot be written; the rows before it stay as they are.
+        """
+        text = row_of(logged) if self._whole else f"{self._header}\n{row_of(logged)}"
+        row = f"{text}\n".encode()
+        with naming(self._path):
+            self._file.truncate(self._whole)
+            self._file.write(row)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        self._whole += len(row)
+
+    def close(self) -> None:
+        """Closes the file."""
+        with naming(self._path):
+            self._file.close()
+
+    def __enter__(self) -> "StepWriter":
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()

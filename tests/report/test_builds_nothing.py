@@ -1,0 +1,27 @@
+"""The report is made from a finished record: none of its modules can reach a simulator, a plant or the experiment."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import stepgap.report
+
+BUILDERS = (
+    "mujoco",
+    "stepgap.experiment",
+    "stepgap.plants.model_plant",
+    "stepgap.plants.realtime",
+    "stepgap.plants.rig_plant",
+    "stepgap.robots.hopper.twin",
+)
+"""Modules that build or run a plant or a twin."""
+
+
+def test_no_module_of_the_report_imports_a_builder() -> None:
+    folder = Path(stepgap.report.__file__).parent
+    modules = [f"stepgap.report.{path.stem}" for path in sorted(folder.glob("*.py")) if path.stem != "__init__"]
+    assert len(modules) > 10
+    imports = "\n".join(f"import {module}" for module in modules)
+    reached = f"{imports}\nimport sys\nprint([name for name in {BUILDERS} if name in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", reached], capture_output=True, text=True, check=True)
+    assert result.stdout == "[]\n"
