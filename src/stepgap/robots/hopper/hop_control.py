@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 from numba import boolean, float64, int64, typeof
+from numba.core.compiler_lock import global_compiler_lock
 
 from stepgap.base.compiled_record import Record, as_record, from_record
 from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, RobotControl, TickControl
@@ -39,9 +40,10 @@ def _compile(*arrays: Array | Record) -> None:
             (broken_off, (settings, memory, float64, float64)),
         ),
     ):
-        if not function.signatures:
-            function.compile(kinds)
-            function.disable_compile()
+        with global_compiler_lock:  # another thread may make a controller at the same time
+            if not function.signatures:
+                function.compile(kinds)
+                function.disable_compile()
 
 
 class HopControl(TickControl):
