@@ -141,12 +141,12 @@ def recover(file: Path, /, *, out: Path | None = None) -> None:
         file: steps.csv, or a log of ticks, .mcap; it is not changed.
         out: File for what is whole; without it NAME_recovered beside it.
     """
-    from stepgap.records.recovery import recover as save
+    from stepgap.records.recovery import recover_file
 
     if out:
         check_new(out, "--out")
     target = out or free_name(file.with_stem(f"{file.stem}_recovered"))
-    for line in save(file, target):
+    for line in recover_file(file, target):
         print(line)
     print(target)
 

@@ -7,14 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from stepgap.base.settings_file import InputError, read_toml
-from stepgap.records.steps_csv import RecordError
+from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
 from stepgap.step import Array, Quantity, StepSpace
 
-LARGEST_NUMBER = 1e12
+LARGEST_VALUE = 1e12
 """Numbers beyond are no measurements."""
-
-MOST_COORDINATES = 12
-"""Coordinates of a state, and of a command, at most."""
 
 ROLES = ("state", "next", "command", "target", "predicted")
 """What the columns of a step hold, coordinate by coordinate."""
@@ -67,7 +64,7 @@ class Columns:
                 if column not in numbers:
                     raise ValueError(f"{table}: {unknown_column(column, numbers)}")
         for column, factor in self.factors.items():
-            if not 1 / LARGEST_NUMBER <= abs(factor) <= LARGEST_NUMBER:
+            if not 1 / LARGEST_VALUE <= abs(factor) <= LARGEST_VALUE:
                 raise ValueError(f"factors: {column} = {factor}, but it must be a number of ordinary size, not zero")
         names = [name_of(entry) for entry in (*self.inputs[0], *self.inputs[1])]
         if len(set(names)) < len(names):

@@ -10,7 +10,7 @@ from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.steps_csv import recover_steps, space_of_header, text_of
 
 
-def recover(path: Path, out: Path) -> list[str]:
+def recover_file(path: Path, out: Path) -> list[str]:
     """Writes the intact part of a file into a new one; the file itself is not changed.
 
     Returns:

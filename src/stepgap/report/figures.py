@@ -16,6 +16,7 @@ from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
+from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
 from stepgap.step import Array, Quantity, StepStatus
 
 WIDTH: Final = 7.16
@@ -30,11 +31,9 @@ LEAST_FLOOR: Final = 1e-2
 MOST_CHANGES: Final = 60
 """Changes of the target up to which each is marked."""
 
-LONGEST_NAME: Final = 26
+LONGEST_LABEL: Final = 26
 """Characters of a name that are drawn at most."""
 
-# Colours after Okabe and Ito, distinguished by colour-blind readers; dark ones in front of light ones.
-BLACK, BLUE, VERMILLION, SKY, GREY, LIGHT = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676", "#b8b8b8"
 RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
 RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
 RUN_LINES: Final = ("-", "--", "-.", ":")
@@ -149,7 +148,7 @@ def axis_label(quantity: Quantity, capital: bool = True) -> str:
 def plain(text: str) -> str:
     """The text as the figures' font can show it: one short line of Latin, Greek or Cyrillic, with no formulae."""
     shown = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
-    return (shown if len(shown) <= LONGEST_NAME else f"{shown[: LONGEST_NAME - 1]}…").replace("$", r"\$")
+    return (shown if len(shown) <= LONGEST_LABEL else f"{shown[: LONGEST_LABEL - 1]}…").replace("$", r"\$")
 
 
 def unit_label(quantity: Quantity) -> str:

@@ -10,11 +10,12 @@ from viser import GuiDropdownHandle, ViserServer
 from stepgap.learning.observations import error_of
 from stepgap.learning.residual import join_points
 from stepgap.learning.step_log import LoggedStep
+from stepgap.report.colours import BLUE, VERMILLION
 from stepgap.step import StepStatus
 from stepgap.view.geometry import HopperPose
 from stepgap.view.learnt import curve_along
 from stepgap.view.player import Player
-from stepgap.view.plots import BAND, BLUE, INK, VERMILLION, LearntPlot, TrackingPlot, add_legend, named
+from stepgap.view.plots import BAND, INK, LearntPlot, TrackingPlot, add_legend, named
 from stepgap.view.robot_scene import Ground, RobotScene
 from stepgap.view.source import Source
 

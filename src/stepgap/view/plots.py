@@ -10,10 +10,11 @@ import numpy as np
 from viser import GuiApi, GuiUplotHandle, uplot
 
 from stepgap.learning.step_log import LoggedStep
+from stepgap.report.colours import BLUE, VERMILLION
 from stepgap.step import Array, Quantity
 from stepgap.view.learnt import Curve
 
-INK, BLUE, VERMILLION, BAND, CLEAR = "#3c3e46", "#0072b2", "#d55e00", "rgba(0,114,178,0.2)", "rgba(0,0,0,0)"
+INK, BAND, TRANSPARENT = "#3c3e46", "rgba(0,114,178,0.2)", "rgba(0,0,0,0)"
 HEIGHT = 160
 """Of a chart [pixels]."""
 
@@ -38,7 +39,7 @@ def _line(colour: str, width: float, dash: tuple[float, ...] = ()) -> uplot.Seri
 def _add_chart(
     gui: GuiApi, series: Sequence[uplot.Series], x_label: str, y_label: str, bands: tuple[uplot.Band, ...] = ()
 ) -> GuiUplotHandle:
-    span = uplot.Series(stroke=CLEAR, width=0, points=NO_DOTS)
+    span = uplot.Series(stroke=TRANSPARENT, width=0, points=NO_DOTS)
     return gui.add_uplot(
         _blank(2 + len(series)),
         (uplot.Series(), span, *series),
