@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.base.normal import INTERVAL_95
-from stepgap.bench.gaussian_process import NOISE, SCALE, VALUE_SCALE, truth
+from stepgap.bench.gaussian_process import NOISE, SCALE, VALUE_SCALE, smooth_function
 from stepgap.learning.gaussian_process_fit import Basis, fit_gaussian_process
 from stepgap.step import Array
 
@@ -22,7 +22,7 @@ def draw_function(kind: str, rng: np.random.Generator) -> Callable[[Array], Arra
     """A function of points (N, 4) of the size of errors of a step map."""
     if kind == "smooth":
         shift = rng.uniform(-0.5, 0.5, 4)
-        return lambda points: truth(points + shift)
+        return lambda points: smooth_function(points + shift)
     slope, bend, phase = 0.02 * rng.standard_normal(4), rng.standard_normal((3, 4)), rng.uniform(0, 2 * np.pi, 3)
     if kind == "nearly linear":
         return lambda points: points @ slope + 0.005 * np.sin(points @ bend.T + phase).sum(axis=1)

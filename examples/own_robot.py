@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numba import guvectorize, njit
 
+from stepgap import run_experiment
 from stepgap.control.reference import Reference
-from stepgap.experiment.loop import run
 from stepgap.learning.settings import LearningSettings
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.step import Outcome, Quantity, StepMap, StepSpace, StepStatus, difference_jacobian
@@ -95,5 +95,7 @@ stairs = [(1, (1.0, 0.58)), (13, (1.2, 0.6)), (25, (1.4, 0.6)), (37, (1.2, 0.62)
 reference = Reference.from_segments(("speed", "height"), stairs, 60)
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:
-        for deployment in run(SpringRunner(), make_plant, reference, LearningSettings(), Path(folder), seed=0):
+        for deployment in run_experiment(
+            SpringRunner(), make_plant, reference, LearningSettings(), Path(folder), seed=0
+        ):
             print("deployment {}: speed {:.4f} m/s, height {:.4f} m".format(deployment.iteration, *deployment.rmse))

@@ -20,6 +20,17 @@ def test_imports_point_down() -> None:
     assert kept, "an import points up or across; `./go lint-imports` shows it"
 
 
+def test_the_package_imports_nothing_from_the_checkout() -> None:
+    """Neither by a statement nor by a changed search path."""
+    for path in (PYPROJECT.parent / "src").rglob("*.py"):
+        text = path.read_text("utf-8")
+        assert "sys.path" not in text, path
+        for node in ast.walk(ast.parse(text)):
+            modules = [node.module] if isinstance(node, ast.ImportFrom) else []
+            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            assert not {"benchmarks", "tests", "examples"} & {str(module).partition(".")[0] for module in modules}, path
+
+
 def test_learning_reads_and_writes_no_file() -> None:
     for path in sorted((PYPROJECT.parent / "src/stepgap/learning").glob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""The engines that `stepgap bench map` holds beside ours, and the reference that all are held against."""
+"""The engines that `benchmarks/compare_maps.py` measures beside ours, and the reference for the errors of all."""
 
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -7,8 +7,14 @@ from typing import Any
 import numba
 
 from benchmarks.peers import full_system
-from stepgap.bench.step_map import Engine
+from stepgap.bench.step_map import Engine, MapPeers
 from stepgap.robots.hopper.apex_map import ApexMap
+
+
+def map_peers(nominal: ApexMap, quick: bool) -> MapPeers:
+    """All of it for one map; with `quick`, only the peer that needs no compilation."""
+    found, skipped = engines(nominal, quick)
+    return MapPeers(found, skipped, reference(nominal, quick))
 
 
 def reference(nominal: ApexMap, quick: bool) -> Callable[[Any, Any], Any]:

@@ -1,13 +1,18 @@
-"""The libraries that `stepgap bench gp` holds beside ours, with the same kernel: ARD Matérn-5/2, constant, noise."""
+"""The libraries that are measured beside ours, with the same kernel: ARD Matérn-5/2, constant, noise."""
 
 import warnings
 from importlib.util import find_spec
 
 import numpy as np
 
-from stepgap.bench.gaussian_process import Library
+from stepgap.bench.gaussian_process import GpPeers, Library
 
 NOT_WRITTEN = {"GPy": "GPy", "GPyTorch": "gpytorch", "GPflow": "gpflow", "tinygp": "tinygp", "GPJax": "gpjax"}
+
+
+def gp_peers(quick: bool) -> GpPeers:
+    """Peers that are installed; with `quick`, only those that are quick."""
+    return GpPeers(*libraries(quick))
 
 
 def libraries(quick: bool) -> tuple[list[Library], dict[str, str]]:

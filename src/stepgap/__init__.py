@@ -8,80 +8,131 @@ The flow, from the model to a robot that tracks:
 4. Every step becomes a `StepRecord`; `fit_residual` learns actual − nominal from them (Eq. 12).
 5. `CorrectedMap` is nominal + residual (Eq. 13), again a `StepMap`, so 2 to 4 repeat with it.
 
-`stepgap.experiment.loop.run` is that loop, and the command line `stepgap run` calls it.
+`run_experiment` is that loop, and the command line `stepgap run` calls it.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from stepgap.base.errors import InputError as InputError
+    from stepgap.base.errors import StepGapError as StepGapError
+    from stepgap.control.cautious_controller import CautiousController as CautiousController
     from stepgap.control.command_table import CommandTable as CommandTable
     from stepgap.control.command_table import build_table as build_table
+    from stepgap.control.limit_cycle import FixedPoint as FixedPoint
+    from stepgap.control.limit_cycle import ReachableSet as ReachableSet
     from stepgap.control.limit_cycle import fixed_point as fixed_point
     from stepgap.control.limit_cycle import reachable_set as reachable_set
     from stepgap.control.reference import Reference as Reference
     from stepgap.control.reference import paper_reference as paper_reference
     from stepgap.control.step_controller import StepController as StepController
+    from stepgap.control.step_controller import StepPlan as StepPlan
+    from stepgap.experiment.loop import Observer as Observer
+    from stepgap.experiment.loop import run_experiment as run_experiment
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
     from stepgap.learning.observations import Observations as Observations
     from stepgap.learning.regression import BatchRegression as BatchRegression
     from stepgap.learning.regression import Regression as Regression
     from stepgap.learning.regression import ResidualModel as ResidualModel
     from stepgap.learning.regression import TrainingData as TrainingData
+    from stepgap.learning.residual import Residual as Residual
     from stepgap.learning.residual_fit import fit_residual as fit_residual
+    from stepgap.learning.settings import LearningSettings as LearningSettings
+    from stepgap.learning.step_log import LoggedStep as LoggedStep
+    from stepgap.learning.step_log import StepLog as StepLog
     from stepgap.plants.model_plant import ModelPlant as ModelPlant
     from stepgap.plants.plant import Plant as Plant
     from stepgap.plants.rig_plant import RigPlant as RigPlant
+    from stepgap.records.summary import Deployment as Deployment
     from stepgap.rigs.rig import Rig as Rig
+    from stepgap.rigs.rig import RigFault as RigFault
+    from stepgap.rigs.rig import SensorModel as SensorModel
     from stepgap.robots.hopper.apex_map import ApexMap as ApexMap
     from stepgap.robots.hopper.hop_control import HopperControl as HopperControl
     from stepgap.robots.hopper.parameters import CommandBounds as CommandBounds
     from stepgap.robots.hopper.parameters import Gains as Gains
     from stepgap.robots.hopper.parameters import RobotParameters as RobotParameters
     from stepgap.robots.hopper.sampled_map import SampledApexMap as SampledApexMap
+    from stepgap.robots.hopper.sensors import HopperReading as HopperReading
+    from stepgap.robots.hopper.sensors import HopperSensorModel as HopperSensorModel
     from stepgap.robots.hopper.twin.reality_gap import RealityGap as RealityGap
     from stepgap.robots.hopper.twin.twin import Twin as Twin
+    from stepgap.step import Outcome as Outcome
+    from stepgap.step import Quantity as Quantity
     from stepgap.step import StepFailed as StepFailed
     from stepgap.step import StepMap as StepMap
     from stepgap.step import StepRecord as StepRecord
+    from stepgap.step import StepSpace as StepSpace
+    from stepgap.step import StepStatus as StepStatus
+    from stepgap.step import difference_jacobian as difference_jacobian
 
-_HOMES = {
+_MODULES = {
     "ApexMap": "robots.hopper.apex_map",
     "BatchRegression": "learning.regression",
+    "CautiousController": "control.cautious_controller",
     "CommandBounds": "robots.hopper.parameters",
     "CommandTable": "control.command_table",
     "CorrectedMap": "learning.corrected_map",
+    "Deployment": "records.summary",
+    "FixedPoint": "control.limit_cycle",
     "Gains": "robots.hopper.parameters",
     "HopperControl": "robots.hopper.hop_control",
+    "HopperReading": "robots.hopper.sensors",
+    "HopperSensorModel": "robots.hopper.sensors",
+    "InputError": "base.errors",
+    "LearningSettings": "learning.settings",
+    "LoggedStep": "learning.step_log",
     "ModelPlant": "plants.model_plant",
     "Observations": "learning.observations",
+    "Observer": "experiment.loop",
+    "Outcome": "step",
     "Plant": "plants.plant",
+    "Quantity": "step",
+    "ReachableSet": "control.limit_cycle",
     "RealityGap": "robots.hopper.twin.reality_gap",
     "Reference": "control.reference",
     "Regression": "learning.regression",
+    "Residual": "learning.residual",
     "ResidualModel": "learning.regression",
     "Rig": "rigs.rig",
+    "RigFault": "rigs.rig",
     "RigPlant": "plants.rig_plant",
     "RobotParameters": "robots.hopper.parameters",
     "SampledApexMap": "robots.hopper.sampled_map",
+    "SensorModel": "rigs.rig",
     "StepController": "control.step_controller",
     "StepFailed": "step",
+    "StepGapError": "base.errors",
+    "StepLog": "learning.step_log",
     "StepMap": "step",
+    "StepPlan": "control.step_controller",
     "StepRecord": "step",
     "TrainingData": "learning.regression",
+    "StepSpace": "step",
+    "StepStatus": "step",
     "Twin": "robots.hopper.twin.twin",
     "build_table": "control.command_table",
+    "difference_jacobian": "step",
     "fit_residual": "learning.residual_fit",
     "fixed_point": "control.limit_cycle",
     "paper_reference": "control.reference",
     "reachable_set": "control.limit_cycle",
+    "run_experiment": "experiment.loop",
 }
+"""The module of each public name, imported when the name is first used, so that the command line starts quickly."""
 
-__all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """Imports a public name when it is first used, so that the command line starts quickly."""
-    if name not in _HOMES:
+    """A public name; its module is imported when it is first used."""
+    if name not in _MODULES:
         raise AttributeError(f"stepgap has no {name!r}; its public names are {', '.join(__all__)}")
-    return getattr(import_module(f"stepgap.{_HOMES[name]}"), name)
+    value = globals()[name] = getattr(import_module(f"stepgap.{_MODULES[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return [*__all__, *(name for name in globals() if name.startswith("__"))]

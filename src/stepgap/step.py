@@ -14,6 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stepgap.base.errors import StepGapError
+from stepgap.base.ranges import require
+
 Array = NDArray[np.float64]
 """Floating-point array, SI units."""
 
@@ -55,7 +58,7 @@ ADVICE = {
 """What to try when a step ends with a `StepStatus` other than OK."""
 
 
-class StepFailed(Exception):
+class StepFailed(StepGapError):
     """A single step has no next apex.
 
     Attributes:
@@ -277,5 +280,5 @@ class StepRecord:
     yaw_after: float = np.nan
 
     def __post_init__(self) -> None:
-        if np.isinf(self.yaw_after):
-            raise ValueError(f"yaw_after = {self.yaw_after}, but it must be an angle, or NaN where it is not known")
+        rule = "be an angle, or NaN where it is not known"
+        require(not np.isinf(self.yaw_after), "yaw_after", self.yaw_after, rule)

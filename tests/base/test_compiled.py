@@ -29,7 +29,7 @@ MOTION = """
 from typing import NamedTuple
 from stepgap.base.compiled import implements
 from stepgap.hybrid.integrator import Tolerance, integrate, make_trace
-from stepgap.hybrid.motion import observe, rate, slopes
+from stepgap.hybrid.motion import rate_and_guards, rate, rate_jacobian
 
 class Ball(NamedTuple):
     gravity: float
@@ -38,11 +38,11 @@ class Ball(NamedTuple):
 def _rate(system, state):
     return state[2], state[3], -system.gravity, 0.0
 
-@implements(observe, Ball)
+@implements(rate_and_guards, Ball)
 def _observe(system, time, state):
     return rate(system, state), (state[0],)
 
-@implements(slopes, Ball)
+@implements(rate_jacobian, Ball)
 def _slopes(system, state, here):
     return None
 
@@ -97,9 +97,9 @@ def test_a_second_process_compiles_only_what_changed_in_a_called_file(package) -
 
 def test_only_a_process_that_compiles_tells(package) -> None:
     told = """
-from stepgap.base.compiling import telling_of_compilation
+from stepgap.base.compiling import on_first_compilation
 from robot.outer import doubled
-with telling_of_compilation(lambda: print("compiling")):
+with on_first_compilation(lambda: print("compiling")):
     print(doubled(1.0), doubled(2))
 """
     assert run(told, package.parent) == "compiling\n4.0 6.0"

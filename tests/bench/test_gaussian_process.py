@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import compare_gaussian_processes
+from benchmarks.peers import gaussian_processes
 from stepgap.bench import gaussian_process as bench_gp
-from stepgap.bench import timing
 from tests.cli.command_line import Command, refused
 
 
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench_gp, "QUICK_FITS", bench_gp.FitSizes(points=(30, 40), rounds=(1, 1), calls=2, queries=50))
+    monkeypatch.setattr(
+        bench_gp, "QUICK_GP_BENCH", bench_gp.GpBenchSize(points=(30, 40), rounds=(1, 1), calls=2, queries=50)
+    )
     monkeypatch.setattr(bench_gp, "MANY_STARTS_SIZE", 30)
 
 
@@ -22,9 +25,22 @@ def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
     said = stepgap("bench", "gp", "--quick")
     assert said.code == 0, said.err
     assert said.out.endswith("\nbench_gp.json\n")
-    for line in (" +30  StepGap ", " +40  scikit-learn ", " +GPyTorch +skipped"):
+    for line in (" +30  StepGap ", " +40  StepGap, linear basis "):
         assert re.search(f"^{line}", said.out, re.MULTILINE), line
     result = json.loads(Path("bench_gp.json").read_text())
+    assert {row["name"] for row in result["rows"]} == {"StepGap", "StepGap, linear basis"}
+    assert result["skipped"] == {}
+
+
+def test_the_comparison_measures_peers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["compare.py", "--quick", "--out", str(tmp_path / "gp.json")])
+    compare_gaussian_processes.main()
+    out = capsys.readouterr().out
+    for line in (" +30  StepGap ", " +40  scikit-learn ", " +GPyTorch +skipped"):
+        assert re.search(f"^{line}", out, re.MULTILINE), line
+    result = json.loads((tmp_path / "gp.json").read_text())
     assert result.keys() == {"schema", "quick", "seed", "machine", "starts", "rows", "skipped"}
     assert [(row["points"], row["starts"]) for row in result["rows"]] == [(30, 5)] * 3 + [(40, 5), (40, 5), (40, 1)]
     for row in result["rows"]:
@@ -36,14 +52,6 @@ def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
     assert result["machine"]["numpy"] == np.__version__
 
 
-def test_outside_a_checkout_it_says_that_there_are_no_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timing, "__file__", str(tmp_path / "lib" / "stepgap" / "bench" / "timing.py"))
-    result = bench_gp.bench_gp(0, True)
-    assert {row["name"] for row in result["rows"]} == {"StepGap", "StepGap, linear basis"}
-    assert result["skipped"] == {"all peers": "found only in a checkout"}
-    assert "all peers" in bench_gp.describe_gp_bench(result)
-
-
 def test_bad_input_is_refused(stepgap: Command) -> None:
     Path("there.json").write_text("keep me")
     refused(stepgap("bench", "gp", "--out", "there.json"), "there.json: exists already; choose another --out")
@@ -51,12 +59,10 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
 
 
 def test_openturns_fits_the_same_data() -> None:
-    from benchmarks.peers import gaussian_processes
-
     found, _ = gaussian_processes.libraries(quick=False)
     (peer,) = (library for library in found if library.name == "OpenTURNS")
     generator = np.random.default_rng(1)
     points = generator.uniform(-1, 1, (30, 4))
-    mean, std = peer.predict(peer.fit(points, bench_gp.truth(points), 1), points)
-    np.testing.assert_allclose(mean, bench_gp.truth(points), atol=0.02)
+    mean, std = peer.predict(peer.fit(points, bench_gp.smooth_function(points), 1), points)
+    np.testing.assert_allclose(mean, bench_gp.smooth_function(points), atol=0.02)
     assert np.all(std >= 0)

@@ -8,7 +8,16 @@ import pytest
 
 from stepgap.bench import identification as sysid
 from stepgap.bench.baselines import PhysicalError, erring_robot, with_error
-from stepgap.bench.identification import BEFORE, HIP_FIT, MISFIT, SPREADS, errors, fit, physical_error, record_windows
+from stepgap.bench.identification import (
+    BEFORE,
+    HIP_FIT,
+    HIP_MISFIT,
+    SPREADS,
+    errors,
+    identify_values,
+    physical_error,
+    record_windows,
+)
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -72,7 +81,7 @@ def test_with_the_true_parameters_the_model_moves_as_recorded(recorded: tuple[li
     windows = record_windows(recorded[0], LAYOUT, 250)
     found = errors(ROBOT, windows, TRUE_VALUES)
     assert found.shape == (windows.hip.size,)
-    assert MISFIT * np.sqrt(np.mean(found**2)) < 1.5e-3
+    assert HIP_MISFIT * np.sqrt(np.mean(found**2)) < 1.5e-3
     light = errors(ROBOT, windows, TRUE_VALUES | {"body_mass": 0.0})
     assert np.linalg.norm(light) > 10 * np.linalg.norm(found)
 
@@ -81,8 +90,8 @@ def test_with_the_true_parameters_the_model_moves_as_recorded(recorded: tuple[li
 def test_mass_and_friction_are_recovered(
     recorded: tuple[list[Tick], list[TrueState]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sysid, "MISFIT", 0.002)  # the model of this twin errs less
-    values = fit(ROBOT, recorded[0], LAYOUT)
+    monkeypatch.setattr(sysid, "HIP_MISFIT", 0.002)  # the model of this twin errs less
+    values = identify_values(ROBOT, recorded[0], LAYOUT)
     found, true = physical_error(NOMINAL, values), PhysicalError(HEAVIER, 0, 0, 0, 0, 0, 0, 0)
     np.testing.assert_allclose(
         masses(erring_robot(ROBOT, found), 1 + found.torque), masses(erring_robot(ROBOT, true), 1.0), rtol=0.02

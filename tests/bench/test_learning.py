@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.bench import learning as bench_learning
-from stepgap.bench.learning import SKIPPED, Trial, coverage, hopping_gap, measure, methods
+from stepgap.bench.learning import SKIPPED, Trial, count_covered, hopping_gap, measure_twin, methods
 from stepgap.control import reference
 from stepgap.control.reference import Reference
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -37,13 +37,13 @@ def test_the_family_lies_is_drawn_anew() -> None:
 
 
 def test_every_method_meets_the_same_twin_and_the_same_seed_gives_the_same_numbers() -> None:
-    rows = measure(SHORT, 0, 1, ["linear", "auto", "online"])
+    rows = measure_twin(SHORT, 0, 1, ["linear", "auto", "online"])
     assert [row["method"] for row in rows] == ["none", "linear", "auto", "online"]
     for row in rows:
         assert (row["twin"], row["seed"], row["steps"], row["falls"]) == (0, 1, 10, 0)
         assert np.isfinite([row["error"], *row["rmse"], *row["transient_rmse"]]).all()
-    assert measure(SHORT, 0, 1, ["online"]) == [rows[0], rows[-1]]
-    assert measure(SHORT, 0, 2, [])[0]["error"] != rows[0]["error"]
+    assert measure_twin(SHORT, 0, 1, ["online"]) == [rows[0], rows[-1]]
+    assert measure_twin(SHORT, 0, 2, [])[0]["error"] != rows[0]["error"]
 
 
 def test_equal_residuals_are_deployed_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,7 +78,7 @@ def test_coverage_counts_steps_within_the_interval() -> None:
         return LoggedStep(1, 1, predicted, predicted, np.full(2, std), record)
 
     steps = [logged(0.0195, 0.01), logged(-0.0197, 0.01), logged(0.0, 0.01), logged(0.0, 0.0)]
-    covered, counted = coverage(StepLog(NOMINAL.space, steps))
+    covered, counted = count_covered(StepLog(NOMINAL.space, steps))
     assert (covered.tolist(), counted) == ([2, 3], 3)
 
 

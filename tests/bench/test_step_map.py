@@ -8,20 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import compare_maps
 from benchmarks.peers import full_system
 from stepgap.bench import step_map as bench_map
-from stepgap.bench import timing
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
 from tests.cli.command_line import Command, refused
 from tests.robots.hopper.reference_hop import Hopper, reference_hop
 
-TINY = bench_map.Size(points=1, rounds=1, jacobians=0, solves=3, table=5, batch=20)
+TINY = bench_map.MapBenchSize(points=1, rounds=1, jacobians=0, solves=3, table=5, batch=20)
+
+SECTIONS = ("Jacobian ", "root solve ", "batch ", "command table ")
+KEYS = {"schema", "quick", "seed", "machine", "engines", "skipped", "jacobian", "root_solve", "batch", "table"}
 
 
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench_map, "QUICK", TINY)
+    monkeypatch.setattr(bench_map, "QUICK_MAP_BENCH", TINY)
 
 
 @pytest.mark.usefixtures("tiny")
@@ -29,12 +32,29 @@ def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
     said = stepgap("bench", "map", "--quick")
     assert said.code == 0, said.err
     assert said.out.endswith("\nbench_map.json\n")
-    for line in ("StepGap ", "SciPy DOP853, NumPy ", "heyoka ", "Jacobian ", "root solve ", "batch ", "command table "):
+    for line in ("StepGap ", "StepGap in a batch ", *SECTIONS):
         assert re.search(f"^{line}", said.out, re.MULTILINE), line
     result = json.loads(Path("bench_map.json").read_text())
-    assert result.keys() == {
-        "schema", "quick", "seed", "machine", "engines", "skipped", "jacobian", "root_solve", "batch", "table"
-    }  # fmt: skip
+    assert result.keys() == KEYS
+    ours, batch = result["engines"]
+    assert (ours["name"], batch["name"]) == ("StepGap", "StepGap in a batch")
+    assert ours["largest_relative_error"] is None, "there is no other engine to compare it with"
+    assert result["skipped"] == {}
+    assert result["root_solve"]["solved_share"] == 1
+    assert result["machine"]["numpy"] == np.__version__
+
+
+@pytest.mark.usefixtures("tiny")
+def test_the_comparison_measures_peers_and_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["compare_maps.py", "--quick", "--out", str(tmp_path / "maps.json")])
+    compare_maps.main()
+    out = capsys.readouterr().out
+    for line in ("StepGap ", "SciPy DOP853, NumPy ", "heyoka ", *SECTIONS):
+        assert re.search(f"^{line}", out, re.MULTILINE), line
+    result = json.loads((tmp_path / "maps.json").read_text())
+    assert result.keys() == KEYS
     ours, _, scipy = result["engines"]
     assert (ours["name"], scipy["name"]) == ("StepGap", "SciPy DOP853, NumPy")
     for engine in (ours, scipy):
@@ -44,17 +64,6 @@ def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
     assert set(result["skipped"]) == {"SciPy DOP853, Numba", "heyoka", "numbalsoda", "MuJoCo"}
     assert result["root_solve"]["solved_share"] == 1
     assert result["machine"]["numpy"] == np.__version__
-
-
-@pytest.mark.usefixtures("tiny")
-def test_outside_a_checkout_it_says_that_there_are_no_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timing, "__file__", str(tmp_path / "lib" / "stepgap" / "bench" / "timing.py"))
-    said: list[str] = []
-    result = bench_map.bench_map(ApexMap(), 0, True, said.append)
-    assert said[0] == "no checkout, so no peers: their code lies in benchmarks/peers"
-    assert [engine["name"] for engine in result["engines"]] == ["StepGap", "StepGap in a batch"]
-    assert result["skipped"] == {"all peers": "benchmarks/peers is found only in a checkout"}
-    assert "all peers" in bench_map.describe_bench(result)
 
 
 def test_bad_input_is_refused(stepgap: Command) -> None:

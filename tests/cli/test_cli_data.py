@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 from scipy.io import loadmat
 
 from stepgap.cli.app import main
-from stepgap.cli.machine import describe_machine
+from stepgap.cli.doctor import doctor
 from stepgap.experiment.replay import REPLAY_UNITS, replay
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLog, read_ticks
@@ -171,7 +171,7 @@ def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -
     np.testing.assert_array_equal(found, ticks[: len(found)])
     assert len(found) > 1000
     assert contents(run / "ticks") == before
-    refused(stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: the logs of a rig do not say")
+    refused(stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: logs of a rig do not name")
     refused(stepgap("export", run, "--to", "mjcf"), "plant 'ethercat'")
     shutil.rmtree(run / "ticks")
     refused(stepgap("export", run, "--to", "mcap"), "run/ticks: no .mcap file there")
@@ -326,23 +326,26 @@ def test_doctor_says_what_there_is(stepgap: Command) -> None:
         assert f"extra {extra} " in said.out, "doctor.PURPOSES says what it is for"
 
 
-def test_doctor_knows_a_machine_that_has_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_knows_a_machine_that_has_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr("stepgap.cli.machine._tried", lambda *_, **__: None)
-    monkeypatch.setattr("stepgap.cli.machine._version", lambda _: None)
-    monkeypatch.setattr("stepgap.cli.machine.cache_folder", lambda: None)
+    monkeypatch.setattr("stepgap.cli.doctor._try", lambda *_, **__: None)
+    monkeypatch.setattr("stepgap.cli.doctor._version", lambda _: None)
+    monkeypatch.setattr("stepgap.base.compiled.cache_folder", lambda: None)
     monkeypatch.setattr("socket.socket", refuse)
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
         monkeypatch.delenv(name, raising=False)
-    found = describe_machine()
+    doctor()
+    found = capsys.readouterr().out
     for words in (
         "none; only MuJoCo's own pictures need it",
         "apt install libegl1",
         "EtherCAT needs",
-        "could not be tried",
+        "the trial failed",
         "no folder can be written",
-        "to have it: ./go uv pip install 'stepgap[parquet]'",
+        "to install it: ./go uv pip install 'stepgap[parquet]'",
     ):
         assert words in found

@@ -158,7 +158,7 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "a", "b", "--out", "none/page.html"), "none/page.html: cannot be written")
     refused(stepgap("report", "a", "a"), "a run is named twice")
     refused(stepgap("report", "a", "none"), "none/steps.csv: no such file")
-    refused(stepgap("report", "a", "--out", "other.html"), "--out: goes with several runs")
+    refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
 
 
 @pytest.mark.usefixtures("svg_only")

@@ -14,10 +14,11 @@ from time import sleep
 import numpy as np
 import pytest
 
+from stepgap.base.errors import InputError
 from stepgap.cli.app import main
 from stepgap.control.reference import Reference
 from stepgap.experiment import plants as run_plants
-from stepgap.experiment.settings import Experiment, InputError, read_experiment, write_experiment
+from stepgap.experiment.settings import Experiment, read_experiment, write_experiment
 from stepgap.plants.commissioning.check import Check, Timing, fingerprint, write_check
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.rig import RigFault
@@ -140,7 +141,7 @@ def test_sigterm_ends_a_run_as_ctrl_c_does(tmp_path: Path) -> None:
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate()
     assert process.returncode == 130
-    assert "go on with: stepgap run --out run --resume" in said
+    assert "resume with: stepgap run --out run --resume" in said
     with steps.open(newline="") as file:
         rows = list(csv.reader(file))
     assert {len(row) for row in rows} == {len(rows[0])}, "no row is cut off"

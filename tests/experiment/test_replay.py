@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.base.errors import InputError
 from stepgap.cli.app import main
 from stepgap.experiment.plants import plant_on, remade_rig
 from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
-from stepgap.experiment.settings import InputError, read_experiment
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.rig_plant import RigPlant

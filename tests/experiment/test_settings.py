@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stepgap.base.errors import InputError
 from stepgap.control.reference import paper_reference
-from stepgap.experiment.settings import Experiment, InputError, load_reference, read_experiment, write_experiment
+from stepgap.experiment.settings import Experiment, load_reference, read_experiment, write_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.robots.hopper.parameters import CommandBounds, Gains
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -106,17 +107,17 @@ WRONG = {
     "[gains.stiffness]\nx = 1": "[gains] stiffness = {'x': 1}, but it must be a number",
     "[gains]\nstiffness = 1979-05-27": "but it must be a number",
     "gains = 3": "gains = 3, but it must be a table",
-    "seed = 1.0": "seed = 1.0, but it must be a whole number",
-    "seed = '1'": "seed = '1', but it must be a whole number",
-    "seed = false": "seed = false, but it must be a whole number",
+    "seed = 1.0": "seed = 1.0, but it must be an integer",
+    "seed = '1'": "seed = '1', but it must be an integer",
+    "seed = false": "seed = false, but it must be an integer",
     "seed = -1": "seed = -1, but it must lie between 0 and 2⁶³",
-    f"seed = 0x{'f' * 9000}": "seed = a very large whole number, but it must lie between",
+    f"seed = 0x{'f' * 9000}": "seed = a very large integer, but it must lie between",
     f"seed = {'9' * 9000}": "not TOML",
-    f"[gains]\nstiffness = 1{'0' * 400}": "[gains] stiffness = a very large whole number, but it must be a number",
+    f"[gains]\nstiffness = 1{'0' * 400}": "[gains] stiffness = a very large integer, but it must be a number",
     "[learning]\niterations = -1": "[learning] iterations = -1, but it must lie between 0 and 1000",
-    "[learning]\niterations = 2.5": "[learning] iterations = 2.5, but it must be a whole number",
+    "[learning]\niterations = 2.5": "[learning] iterations = 2.5, but it must be an integer",
     "[learning]\nresidual = 'cubic'": "[learning] residual = 'cubic', but it must be one of none, ",
-    "[learning]\nresidual = 3": "[learning] residual = 3, but it must be a text in quotes",
+    "[learning]\nresidual = 3": "[learning] residual = 3, but it must be a string",
     "[learning]\nleast_gain = nan": "[learning] least_gain = nan, but it must be",
     "[gap]\nboom_arc = 1": "[gap] boom_arc = 1, but it must be true or false",
     "[gap]\npreset = 'papre'": "[gap] preset = 'papre', but it must be 'paper' or 'none'; did you mean 'paper'?",
@@ -128,7 +129,7 @@ WRONG = {
     "[gains]\nlanding_length = 0.5": "[gains] landing_length = 0.5, but it must lie between 0.09 (leg folded)",
     "[gains]\nrest_length = 0.05": "[gains] rest_length = 0.05, but it must lie between",
     "[command]\nfx_lower = 40": "[command] fx_lower = 40.0, but it must lie below fx_upper = 30.0",
-    "reference = 5": "reference = 5, but it must be a text in quotes",
+    "reference = 5": "reference = 5, but it must be a string",
     "seed = ": "not TOML",
     "seed = 1\nseed = 2": "not TOML",
     f"seed = {'[' * 5000}": "not TOML",
@@ -186,7 +187,7 @@ def test_no_number_may_be_nan_and_hardly_one_infinite(name: str) -> None:
             "--gains.rest_length = 0.5, but it must lie between 0.09 (leg folded)",
         ),
         ("learning.iterations", "-1", "--iterations = -1, but it must lie between 0 and 1000"),
-        ("seed", "1.5", "--seed = 1.5, but it must be a whole number"),
+        ("seed", "1.5", "--seed = 1.5, but it must be an integer"),
         ("command.fy_upper", "-30", "--command.fy_lower = -20.0, but it must lie below fy_upper = -30.0"),
     ],
 )

@@ -16,7 +16,7 @@ from stepgap.hybrid.integrator import (
     retrace,
     rewind,
 )
-from stepgap.hybrid.motion import observe, rate, slopes
+from stepgap.hybrid.motion import rate, rate_and_guards, rate_jacobian
 
 FINE, COARSE = Tolerance(1e-13, 1e-14), Tolerance(1e-6, 1e-6)
 FREE_FALL, OSCILLATOR, BLOW_UP, ROOT = range(4)
@@ -52,13 +52,13 @@ def _rate(system, state):
     return -np.sqrt(state[0]), 0.0, 0.0, 0.0
 
 
-@implements(observe, Motion)
+@implements(rate_and_guards, Motion)
 def _observe(system, time, state):
     guards = state[0] - system.first, state[0] - system.second, system.side * state[2]
     return rate(system, state), guards
 
 
-@implements(slopes, Motion)
+@implements(rate_jacobian, Motion)
 def _slopes(system, state, here):
     return None
 
@@ -76,12 +76,12 @@ def _servo_rate(system, state):
     return state[2], state[3], -system.stiffness * state[0] - system.damping * state[2], -state[1]
 
 
-@implements(observe, Servo)
+@implements(rate_and_guards, Servo)
 def _servo_observe(system, time, state):
     return rate(system, state), (state[0] - system.level,)
 
 
-@implements(slopes, Servo)
+@implements(rate_jacobian, Servo)
 def _servo_slopes(system, state, here):
     return (-system.stiffness, 0.0, -system.damping, 0.0), (0.0, -1.0, 0.0, 0.0)
 

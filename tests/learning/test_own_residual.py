@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from stepgap.base.settings_file import InputError
-from stepgap.bench.learning import measure
+from stepgap.bench.learning import measure_twin
 from stepgap.control.reference import Reference
-from stepgap.experiment.loop import run
+from stepgap.experiment.loop import run_experiment
 from stepgap.learning.entry_points import load_residual_model, residual_names
 from stepgap.learning.regression import ResidualModel
 from stepgap.learning.residual_fit import fit_residual, residual_from_dict
@@ -108,7 +108,7 @@ def test_settings_take_it_and_it_brings_its_features() -> None:
 @pytest.mark.usefixtures("installed")
 def test_the_benchmark_compares_it() -> None:
     short = Reference.from_segments(("speed", "height"), [(1, (0.0, 0.55)), (5, (0.17, 0.58))], steps=10)
-    rows = measure(short, 0, 1, [NAME])
+    rows = measure_twin(short, 0, 1, [NAME])
     assert [row["method"] for row in rows] == ["none", NAME]
     assert np.isfinite(rows[-1]["error"])
 
@@ -120,7 +120,7 @@ def test_a_run_uses_it_and_the_report_shows_it(tmp_path: Path) -> None:
 
     folder = tmp_path / "run"
     folder.mkdir()
-    run(LossyHopper(), plant, TARGETS, LearningSettings(NAME, 1, least_gain=0.0), folder, seed=0)
+    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings(NAME, 1, least_gain=0.0), folder, seed=0)
     saved = json.loads((folder / "models" / "iteration_1.json").read_text())
     assert (saved["kind"], saved["features"]) == (NAME, "previous_error")
     page = Page(report_of(folder))

@@ -168,13 +168,13 @@ def test_summary_that_is_none(folder: Path, content: bytes, message: str) -> Non
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda content: content.pop("seed"), "seed is missing, but it must be a whole number from 0"),
+        (lambda content: content.pop("seed"), "seed is missing, but it must be an integer from 0"),
         (lambda content: content.update(seed=10**400), "seed is 1000"),
         (lambda content: content.pop("repeatability"), "repeatability is missing"),
         (lambda content: content.update(versions=[1]), "versions is [1], but it must be an object"),
         (lambda content: content["iterations"][0].update(residual=3), "iterations[0]: residual is 3"),
         (lambda content: content["iterations"][0].update(residual="x" * 101), "but it must be a short text"),
-        (lambda content: content["iterations"][0].update(steps=True), "steps is True, but it must be a whole"),
+        (lambda content: content["iterations"][0].update(steps=True), "steps is True, but it must be an integer"),
         (lambda content: content["iterations"][0].pop("mae"), "iterations[0]: mae is missing"),
         (lambda content: content["iterations"][1].update(mae={"speed": 1}), "but it must be of speed, tilt"),
         (

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.control.reference import Reference
-from stepgap.experiment.loop import run
+from stepgap.experiment.loop import run_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.model_plant import ModelPlant
@@ -58,7 +58,7 @@ def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), rea
         made.lasts = next(tired, made.lasts)
         return made
 
-    run(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, least_gain=0.0), folder, seed=0)
+    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, least_gain=0.0), folder, seed=0)
     return folder
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.moteus.moteus_rig import MoteusRig

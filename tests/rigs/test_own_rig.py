@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.robots.hopper.parameters import RobotParameters

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.view.page import Page
 from stepgap.view.source import Source
 from stepgap.view.watch import HERE, start_server, stop_server, watch

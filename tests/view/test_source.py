@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.base.errors import InputError
 from stepgap.experiment.replay import replay
-from stepgap.experiment.settings import InputError
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing

@@ -1,4 +1,4 @@
-"""Tells when Numba compiles: what is not in the cache yet takes its time."""
+"""Notices when Numba compiles, which takes a while: code that is not in the cache yet."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,23 +6,23 @@ from contextlib import contextmanager
 from numba.core.event import Event, Listener, install_listener
 
 
-class _Teller(Listener):
-    """Calls a function when Numba begins to compile for the first time."""
+class _FirstCompilation(Listener):
+    """Calls a function when Numba compiles for the first time."""
 
-    def __init__(self, tell: Callable[[], None]):
-        self._tell, self._told = tell, False
+    def __init__(self, callback: Callable[[], None]):
+        self._callback, self._called = callback, False
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002  (the signature is Numba's)
-        if not self._told:
-            self._told = True
-            self._tell()
+        if not self._called:
+            self._called = True
+            self._callback()
 
     def on_end(self, event: Event) -> None:
-        pass
+        """Does nothing; Numba requires it."""
 
 
 @contextmanager
-def telling_of_compilation(tell: Callable[[], None]) -> Iterator[None]:
-    """Calls `tell`, once, as soon as Numba compiles within; not while all that is called comes from the cache."""
-    with install_listener("numba:compile", _Teller(tell)):
+def on_first_compilation(callback: Callable[[], None]) -> Iterator[None]:
+    """Calls `callback` once, when Numba compiles within the block; not at all if everything comes from the cache."""
+    with install_listener("numba:compile", _FirstCompilation(callback)):
         yield

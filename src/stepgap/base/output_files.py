@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 
 
 def check_new(path: Path, option: str) -> None:
@@ -25,13 +25,6 @@ def writing(path: Path, option: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; choose another {option}") from None
-
-
-def words_of(error: Exception) -> str:
-    """What an error says; of one of the system, the file and what is wrong with it."""
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"{error.filename}: {error.strerror}"
-    return str(error)
 
 
 def write_new(path: Path, option: str, content: str | bytes) -> None:

@@ -7,20 +7,16 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
-LARGEST_FILE = 2**20
+from stepgap.base.errors import InputError
+from stepgap.base.ranges import LARGEST_INTEGER, format_value
+
+LARGEST_SETTINGS_FILE = 2**20
 """Largest file of settings that is read [bytes]."""
 
 BYTE_ORDER_MARK = "\ufeff"
 
-LARGEST_WHOLE = 10**300
-"""Whole numbers from here on are not taken for a number."""
-
-Place = Callable[[str], str]
-"""How the user knows a dotted setting: by its file and table, or by its option."""
-
-
-class InputError(ValueError):
-    """Something the user gave is wrong; the message is one line that says what would be right."""
+Locate = Callable[[str], str]
+"""Names a dotted setting as the user knows it: by its file and table, or by its option."""
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
@@ -40,9 +36,9 @@ def read_toml_text(path: Path, what: str) -> tuple[str, dict[str, Any]]:
     """
     try:
         with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes, so it is not {what}")
+            content = file.read(LARGEST_SETTINGS_FILE + 1)
+        if len(content) > LARGEST_SETTINGS_FILE:
+            raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes, so it is not {what}")
         text = content.decode("utf-8").removeprefix(BYTE_ORDER_MARK)
         return text, parse_toml(text)
     except OSError as error:
@@ -73,43 +69,43 @@ def with_table(name: str) -> str:
     return f"[{table}] {key}" if dot else key
 
 
-def merge(settings: Any, table: Mapping[str, Any], place: Place, prefix: str = "", more: Collection[str] = ()) -> Any:
+def merge(settings: Any, table: Mapping[str, Any], locate: Locate, prefix: str = "", more: Collection[str] = ()) -> Any:
     """The dataclass `settings` with the values of a TOML table, checked for names and types.
 
     Args:
-        settings: What holds where the table says nothing.
+        settings: Holds the values of keys that the table does not have.
         table: Names are those of the fields.
-        place: How messages name a key.
+        locate: How messages name a key.
         prefix: Dotted name of the table, with a dot at the end.
-        more: Dotted keys that the file may have besides, to be offered where one is misspelt.
+        more: Dotted keys that the file may have, too, as suggestions for a misspelt one.
 
     Raises:
         InputError: Naming key and what would be right.
     """
     current = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
-    values = _values(type(settings), current, table, place, prefix, more)
+    values = _values(type(settings), current, table, locate, prefix, more)
     try:
         return replace(settings, **values)
     except ValueError as error:
-        raise located(error, place, prefix) from None
+        raise located(error, locate, prefix) from None
 
 
-def build(kind: type[Any], table: Mapping[str, Any], place: Place, prefix: str = "") -> Any:
+def build(kind: type[Any], table: Mapping[str, Any], locate: Locate, prefix: str = "") -> Any:
     """A dataclass from a TOML table; fields without a default must be in it. Arguments and errors as of `merge`."""
     required = [entry.name for entry in fields(kind) if entry.default is MISSING and entry.default_factory is MISSING]
     defaults = {entry.name: entry.default for entry in fields(kind) if is_dataclass(entry.default)}
-    values = _values(kind, defaults, table, place, prefix)
+    values = _values(kind, defaults, table, locate, prefix)
     for name in required:
         if name not in values:
-            raise InputError(f"{place(prefix + name)}: missing; it must be given")
+            raise InputError(f"{locate(prefix + name)}: missing; it must be given")
     try:
         return kind(**values)
     except ValueError as error:
-        raise located(error, place, prefix) from None
+        raise located(error, locate, prefix) from None
 
 
 def to_table(settings: Any) -> dict[str, Any]:
-    """The TOML table of a dataclass, which `build` reads; a number is written as one even where it is whole."""
+    """The TOML table of a dataclass, which `build` reads; a float is written as a float even where it is whole."""
     types = get_type_hints(type(settings))
     return {entry.name: _to_value(getattr(settings, entry.name), types[entry.name]) for entry in fields(settings)}
 
@@ -126,7 +122,7 @@ def _values(
     kind: type,
     current: Mapping[str, Any],
     table: Mapping[str, Any],
-    place: Place,
+    locate: Locate,
     prefix: str,
     more: Collection[str] = (),
 ) -> dict[str, Any]:
@@ -135,17 +131,17 @@ def _values(
     known = [entry.name for entry in fields(kind)]
     values: dict[str, Any] = {}
     for key, value in table.items():
-        here, inner = place(prefix + key), f"{prefix}{key}."
+        here, inner = locate(prefix + key), f"{prefix}{key}."
         if key not in known:
             known += [name.removeprefix(prefix) for name in more if name.rpartition(".")[0] == prefix.rstrip(".")]
             raise InputError(f"{here}: unknown key; {_meant(key, known, current, prefix)}")
         wanted = types[key]
         if is_dataclass(current.get(key)):
-            values[key] = merge(current[key], _as_table(value, here), place, inner, more)
+            values[key] = merge(current[key], _as_table(value, here), locate, inner, more)
         elif is_dataclass(wanted):
-            values[key] = build(cast("type", wanted), _as_table(value, here), place, inner)
+            values[key] = build(cast("type", wanted), _as_table(value, here), locate, inner)
         elif get_origin(wanted) is tuple:
-            values[key] = _as_list(get_args(wanted)[0], value, place, prefix + key)
+            values[key] = _as_list(get_args(wanted)[0], value, locate, prefix + key)
         else:
             values[key] = as_type(value, wanted, here)
     return values
@@ -166,48 +162,34 @@ def _meant(key: str, known: list[str], current: Mapping[str, Any], prefix: str) 
 
 def _as_table(value: Any, here: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"{here} = {shown(value)}, but it must be a table")
+        raise InputError(f"{here} = {format_value(value)}, but it must be a table")
     return value
 
 
-def _as_list(kind: type, value: Any, place: Place, name: str) -> tuple[Any, ...]:
-    """Texts from an array, or dataclasses from an array of tables; messages count from 1."""
-    here, of_tables = place(name), is_dataclass(kind)
+def _as_list(kind: type, value: Any, locate: Locate, name: str) -> tuple[Any, ...]:
+    """Strings from an array, or dataclasses from an array of tables; messages count from 1."""
+    here, of_tables = locate(name), is_dataclass(kind)
     if not isinstance(value, list):
-        wanted = f"tables, each headed [[{name}]]" if of_tables else "a list of texts in quotes"
-        raise InputError(f"{here} = {shown(value)}, but it must be {wanted}")
-    places = [f"{name} {number}" for number in range(1, len(value) + 1)]
+        wanted = f"tables, each headed [[{name}]]" if of_tables else "a list of strings"
+        raise InputError(f"{here} = {format_value(value)}, but it must be {wanted}")
+    keys = [f"{name} {number}" for number in range(1, len(value) + 1)]
     if of_tables:
-        pairs = zip(places, value, strict=True)
-        return tuple(build(kind, _as_table(each, place(at)), place, f"{at}.") for at, each in pairs)
-    return tuple(as_type(each, kind, place(at)) for at, each in zip(places, value, strict=True))
+        pairs = zip(keys, value, strict=True)
+        return tuple(build(kind, _as_table(each, locate(at)), locate, f"{at}.") for at, each in pairs)
+    return tuple(as_type(each, kind, locate(at)) for at, each in zip(keys, value, strict=True))
 
 
-def located(error: ValueError, place: Place, prefix: str) -> InputError:
-    """The error of a settings class, `key = value, but it must …`, with the place where the user knows the key."""
+def located(error: ValueError, locate: Locate, prefix: str) -> InputError:
+    """The error of a settings class, `key = value, but it must …`, with the key as the user knows it."""
     key, *rest = str(error).partition(" = ")
-    return InputError("".join([place(prefix + key), *rest]))
+    return InputError("".join([locate(prefix + key), *rest]))
 
 
 def as_type(value: Any, wanted: Any, here: str) -> Any:
-    """The value, if it has the type of the field; a whole number may stand for a number."""
-    words = {float: "a number", int: "a whole number", bool: "true or false"}
-    if wanted is float and type(value) is int and abs(value) < LARGEST_WHOLE:
+    """The value, if it has the type of the field; an integer may stand for a number."""
+    words = {float: "a number", int: "an integer", bool: "true or false"}
+    if wanted is float and type(value) is int and abs(value) < LARGEST_INTEGER:
         return float(value)
     if type(value) is not (wanted if wanted in words else str):
-        raise InputError(f"{here} = {shown(value)}, but it must be {words.get(wanted, 'a text in quotes')}")
+        raise InputError(f"{here} = {format_value(value)}, but it must be {words.get(wanted, 'a string')}")
     return value
-
-
-def require(condition: bool, name: str, value: Any, rule: str) -> None:
-    """Raises ValueError `name = value, but it must RULE` unless the condition holds."""
-    if not condition:
-        raise ValueError(f"{name} = {shown(value)}, but it must {rule}")
-
-
-def shown(value: Any) -> str:
-    """A TOML value for a message."""
-    if isinstance(value, int) and abs(value) >= LARGEST_WHOLE:
-        return "a very large whole number"
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 60 else f"{text[:60]}…"

@@ -18,10 +18,10 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace
 INTEGRAL_GAIN = 0.2
 """Share of a step's error that the integrating correction takes in; set once and not tuned."""
 
-MISFIT = np.array([0.01, 0.002])
+STATE_MISFIT = np.array([0.01, 0.002])
 """Error of the next speed [m/s] and height [m] that costs as much as a parameter one spread from its nominal value."""
 
-WHERE_IT_FAILS = 10.0
+FAILED_STEP_COST = 10.0
 """Cost of a step that was made but fails with the parameters tried [misfits]."""
 
 
@@ -142,8 +142,8 @@ def identify(nominal: ApexMap, log: StepLog) -> AdjustedMap:
 
     def misfit(shares: Array) -> Array:
         step_map = with_error(nominal, PhysicalError(*(shares * spreads).tolist()))
-        error = (steps.next_state - step_map.evaluate(steps.state, steps.applied).next_state) / MISFIT
-        return np.concatenate([np.nan_to_num(error, nan=WHERE_IT_FAILS).ravel(), shares])
+        error = (steps.next_state - step_map.evaluate(steps.state, steps.applied).next_state) / STATE_MISFIT
+        return np.concatenate([np.nan_to_num(error, nan=FAILED_STEP_COST).ravel(), shares])
 
     limits = np.full(len(spreads), 3.0)
     found = least_squares(misfit, np.zeros(len(spreads)), bounds=(-limits, limits), diff_step=1e-3, max_nfev=30)

@@ -1,13 +1,13 @@
-"""`stepgap bench gp`: what the Gaussian process costs beside those of other libraries.
+"""`stepgap bench gp`: the time that the Gaussian process takes.
 
-Libraries take turns within one run, so that a busy machine slows all of them alike: compare ratios, not times. All
+Other libraries may be measured beside it; `benchmarks/compare_gaussian_processes.py` does. Libraries take turns within
+one run, so that a busy machine slows all of them alike: compare ratios, not times. All
 have the same kernel, Matérn-5/2 with one length scale per input and noise, the same data, a smooth function of four
-inputs, and one thread for linear algebra: more would wait for each other wherever others work too. The peers are no
-part of the package; they lie in `benchmarks/peers` of a checkout.
+inputs, and one thread for linear algebra, since several would wait for each other on a busy machine.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -15,13 +15,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.base.normal import INTERVAL_95
-from stepgap.bench.timing import Progress, machine, peers, timed
+from stepgap.bench.timing import Announce, machine, timed
 from stepgap.learning.gaussian_process_fit import fit_gaussian_process
 from stepgap.learning.sparse_gaussian_process import fit_sparse
 from stepgap.step import Array
 
-COMPARED_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns")
-"""Whose versions the result names."""
+GP_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "scikit-learn", "openturns")
+"""Packages whose versions are part of the result."""
 
 NOISE = 0.008
 """Standard deviation of the noise of a value."""
@@ -37,8 +37,8 @@ MANY_STARTS_SIZE = 200
 
 
 @dataclass(frozen=True)
-class FitSizes:
-    """How much is measured.
+class GpBenchSize:
+    """Amount of measurements.
 
     Attributes:
         points: Numbers of points to fit to.
@@ -53,8 +53,8 @@ class FitSizes:
     queries: int
 
 
-FULL_FITS = FitSizes(points=(50, 200, 1000, 3000), rounds=(9, 5, 3, 1), calls=200, queries=2000)
-QUICK_FITS = FitSizes(points=(50, 200), rounds=(3, 3), calls=50, queries=500)
+FULL_GP_BENCH = GpBenchSize(points=(50, 200, 1000, 3000), rounds=(9, 5, 3, 1), calls=200, queries=2000)
+QUICK_GP_BENCH = GpBenchSize(points=(50, 200), rounds=(3, 3), calls=50, queries=500)
 
 
 @dataclass(frozen=True)
@@ -84,40 +84,55 @@ class Library:
     starts: int | None = None
 
 
-def truth(points: Array) -> Array:
+def smooth_function(points: Array) -> Array:
     """The smooth function of points (N, 4) that is fitted; shape (N,)."""
     x, y, u, v = points.T
     return 0.04 + 0.03 * np.sin(1.3 * x + 0.5 * u) + 0.02 * np.tanh(y * v) + 0.01 * u**2
 
 
-def bench_gp(seed: int, quick: bool, progress: Progress = lambda line: None) -> dict[str, Any]:
+@dataclass(frozen=True)
+class GpPeers:
+    """Other libraries with the same kernel.
+
+    Attributes:
+        libraries: Those that can be used here.
+        skipped: Names of the others, and the reason why each is left out.
+    """
+
+    libraries: Sequence[Library] = ()
+    skipped: Mapping[str, str] = field(default_factory=dict)
+
+
+NO_PEER_LIBRARIES = GpPeers()
+
+
+def bench_gp(
+    seed: int, quick: bool, announce: Announce = lambda line: None, peers: GpPeers = NO_PEER_LIBRARIES
+) -> dict[str, Any]:
     """Runs every size; the result is plain data for JSON.
 
     Args:
-        seed: Of the random points.
-        quick: Few points, and peers that are quick.
-        progress: Called with a line that names the next part.
+        seed: Seed of the random points.
+        quick: Whether to take few points.
+        announce: Called with the name of each section before it begins.
+        peers: Other libraries, measured beside it.
     """
-    size = QUICK_FITS if quick else FULL_FITS
-    with peers("gaussian_processes") as catalogue:
-        progress(
-            "no checkout, so no peers: their code lies in benchmarks/peers" if catalogue is None else "peers found"
-        )
-        found, skipped = catalogue.libraries(quick) if catalogue else ([], {"all peers": "found only in a checkout"})
+    size = QUICK_GP_BENCH if quick else FULL_GP_BENCH
     rows: list[dict[str, Any]] = []
     for points, rounds in zip(size.points, size.rounds, strict=True):
-        progress(f"{points} points")
-        libraries = [library for library in [*_ours(), *found] if library.least_points <= points <= library.most_points]
+        announce(f"{points} points")
+        every = [*_ours(), *peers.libraries]
+        libraries = [library for library in every if library.least_points <= points <= library.most_points]
         with threadpool_limits(limits=1):
             rows += time_libraries(libraries, np.random.default_rng([seed, points]), points, rounds, size)
     return {
         "schema": 1,
         "quick": quick,
         "seed": seed,
-        "machine": machine(COMPARED_PACKAGES),
+        "machine": machine(GP_PACKAGES),
         "starts": {"most": MOST_STARTS, "up_to_points": MANY_STARTS_SIZE},
         "rows": rows,
-        "skipped": skipped,
+        "skipped": dict(peers.skipped),
     }
 
 
@@ -150,7 +165,7 @@ def _ours() -> list[Library]:
 
 
 def time_libraries(
-    libraries: list[Library], rng: np.random.Generator, count: int, rounds: int, size: FitSizes
+    libraries: list[Library], rng: np.random.Generator, count: int, rounds: int, size: GpBenchSize
 ) -> list[dict[str, Any]]:
     """A row for each library: median times, medians over the rounds of the ratio to the first, worth of the fit."""
     points, values = _draw(rng, count)
@@ -180,7 +195,7 @@ def time_libraries(
                 "mean_and_std_ratio": float(np.median(predictions[:, i] / predictions[:, 0])),
                 "mean_and_gradient_us": gradient and 1e6 * float(np.median(_turns([gradient], size.calls))),
                 "append_us": grow and 1e6 * float(np.median(_turns([grow], size.calls))),
-                "rmse": float(np.sqrt(np.mean((mean - truth(queries)) ** 2))),
+                "rmse": float(np.sqrt(np.mean((mean - smooth_function(queries)) ** 2))),
                 "coverage": float(covered.mean()),
             }
         )
@@ -190,7 +205,7 @@ def time_libraries(
 def _draw(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     """Random points (count, 4) and noisy values (count,)."""
     points = rng.uniform(-1, 1, (count, 4))
-    return points, truth(points) + NOISE * rng.standard_normal(count)
+    return points, smooth_function(points) + NOISE * rng.standard_normal(count)
 
 
 def _turns(calls: list[Callable[[], object]], rounds: int) -> Array:

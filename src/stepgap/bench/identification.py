@@ -41,7 +41,7 @@ BEFORE = 10
 HIP_FIT, LEG_FIT = 150, 40
 """Ticks before touchdown to whose sensor values a parabola is fitted."""
 
-CLEAR = 2
+TOUCHDOWN_MARGIN = 2
 """Of these, the last ones that are left out: the foot may touch the ground before that is noticed."""
 
 WINDOWS = 28
@@ -53,10 +53,10 @@ SUBSTEPS = 4
 SAMPLE = 5
 """Ticks from one error that counts to the next."""
 
-MISFIT = 0.005
+HIP_MISFIT = 0.005
 """Error of the hip's travel or height that costs as much as a parameter one spread from its nominal value [m]."""
 
-WHERE_IT_FAILS = 100.0
+DIVERGED_COST = 100.0
 """Errors of a motion that diverges [misfits]."""
 
 SHARED = ("body_mass", "leg_mass", "boom_vertical", "boom_horizontal", "torque")
@@ -100,7 +100,7 @@ def identify_from_ticks(nominal: ApexMap, ticks: Sequence[Tick], layout: HopperS
         ticks: All of a deployment with at least one step.
         layout: Of the rig.
     """
-    return with_error(nominal, physical_error(nominal, fit(nominal.robot, ticks, layout)))
+    return with_error(nominal, physical_error(nominal, identify_values(nominal.robot, ticks, layout)))
 
 
 def physical_error(nominal: ApexMap, values: Values) -> PhysicalError:
@@ -116,7 +116,7 @@ def physical_error(nominal: ApexMap, values: Values) -> PhysicalError:
     )
 
 
-def fit(robot: RobotParameters, ticks: Sequence[Tick], layout: HopperSensorModel) -> Values:
+def identify_values(robot: RobotParameters, ticks: Sequence[Tick], layout: HopperSensorModel) -> Values:
     """The parameters of the MuJoCo model: least squares with a weak prior."""
     found = sysid.ParameterDict()
     for name in SPREADS:
@@ -167,7 +167,7 @@ def record_windows(ticks: Sequence[Tick], layout: HopperSensorModel, horizon: in
 
 def _start(sensed: Array, landings: NDArray[np.intp], count: int, tick: float) -> Array:
     """Values and rates BEFORE ticks before landings, by parabolas through the `count` ticks before; shape (W, 2, 2)."""
-    before = np.arange(-count, -CLEAR)
+    before = np.arange(-count, -TOUCHDOWN_MARGIN)
     powers = np.vander((before + BEFORE) * tick, 3, increasing=True)
     return (np.linalg.pinv(powers) @ sensed[landings[:, None] + before])[:, :2]
 
@@ -185,7 +185,7 @@ def errors(robot: RobotParameters, windows: Windows, values: Values) -> Array:
             resample_true=False,
         )[0]
     except ValueError:  # so the toolbox takes a motion that diverges
-        return np.full(windows.hip.size, WHERE_IT_FAILS)
+        return np.full(windows.hip.size, DIVERGED_COST)
 
 
 def _model(robot: RobotParameters, values: Values, timestep: float) -> mujoco.MjModel:
@@ -229,7 +229,7 @@ def _trajectories(robot: RobotParameters, windows: Windows, values: Values) -> l
 def _hip_errors(parameters: Any, sensors: Any, measured: Any, model: Any, everything: bool, state: Array) -> tuple:
     """What the toolbox asks for: errors and what they are between; states have the time before the coordinates."""
     stride = SAMPLE * SUBSTEPS
-    return (state[stride - 1 :: stride, 1:3] - measured.data) / MISFIT, measured, measured
+    return (state[stride - 1 :: stride, 1:3] - measured.data) / HIP_MISFIT, measured, measured
 
 
 def _leg_angles(motor: Array) -> Array:

@@ -22,12 +22,12 @@ import mujoco.sysid
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import append_text, write_whole
 from stepgap.base.normal import INTERVAL_95
 from stepgap.base.random_streams import random_stream
-from stepgap.base.settings_file import InputError
 from stepgap.bench.baselines import IntegralCorrection, identify
-from stepgap.bench.timing import Progress
+from stepgap.bench.timing import Announce
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import AdaptiveMap, deploy, summarise
 from stepgap.learning.entry_points import residual_models, residual_names
@@ -170,7 +170,7 @@ def usual_methods() -> list[str]:
     return [*WITHOUT_RESIDUAL, *kinds, AUTO, *FROM_THE_FIRST_HOP]
 
 
-def measure(reference: Reference, twin: int, seed: int, names: Sequence[str]) -> list[DeploymentRow]:
+def measure_twin(reference: Reference, twin: int, seed: int, names: Sequence[str]) -> list[DeploymentRow]:
     """What each method makes of a twin; the first row is that of the shared deployment 0."""
     nominal = ApexMap()
     with threadpool_limits(limits=1, user_api="blas"):
@@ -206,7 +206,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
     errors = np.concatenate([log.next_state - log.target for log in tracked])
     earlier = sum(map(len, deployments)) - len(errors)  # calibrating hops, and those that failed
     hops = None if found.falls else hops_to_band(errors)
-    covered, counted = coverage(tracked[-1])
+    covered, counted = count_covered(tracked[-1])
     return row | {
         "steps": found.steps,
         "falls": found.falls,
@@ -220,7 +220,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
     }
 
 
-def coverage(steps: StepLog) -> tuple[Array, int]:
+def count_covered(steps: StepLog) -> tuple[Array, int]:
     """How many steps ended within the 95 % interval predicted, by coordinate (n,), and how many had one."""
     known = np.isfinite(steps.predicted).all(axis=1) & (steps.std > 0).all(axis=1)
     inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL_95 * steps.std
@@ -246,7 +246,7 @@ def bench_learning(
     methods: Sequence[str],
     record: Path,
     workers: int,
-    say: Progress = lambda line: None,
+    announce: Announce = lambda line: None,
 ) -> list[DeploymentRow]:
     """Measures what the record does not hold yet, a line per twin and seed as it is done; all rows asked for.
 
@@ -257,7 +257,7 @@ def bench_learning(
         methods: Names of methods.
         record: JSON lines, each the rows of one twin and seed; need not exist.
         workers: Processes; 1 is this one.
-        say: Is told of progress.
+        announce: Called with a line of progress.
     """
     known = _read(record)
     done = {(row["twin"], row["seed"], row["method"]) for row in known}
@@ -269,7 +269,7 @@ def bench_learning(
     for number, rows in enumerate(_measured(reference, jobs, workers), start=1):
         append_text(record, json.dumps(rows) + "\n")
         left = (perf_counter() - begin) * (len(jobs) - number) / number
-        say(f"{number} of {len(jobs)} done, {left / 60:.0f} min left")
+        announce(f"{number} of {len(jobs)} done, {left / 60:.0f} min remaining")
         known += rows
     rows = {(row["twin"], row["seed"], row["method"]): row for row in known}
     return [rows[*pair, method] for method in (UNCORRECTED, *methods) for pair in pairs]
@@ -278,11 +278,11 @@ def bench_learning(
 def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterator[list[DeploymentRow]]:
     """The rows of each job, in the order in which they are done."""
     if workers == 1:
-        yield from (measure(reference, *job) for job in jobs)
+        yield from (measure_twin(reference, *job) for job in jobs)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
-            for job in as_completed([pool.submit(measure, reference, *job) for job in jobs]):
+            for job in as_completed([pool.submit(measure_twin, reference, *job) for job in jobs]):
                 yield job.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -1,37 +1,38 @@
-"""`stepgap bench map`: what the nominal map costs beside other ways to compute it, and what is built on it.
+"""`stepgap bench map`: the time that the nominal map takes, and everything that is built on it.
 
-Engines take turns within one run, so that a busy machine slows all of them alike: compare ratios, not times. The
-peers are no part of the package; they lie in `benchmarks/peers` of a checkout.
+Other engines may be measured beside it; `benchmarks/compare_maps.py` does. Engines take turns within one run, so that a
+busy machine slows all of them alike: compare ratios, not times.
 """
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from stepgap.bench.timing import Progress, machine, peers, timed
+from stepgap.base.errors import StepGapError
+from stepgap.bench.timing import Announce, machine, timed
 from stepgap.control.command_table import build_table, measure_table
 from stepgap.control.step_controller import StepController
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.step import Array, StepStatus
 
-PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")
-"""Whose versions the result names."""
+MAP_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")
+"""Packages whose versions are part of the result."""
 
 Evaluate = Callable[[Any, Any], Any]
 """State (n,) and command (m,) to next state (n,)."""
 
 
-class TooFewSteps(Exception):
+class TooFewSteps(StepGapError):
     """The settings let the robot hop too rarely to measure anything; the message is one line."""
 
 
 @dataclass(frozen=True)
-class Size:
-    """How much is measured.
+class MapBenchSize:
+    """Amount of measurements.
 
     Attributes:
         points: Random points, on all of which every engine's error is measured.
@@ -52,8 +53,8 @@ class Size:
 
 BATCH_ROUNDS = 5
 
-FULL = Size(points=50, rounds=15, jacobians=10, solves=500, table=15, batch=4000)
-QUICK = Size(points=3, rounds=3, jacobians=0, solves=50, table=4, batch=500)
+FULL_MAP_BENCH = MapBenchSize(points=50, rounds=15, jacobians=10, solves=500, table=15, batch=4000)
+QUICK_MAP_BENCH = MapBenchSize(points=3, rounds=3, jacobians=0, solves=50, table=4, batch=500)
 
 
 @dataclass(frozen=True)
@@ -77,38 +78,60 @@ class Engine:
     error: float | None = None
 
 
-def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Progress = lambda line: None) -> dict[str, Any]:
+@dataclass(frozen=True)
+class MapPeers:
+    """Other ways to compute the same map.
+
+    Attributes:
+        engines: Those that can be used here.
+        skipped: Names of the others, and the reason why each is left out.
+        reference: The map at a much finer tolerance, from which errors are measured.
+    """
+
+    engines: Sequence[Engine] = ()
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    reference: Evaluate | None = None
+
+
+NO_PEERS = MapPeers()
+
+
+def bench_map(
+    nominal: ApexMap,
+    seed: int,
+    quick: bool,
+    announce: Announce = lambda line: None,
+    peers: MapPeers = NO_PEERS,
+) -> dict[str, Any]:
     """Runs every section; the result is plain data for JSON.
 
     Args:
-        nominal: Our engine.
-        seed: Of the random points.
-        quick: Few points, and only the peer that needs no compilation.
-        say: Is told what comes next.
+        nominal: StepGap's engine.
+        seed: Seed of the random points.
+        quick: Whether to take few points.
+        announce: Called with the name of each section before it begins.
+        peers: Other engines, measured beside it.
     """
-    size, rng = QUICK if quick else FULL, np.random.default_rng(seed)
-    states, commands = draw(nominal, rng, size.points)
-    with peers("catalogue") as catalogue:
-        say("peers" if catalogue else "no checkout, so no peers: their code lies in benchmarks/peers")
-        found, skipped = catalogue.engines(nominal, quick) if catalogue else ([], {})
-        reference = catalogue.reference(nominal, quick) if catalogue else None
-        truth = None if reference is None else np.array([reference(*point) for point in zip(states, commands)])  # noqa: B905
-        say("engines, taking turns")
-        rows = time_engines([*_ours(nominal, states, commands), *found], states, commands, truth, nominal, size.rounds)
-        say("Jacobian")
-        jacobian = _jacobian(nominal, reference, states[: size.jacobians], commands[: size.jacobians])
-    say("root solve")
+    size, rng = QUICK_MAP_BENCH if quick else FULL_MAP_BENCH, np.random.default_rng(seed)
+    states, commands = random_steps(nominal, rng, size.points)
+    announce("engines, taking turns")
+    truth = None if peers.reference is None else _evaluate_all(peers.reference, states, commands)
+    engines = [*_ours(nominal, states, commands), *peers.engines]
+    rows = time_engines(engines, states, commands, truth, nominal, size.rounds)
+    announce("Jacobian")
+    jacobian = _jacobian(nominal, peers.reference, states[: size.jacobians], commands[: size.jacobians])
+    announce("root solve")
     solved = _root_solve(nominal, rng, size.solves)
-    say("batch")
+    announce("batch")
     batch = _batch(nominal, rng, size.batch)
-    say(f"command table of {size.table}⁴")
+    announce(f"command table of {size.table}⁴")
     return {
         "schema": 1,
         "quick": quick,
         "seed": seed,
-        "machine": machine(PACKAGES),
+        "machine": machine(MAP_PACKAGES),
         "engines": rows,
-        "skipped": skipped if catalogue else {"all peers": "benchmarks/peers is found only in a checkout"},
+        "skipped": dict(peers.skipped),
         "jacobian": jacobian,
         "root_solve": solved,
         "batch": batch,
@@ -116,7 +139,7 @@ def bench_map(nominal: ApexMap, seed: int, quick: bool, say: Progress = lambda l
     }
 
 
-def draw(nominal: ApexMap, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+def random_steps(nominal: ApexMap, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     """Random states and commands within their ranges of use that make a step; shapes (count, n) and (count, m).
 
     Raises:
@@ -184,15 +207,20 @@ def _round(engine: Engine, states: Array, commands: Array, turn: int) -> list[fl
     return taken
 
 
+def _evaluate_all(evaluate: Evaluate, states: Array, commands: Array) -> Array:
+    """Next states of many steps, one after another; shape (N, n)."""
+    return np.array([evaluate(state, command) for state, command in zip(states, commands, strict=True)])
+
+
 def _largest_error(nominal: ApexMap, evaluate: Evaluate, states: Array, commands: Array, truth: Array) -> float:
     """Relative to the larger of the true value and half the range of use."""
-    found = np.array([evaluate(state, command) for state, command in zip(states, commands, strict=True)])
+    found = _evaluate_all(evaluate, states, commands)
     return float((np.abs(found - truth) / np.maximum(np.abs(truth), nominal.space.state_scale)).max())
 
 
 def _jacobian(nominal: ApexMap, reference: Evaluate | None, states: Array, commands: Array) -> dict[str, Any]:
     """Cost in maps, and the largest error against Richardson differences of the reference, of its largest entry."""
-    many = draw(nominal, np.random.default_rng(0), 15)
+    many = random_steps(nominal, np.random.default_rng(0), 15)
     pairs = [(timed(lambda: nominal.jacobian(*many)), timed(lambda: nominal.evaluate(*many))) for _ in range(9)]
     errors = []
     for state, command in zip(states, commands, strict=True):
@@ -220,7 +248,7 @@ def richardson(nominal: ApexMap, evaluate: Evaluate, state: Array, command: Arra
 
 def _root_solve(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, Any]:
     """Cold solves of random pairs that a random command connects."""
-    states, commands = draw(nominal, rng, count)
+    states, commands = random_steps(nominal, rng, count)
     targets, controller = nominal(states, commands), StepController(nominal)
     times, reached = [], []
     for state, target in zip(states, targets, strict=True):
@@ -234,7 +262,7 @@ def _root_solve(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[
 
 def _batch(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, Any]:
     """Maps a second on one core and on all, taking turns."""
-    many = draw(nominal, rng, count)
+    many = random_steps(nominal, rng, count)
     if not hasattr(os, "sched_setaffinity"):
         return {"cores": os.cpu_count(), "one_core_us": None, "all_cores_us": timed(lambda: nominal.evaluate(*many))}
     cores = os.sched_getaffinity(0)
@@ -268,7 +296,7 @@ def _table(nominal: ApexMap, rng: np.random.Generator, points: int) -> dict[str,
     return {"points": points, "seconds": seconds, "within_reach": float(table.reached.mean()), "worst_error": worst}
 
 
-def describe_bench(result: dict[str, Any]) -> str:
+def describe_map_bench(result: dict[str, Any]) -> str:
     """The result as a table and a line for each further section."""
     lines = [f"{'engine':22}{'one map':>12}{'ratio':>10}{'error':>10}   note"]
     for row in result["engines"]:

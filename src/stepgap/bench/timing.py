@@ -1,18 +1,14 @@
-"""What every benchmark needs: the time of a call, peers that are no part of the package, the machine it ran on."""
+"""Functions of every benchmark: the time of a call, and the machine it was measured on."""
 
 import os
 import platform
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from importlib import import_module
+from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-Progress = Callable[[str], None]
-"""Called with a line that says how far a benchmark is."""
+Announce = Callable[[str], None]
+"""Receives a line that names what is measured next."""
 
 
 def timed(call: Callable[[], object]) -> float:
@@ -20,20 +16,6 @@ def timed(call: Callable[[], object]) -> float:
     begin = perf_counter()
     call()
     return perf_counter() - begin
-
-
-@contextmanager
-def peers(module: str) -> Iterator[Any]:
-    """A module of `benchmarks/peers`, or None outside of a checkout."""
-    root = Path(__file__).parents[3]
-    if not (root / "benchmarks" / "peers" / f"{module}.py").is_file():
-        yield None
-        return
-    sys.path.insert(0, str(root))
-    try:
-        yield import_module(f"benchmarks.peers.{module}")
-    finally:
-        sys.path.remove(str(root))
 
 
 def machine(packages: Sequence[str]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""An emulated ring with the twin behind it, for a master that believes in hardware."""
+"""An emulated ring with the twin behind it, for a master that drives it like hardware."""
 
 import os
 import shlex
@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from stepgap.base.settings_file import InputError, to_table
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import to_table
 from stepgap.experiment.settings import Experiment
 from stepgap.rigs.ethercat.emulator.emulator import emulated, run_emulator
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, run_in_namespace
@@ -25,18 +26,18 @@ from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin_machine import TwinMachine
 
 
-def emulate(
+def emulate_ring(
     experiment: Experiment, ring: RingSettings, interface: str, hold: float, settings_file: Path, program: Sequence[str]
 ) -> int:
-    """Emulates a ring until Ctrl-C, or while a command line runs; its exit code, else 0.
+    """Emulates a ring until Ctrl-C, or while a command line is running; returns its exit code, else 0.
 
     Args:
         experiment: Its robot and gap are those of the twin.
-        ring: How it passes frames.
-        interface: That a master opens.
-        hold: Time for which the twin is held when the drives have been enabled [s].
-        settings_file: For the rig.toml that fits it.
-        program: The command line, or nothing.
+        ring: Timing of the ring.
+        interface: Network interface that a master opens.
+        hold: Time for which the twin is held after the drives have been enabled [s].
+        settings_file: File for the rig.toml of this ring.
+        program: The command line, or an empty one.
 
     Raises:
         InputError: The settings make no twin behind a ring, or a file is in the way.
@@ -48,12 +49,12 @@ def emulate(
     if os.geteuid() != 0:
         _leave_for_namespace(settings_file, program)
 
-    def tell(line: str) -> None:
+    def started(line: str) -> None:
         _write_settings(settings_file, text)
         print(f"{line}; Ctrl-C ends it", flush=True)
 
     if not program:
-        run_emulator(interface, make_machine(), ring, tell)
+        run_emulator(interface, make_machine(), ring, started)
         return 0
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # handed down to the ring: Ctrl-C is for the program
     with emulated(interface, make_machine, ring):
@@ -63,7 +64,7 @@ def emulate(
 
 
 def run_program(program: Sequence[str]) -> int:
-    """Runs a command line to its end, also when Ctrl-C or SIGTERM makes it end; its exit code as shells have it.
+    """Runs a command line until it ends, also by Ctrl-C or SIGTERM; returns its exit code as shells have it.
 
     Raises:
         InputError: There is no such program.
@@ -94,7 +95,7 @@ def _layout_behind_ring(experiment: Experiment, hold: float) -> HopperSensorMode
     for name in (field.name for field in fields(experiment.gap) if "counts" in field.name):
         if isinf(getattr(experiment.gap, name)):
             raise InputError(
-                f"[gap] {name} = inf: a ring carries whole counts; give a number, such as --gap.{name} 16384"
+                f"[gap] {name} = inf: a ring carries integer counts; give a number, such as --gap.{name} 16384"
             )
     try:
         rng = np.random.default_rng(experiment.seed)
@@ -120,7 +121,7 @@ def _write_settings(file: Path, text: str) -> None:
 
 
 def _leave_for_namespace(settings_file: Path, program: Sequence[str]) -> None:
-    """Goes on in a network of its own, where nobody need be root: with the program, or there would be no master."""
+    """Continues in a network namespace, which needs no root; with the program, or else there would be no master."""
     if not program:
         master = shlex.join(["stepgap", "rig", "check", str(settings_file)])
         typed = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])

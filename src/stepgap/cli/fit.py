@@ -1,85 +1,133 @@
-"""The verb that says what there is to learn."""
+"""The verb `stepgap fit`."""
 
 import json
 import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 from cyclopts import Parameter
 
+from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, write_new
-from stepgap.base.settings_file import InputError
-from stepgap.cli.app import Overrides
+from stepgap.cli.options import Integer, Overrides
+
+if TYPE_CHECKING:  # what takes time to import is imported where it is used
+    from stepgap.experiment.fit import Lesson
+    from stepgap.learning.validation import Validation
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ColumnNames:
+    """Columns of a CSV file that was not written by StepGap.
+
+    Attributes:
+        state: Columns of the state before the step, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN.
+        next: Columns of the state after it. [default: those of the state in the following row]
+        command: Columns of the command.
+        target: Columns of the target; without --command they are used as the command.
+        predicted: Columns of the nominal next state.
+        deployment: Column that distinguishes deployments.
+        step: Column that counts the steps; rows belong together where it increases by one.
+    """
+
+    state: str | None = None
+    next: str | None = None
+    command: str | None = None
+    target: str | None = None
+    predicted: str | None = None
+    deployment: str | None = None
+    step: str | None = None
+
+    def given(self) -> dict[str, str]:
+        """The options that were given."""
+        return {name: text for name, text in asdict(self).items() if text is not None}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Results:
+    """Files that a fit writes.
+
+    Attributes:
+        out: New JSON file for all numbers.
+        plot: New file for a picture of predicted against actual errors.
+        save: New JSON file for the best residual, fitted to all steps.
+    """
+
+    out: Path | None = None
+    plot: Path | None = None
+    save: Path | None = None
+
+    def check(self) -> None:
+        """Raises InputError where one of them cannot be written."""
+        from stepgap.report.fit import PICTURE_FORMATS
+
+        for option, file in (("--out", self.out), ("--plot", self.plot), ("--save", self.save)):
+            if file:
+                check_new(file, option)
+        if self.plot and _format_of(self.plot) not in PICTURE_FORMATS:
+            raise InputError(f"{self.plot}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
+
+
+NO_COLUMNS, NO_RESULTS = ColumnNames(), Results()
 
 
 def fit(
     *log: Path,
     columns: Path | None = None,
-    state: str | None = None,
-    next_state: Annotated[str | None, Parameter(name="--next")] = None,
-    command: str | None = None,
-    target: str | None = None,
-    predicted: str | None = None,
-    deployment: str | None = None,
-    step: str | None = None,
+    names: ColumnNames = NO_COLUMNS,
     nominal: Literal["map", "predicted", "target", "state"] | None = None,
     experiment: Path | None = None,
-    folds: int | None = None,
-    out: Path | None = None,
-    plot: Path | None = None,
-    save: Path | None = None,
+    folds: Integer | None = None,
+    results: Results = NO_RESULTS,
     overrides: Overrides = None,
 ) -> None:
-    """Fit every residual to recorded steps, score it on steps held out, and say what there is to learn.
+    """Fit every residual to recorded steps, score it on steps held out, and summarise what can be learned.
 
     Args:
         log: Folders of runs or their steps.csv; or CSV files of any origin, if their columns are named.
         columns: TOML file that names columns; its keys are the options from here to --step, and units and factors.
-        state: Columns of the state before the step, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN.
-        next_state: Columns of the state after it; without them that of the following row.
-        command: Columns of the command.
-        target: Columns of the target; without --command it stands for the command.
-        predicted: Columns of the nominal next state.
-        deployment: Column that tells deployments apart.
-        step: Column that counts the steps; rows belong together where it goes up by one.
-        nominal: What stands for the nominal next state: the hopper's map, the predictions, the target, the state.
-        experiment: TOML file of settings of the hopper's map; without it those of the runs.
-        folds: Hold out so many contiguous blocks; without it whole deployments, or 10 blocks of a single one.
-        out: JSON file for all numbers.
-        plot: Picture of predicted against actual errors.
-        save: JSON file for the best residual, fitted to all steps.
+        nominal: Source of the nominal next state: the hopper's map, the predictions, the target, or the state.
+        experiment: TOML file of settings of the hopper's map. [default: the settings of the runs]
+        folds: Number of contiguous blocks that are held out in turn. [default: whole deployments, or 10 blocks of a
+            single one]
     """
     from threadpoolctl import threadpool_limits
 
-    from stepgap.cli.progress import shown_count
-    from stepgap.experiment.fit import best_residual, choose_folds, describe_lesson, fit_report, read_lesson, verdicts
-    from stepgap.experiment.fit import show_validation as show
+    from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.fit import choose_folds, describe_lesson, read_lesson, show_validation, verdicts
     from stepgap.learning.residual_fit import names_without_features
     from stepgap.learning.validation import validate
     from stepgap.records.columns import read_columns
-    from stepgap.report.fit import PICTURE_FORMATS, fit_picture
 
     if not log:
         raise InputError("LOG: none given; give folders of runs, or CSV files and what their columns hold")
-    for option, file in (("--out", out), ("--plot", plot), ("--save", save)):
-        if file:
-            check_new(file, option)
-    form = plot.suffix[1:].lower() if plot else ""
-    if plot and form not in PICTURE_FORMATS:
-        raise InputError(f"{plot}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
-    given = {"state": state, "next": next_state, "command": command, "target": target, "predicted": predicted}
-    given |= {"deployment": deployment, "step": step}
-    mapping = read_columns(columns, {name: text for name, text in given.items() if text is not None})
-    lesson = read_lesson(log, mapping, nominal, experiment, overrides or [])
+    results.check()
+    lesson = read_lesson(log, read_columns(columns, names.given()), nominal, experiment, overrides or [])
     parts = choose_folds(lesson.steps, folds)
     print(describe_lesson(lesson, parts), flush=True)
-    with threadpool_limits(limits=1, user_api="blas"), shown_count("fits") as tell:
-        validation = validate(names_without_features(), lesson.steps, parts, tell)
-    show(lesson.steps.space.state, validation, sys.stdout)
+    with threadpool_limits(limits=1, user_api="blas"), progress_bar("fits") as progress:
+        validation = validate(names_without_features(), lesson.steps, parts, progress)
+    show_validation(lesson.steps.space.state, validation, sys.stdout)
     print(verdicts(lesson.steps.space.state, validation))
-    if out:
-        write_new(out, "--out", json.dumps(fit_report(log, lesson, validation), indent=1))
-    if plot:
-        write_new(plot, "--plot", fit_picture(lesson.steps.space.state, validation, form))
-    if save:
-        write_new(save, "--save", json.dumps(best_residual(lesson.steps, validation).to_dict()))
+    _write(results, log, lesson, validation)
+
+
+def _write(results: Results, log: tuple[Path, ...], lesson: "Lesson", validation: "Validation") -> None:
+    """Writes the files that were asked for."""
+    from stepgap.experiment.fit import best_residual, fit_report
+    from stepgap.report.fit import fit_picture
+
+    if results.out:
+        write_new(results.out, "--out", json.dumps(fit_report(log, lesson, validation), indent=1))
+    if results.plot:
+        picture = fit_picture(lesson.steps.space.state, validation, _format_of(results.plot))
+        write_new(results.plot, "--plot", picture)
+    if results.save:
+        write_new(results.save, "--save", json.dumps(best_residual(lesson.steps, validation).to_dict()))
+
+
+def _format_of(picture: Path) -> str:
+    return picture.suffix[1:].lower()

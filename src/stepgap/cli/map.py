@@ -1,72 +1,30 @@
-"""The verbs that ask the model: its gaits, its map."""
+"""The verb `stepgap map`."""
 
-import re
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, free_name, writing
-from stepgap.base.settings_file import InputError
-from stepgap.cli.app import Overrides, says_if_it_compiles
+from stepgap.cli.options import Integer, Overrides
+from stepgap.cli.terminal import announces_compilation
 
-if TYPE_CHECKING:
-    from stepgap.step import StepMap
+if TYPE_CHECKING:  # what takes time to import is imported where it is used
+    from stepgap.control.command_table import CommandTable, TableError
+    from stepgap.experiment.settings import Experiment
+    from stepgap.step import Array, Quantity, StepMap, StepSpace
 
-POINT = {"speed": 0.2, "height": 0.58, "fx": 0.0, "fy": 0.0}
-"""The step that `map` takes if none is given, SI units."""
-MOST_POINTS = 50
-"""A table has the fourth power of this many commands."""
+DEFAULT_POINT = {"speed": 0.2, "height": 0.58, "fx": 0.0, "fy": 0.0}
+"""Apex and command of the step that is evaluated by default; SI units."""
 
-
-@says_if_it_compiles
-def gait(
-    experiment: Path | None = None,
-    /,
-    *,
-    speed: float = 0.2,
-    height: float = 0.58,
-    out: Path | None = None,
-    overrides: Overrides = None,
-) -> None:
-    """Find the limit cycle of the nominal map at a speed and height, and what one step can reach from it.
-
-    Args:
-        experiment: TOML file of settings.
-        speed: Forward speed at the apex [m/s]; without it 0.2.
-        height: Height of the apex [m]; without it 0.58.
-        out: Picture to save; without it gait.png or the next free name.
-    """
-    from stepgap.control.limit_cycle import fixed_point, reachable_set
-    from stepgap.experiment.settings import read_experiment
-    from stepgap.report.gait import describe_gait, gait_figure
-    from stepgap.robots.hopper.apex_map import ApexMap
-    from stepgap.step import StepFailed
-
-    if not (isfinite(speed) and isfinite(height)):
-        raise InputError(f"--speed {speed} --height {height}: both must be finite numbers")
-    settings = read_experiment(experiment, overrides or [])
-    if out and out.exists():
-        raise InputError(f"{out}: exists already; choose another --out")
-    nominal = ApexMap(settings.robot, settings.gains, settings.command)
-    try:
-        point = fixed_point(nominal, [speed, height])
-    except StepFailed as error:
-        raise InputError(
-            f"--speed {speed:g} --height {height:g}: no command makes a step from there ({error})"
-        ) from None
-    reachable = reachable_set(nominal, point.state)
-    figure = gait_figure(nominal.space, point, reachable)
-    picture = out or free_name(Path("gait.png"))
-    formats = figure.canvas.get_supported_filetypes()
-    if picture.suffix[1:].lower() not in formats:
-        raise InputError(f"{picture}: the name must end with one of .{', .'.join(formats)}")
-    with writing(picture, "--out"):
-        figure.savefig(picture, dpi=150)
-    print(describe_gait(nominal.space, point, reachable))
-    print(picture)
+DEFAULT_GRID = 15
+"""Grid points along each axis of a table; it has the fourth power of this many commands."""
 
 
-@says_if_it_compiles
+@announces_compilation
 def map_(
     experiment: Path | None = None,
     /,
@@ -78,7 +36,7 @@ def map_(
     csv: Path | None = None,
     out: Path | None = None,
     table: Path | None = None,
-    points: str | None = None,
+    points: Annotated[Integer | None, Parameter(validator=Number(gte=2, lte=50))] = None,
     tick: float | None = None,
     overrides: Overrides = None,
 ) -> None:
@@ -86,51 +44,53 @@ def map_(
 
     Args:
         experiment: TOML file of settings.
-        speed: Forward speed at the apex [m/s]; without it 0.2.
-        height: Height of the apex [m]; without it 0.58.
-        fx: Forward command force [N]; without it 0.
-        fy: Upward command force [N]; without it 0.
-        csv: File with the columns speed, height, fx, fy; evaluate all its rows.
-        out: File for their next apexes; without it they are printed.
-        table: File for a table of the step controller's commands, to be built and measured.
-        points: Grid points along each axis of the table, a whole number; without it 15.
-        tick: Time for which torques are held, as on a robot [s], such as 0.001; without it they act continuously.
+        speed: Forward speed at the apex [m/s]. [default: 0.2]
+        height: Height of the apex [m]. [default: 0.58]
+        fx: Forward command force [N]. [default: 0]
+        fy: Upward command force [N]. [default: 0]
+        csv: File with the columns speed, height, fx, fy; all its rows are evaluated.
+        out: New file for their next apexes. [default: they are printed]
+        table: New file for a table of the step controller's commands, which is computed and measured.
+        points: Grid points along each axis of the table, 2 to 50. [default: 15]
+        tick: Time for which torques are held, as on a robot [s], such as 0.001. [default: torques act continuously]
     """
     from stepgap.experiment.settings import read_experiment
-    from stepgap.robots.hopper.apex_map import ApexMap
-    from stepgap.robots.hopper.sampled_map import SampledApexMap
 
-    single = {"speed": speed, "height": height, "fx": fx, "fy": fy}
-    ways = {
-        "--csv": csv is not None,
-        "--table": table is not None,
-        "--speed, --height, --fx, --fy": any(value is not None for value in single.values()),
-    }
-    if sum(ways.values()) > 1:
-        raise InputError(f"{' and '.join(name for name, given in ways.items() if given)}: give only one of them")
+    given = {"speed": speed, "height": height, "fx": fx, "fy": fy}
+    given = {name: value for name, value in given.items() if value is not None}
+    ways = {"--csv": csv, "--table": table, "--speed, --height, --fx, --fy": given or None}
+    chosen = [name for name, value in ways.items() if value is not None]
+    if len(chosen) > 1:
+        raise InputError(f"{' and '.join(chosen)}: give only one of them")
     if out and not csv:
-        raise InputError("--out: goes with --csv; one point is printed")
-    count = 15 if points is None else int(points) if re.fullmatch("[0-9]{1,3}", points) else 0
-    if points is not None and (not table or not 2 <= count <= MOST_POINTS):
-        raise InputError(f"--points {points}: goes with --table, a whole number between 2 and {MOST_POINTS}")
+        raise InputError("--out: valid only with --csv; the result of one point is printed")
+    if points is not None and not table:
+        raise InputError(f"--points {points}: valid only with --table")
     settings = read_experiment(experiment, overrides or [])
-    nominal = ApexMap(settings.robot, settings.gains, settings.command)
-    if tick is not None:
-        try:
-            nominal = SampledApexMap(settings.robot, settings.gains, settings.command, tick)
-        except ValueError as error:
-            raise InputError(f"--tick: {error}") from None
+    nominal = _nominal(settings, tick)
     if csv:
         _map_rows(nominal, csv, out)
     elif table:
-        _map_table(nominal, table, count, settings.seed)
+        _map_table(nominal, table, points or DEFAULT_GRID, settings.seed)
     else:
-        _map_point(nominal, {name: POINT[name] if value is None else value for name, value in single.items()})
+        _map_point(nominal, {**DEFAULT_POINT, **given})
+
+
+def _nominal(settings: "Experiment", tick: float | None) -> "StepMap":
+    """The nominal map, with torques held for a tick if one is given."""
+    from stepgap.robots.hopper.apex_map import ApexMap
+    from stepgap.robots.hopper.sampled_map import SampledApexMap
+
+    if tick is None:
+        return ApexMap(settings.robot, settings.gains, settings.command)
+    try:
+        return SampledApexMap(settings.robot, settings.gains, settings.command, tick)
+    except ValueError as error:
+        raise InputError(f"--tick: {error}") from None
 
 
 def _map_point(nominal: "StepMap", point: dict[str, float]) -> None:
     """Prints the next apex of one step and its derivatives."""
-    from stepgap.cli.map_points import describe_step
     from stepgap.step import StepFailed
 
     given = " ".join(f"--{name} {value:g}" for name, value in point.items())
@@ -146,7 +106,7 @@ def _map_point(nominal: "StepMap", point: dict[str, float]) -> None:
 
 def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     """Evaluates the rows of a CSV file."""
-    from stepgap.cli.map_points import outcome_rows, read_points
+    from stepgap.control.points_file import outcome_rows, read_points
 
     if out:
         check_new(out, "--out")
@@ -165,17 +125,16 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
 
 
 def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
-    """Builds a table of commands, measures what interpolation costs, and saves it."""
+    """Computes a table of commands, measures the error of interpolation, and saves it."""
     import numpy as np
 
-    from stepgap.cli.map_points import describe_table
-    from stepgap.cli.progress import shown_count
+    from stepgap.cli.progress import progress_bar
     from stepgap.control.command_table import build_table, measure_table
     from stepgap.control.command_table_file import write_table
 
     check_new(file, "--table")
-    with shown_count("commands") as tell:
-        table = build_table(nominal, points, tell)
+    with progress_bar("commands") as progress:
+        table = build_table(nominal, points, progress)
     file = free_name(file)  # another process may have taken the name by now
     with writing(file, "--table"):
         write_table(file, table)
@@ -184,3 +143,33 @@ def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
     except ValueError as error:
         print(error)
     print(file)
+
+
+def describe_step(space: "StepSpace", next_state: "Array", jacobian: "Array") -> str:
+    """The next state and its Jacobian as text."""
+    inputs = (*space.state, *space.command)
+    lines = [f"next state    {_named(space.state, next_state)}", "", "derivative" + " " * 14]
+    lines[-1] += "".join(f"{f'by {q.name} [{q.unit}]':>18}" for q in inputs)
+    for quantity, row in zip(space.state, jacobian, strict=True):
+        lines.append(f"{f'of next {quantity.name} [{quantity.unit}]':24}" + "".join(f"{value:18.6g}" for value in row))
+    return "\n".join(lines)
+
+
+def describe_table(table: "CommandTable", error: "TableError") -> str:
+    """The size of a table and the error of interpolation in it, as text."""
+    space = table.space
+    return "\n".join(
+        [
+            f"{table.reached.size} commands, {table.reached.mean():.0%} of them reach their target",
+            f"interpolated, on {error.samples} random points between nodes within reach:",
+            f"  worst error of the command       {_named(space.command, error.worst_command, '.2g')}",
+            f"  worst error of the next state    {_named(space.state, error.worst_state, '.2g')}",
+            f"  median error of the next state   {_named(space.state, error.median_state, '.2g')}",
+            f"on {error.border_samples} at the border of reach:",
+            f"  worst error of the next state    {_named(space.state, error.border_state, '.2g')}",
+        ]
+    )
+
+
+def _named(quantities: "tuple[Quantity, ...]", values: "Array", form: str = ".6f") -> str:
+    return ", ".join(f"{q.name} {value:{form}} {q.unit}" for q, value in zip(quantities, values, strict=True))

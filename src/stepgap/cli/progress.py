@@ -1,4 +1,4 @@
-"""What a run shows on the terminal while it goes on, to people or to programs."""
+"""Progress of a run on the terminal for people, and as JSON lines for programs."""
 
 import json
 import math
@@ -8,8 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bars
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from stepgap.experiment.loop import Observer
 from stepgap.learning.step_log import LoggedStep
@@ -19,29 +18,29 @@ from stepgap.step import StepSpace, StepStatus
 
 
 @contextmanager
-def shown_count(description: str, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
-    """A bar on a terminal, elsewhere nothing; gives the function to tell of how many of how many are done."""
+def progress_bar(description: str, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """Shows a bar on a terminal, elsewhere nothing; gives the callback for the numbers done and in total."""
     console = Console(stderr=True, highlight=False)
     columns = TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn()
-    with Bars(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bars:
+    with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bars:
         task = bars.add_task(description, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
 
-class Progress:
-    """A bar per deployment with its error so far on a terminal; elsewhere a plain line per deployment.
+class RunProgress:
+    """Shows a bar per deployment with its error so far on a terminal, elsewhere a plain line per deployment.
 
     Args:
         space: Names and units of the state.
-        steps: Steps of a deployment.
-        iterations: Redeployments at most.
-        quiet: Show nothing.
+        steps: Number of steps in a deployment.
+        iterations: Largest number of redeployments.
+        quiet: Whether to show nothing.
     """
 
     def __init__(self, space: StepSpace, steps: int, iterations: int, quiet: bool = False):
         self._space, self._steps, self._iterations, self._quiet = space, steps, iterations, quiet
         self._console = Console(stderr=True, highlight=False)
-        self._bars = Bars(
+        self._bars = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=30),
             MofNCompleteColumn(),
@@ -57,7 +56,7 @@ class Progress:
 
     @property
     def observer(self) -> Observer:
-        """To be told of steps and deployments."""
+        """The observer whose calls move the bar."""
         return Observer(self._on_step, self._on_deployment, self._on_fault)
 
     def __enter__(self) -> Self:
@@ -93,9 +92,9 @@ class Progress:
                 soft_wrap=True,  # where it is no terminal, a line stays a line
             )
 
-    def _on_fault(self, words: str) -> None:
+    def _on_fault(self, message: str) -> None:
         if not self._quiet:
-            self._console.print(f"it ended before its time: {words}", soft_wrap=True, style="bold")
+            self._console.print(f"deployment aborted: {message}", soft_wrap=True, style="bold")
 
     def _describe(self, rmse: np.ndarray) -> str:
         return ", ".join(
@@ -104,27 +103,27 @@ class Progress:
         )
 
 
-def tell_event(event: str, **what: Any) -> None:
+def print_event(event: str, **values: Any) -> None:
     """Prints one JSON object as a line, at once; a number that is not finite becomes null."""
-    known = {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in what.items()
+    finite = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in values.items()
     }
-    print(json.dumps({"event": event, **known}, allow_nan=False), flush=True)
+    print(json.dumps({"event": event, **finite}, allow_nan=False), flush=True)
 
 
-def telling_events(observer: Observer, space: StepSpace) -> Observer:
-    """An observer that also prints a line of JSON for every step, deployment and fault, for programs."""
+def printing_events(observer: Observer, space: StepSpace) -> Observer:
+    """An observer that also prints a JSON line for every step, deployment and fault, for programs."""
 
     def on_step(logged: LoggedStep) -> None:
-        tell_event("step", **values_of(logged, space))
+        print_event("step", **values_of(logged, space))
         observer.on_step(logged)
 
     def on_deployment(deployment: Deployment) -> None:
-        tell_event("deployment", **deployment_entry(deployment, space.state_names))
+        print_event("deployment", **deployment_entry(deployment, space.state_names))
         observer.on_deployment(deployment)
 
-    def on_fault(words: str) -> None:
-        tell_event("fault", words=words)
-        observer.on_fault(words)
+    def on_fault(message: str) -> None:
+        print_event("fault", message=message)
+        observer.on_fault(message)
 
     return Observer(on_step, on_deployment, on_fault)

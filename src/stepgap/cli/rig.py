@@ -8,26 +8,24 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from stepgap.base.settings_file import InputError
-from stepgap.cli.app import DEBUG_HELP, Overrides, Program, says_if_it_compiles
+from stepgap.base.errors import InputError
+from stepgap.cli.options import Flag, Overrides, Program, add_verb
+from stepgap.cli.terminal import announces_compilation
 
 ETHERCAT = "ethercat"
 """Name of the rig that `rig.toml` describes."""
 
-LONGEST = 86_400.0
-"""Of what is measured or shown [s]."""
-
-rig = App(name="rig", help="Bring up a robot, on EtherCAT or by the name of its rig, or try without one.")
+LONGEST_DURATION = 86_400.0
+"""Longest duration of a measurement or display [s]."""
 
 
-@rig.command(help_epilogue=DEBUG_HELP)
 def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds: float = 10.0) -> None:
-    """Measure how late this machine is and how well the bus works, no torque given; exit code 1 if it is not fit.
+    """Measure the timing of this machine and of the bus, without torque; exit code 1 if it is not good enough.
 
     Args:
-        rig_file: rig.toml of the robot, and the result is written beside it; without it only the machine is measured.
-        plant: Name of its rig; without it ethercat.
-        seconds: How long; without it 10.
+        rig_file: rig.toml of the robot; the result is written beside it. [default: only the machine is measured]
+        plant: Name of its rig. [default: ethercat]
+        seconds: Duration [s].
     """
     from functools import partial
 
@@ -43,7 +41,7 @@ def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds:
 
     _check_seconds(seconds)
     if plant and rig_file is None:
-        raise InputError(f"--plant {plant}: goes with RIG_FILE, the file that describes the rig")
+        raise InputError(f"--plant {plant}: valid only with RIG_FILE, the file that describes the rig")
     frames, robot = FrameCount(), RobotParameters()
     control = HopperControl(robot, Gains(), CommandBounds())
     if rig_file is None:
@@ -68,8 +66,7 @@ def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds:
         sys.exit(1)
 
 
-@rig.command
-@says_if_it_compiles
+@announces_compilation
 def calibrate(
     rig_file: Path,
     /,
@@ -81,15 +78,15 @@ def calibrate(
     experiment: Path | None = None,
     overrides: Overrides = None,
 ) -> None:
-    """Find the zeros of all sensors on EtherCAT: the limp robot in a known pose, boom at yaw zero, foot without load.
+    """Find the zeros of all sensors on EtherCAT: with the limp robot in a known pose, yaw zero, foot unloaded.
 
     Args:
         rig_file: rig.toml of the bus.
-        alpha_1: Lean of the leg in the pose, forward positive [rad]; without it 0, straight down.
-        leg_length: Of the leg in the pose, from the hip to the joint of the bottom links [m], as a jig sets it.
-        height: Of the hip above the ground in the pose [m].
-        out: File for the settings with the new zeros; without it RIG.calibrated.toml.
-        experiment: TOML file of settings, whose [robot] it is.
+        alpha_1: Leg angle in the pose, forward positive, 0 straight down [rad].
+        leg_length: Length of the leg in the pose, from the hip to the joint of the bottom links [m], as a jig sets it.
+        height: Height of the hip above the ground in the pose [m].
+        out: New file for the settings with the new zeros. [default: RIG.calibrated.toml]
+        experiment: TOML file of settings, of which [robot] is used.
     """
     from functools import partial
 
@@ -101,7 +98,7 @@ def calibrate(
     from stepgap.robots.hopper.hop_control import HopperControl
 
     if leg_length is None or height is None:
-        raise InputError("--leg-length and --height: give both, as measured; nothing else would be right")
+        raise InputError("--leg-length and --height: give both, as measured; they have no default")
     pose, target = verb.Pose(alpha_1, leg_length, height), out or rig_file.with_suffix(".calibrated.toml")
     verb.check_pose(pose)
     given, settings = read_experiment(experiment, overrides or []), read_rig_settings(rig_file)
@@ -121,8 +118,7 @@ def calibrate(
     print(target)
 
 
-@rig.command(name="dry-run")
-@says_if_it_compiles
+@announces_compilation
 def dry_run_(
     rig_file: Path,
     /,
@@ -132,13 +128,13 @@ def dry_run_(
     experiment: Path | None = None,
     overrides: Overrides = None,
 ) -> None:
-    """Do everything but give torque: show what the sensors say and what the control law would want.
+    """Do everything except apply torque: show the sensors and the torques that the control law would command.
 
     Args:
         rig_file: rig.toml of the robot.
-        plant: Name of its rig; without it ethercat.
-        seconds: How long; without it until Ctrl-C.
-        experiment: TOML file of settings, whose [robot] and [gains] are taken.
+        plant: Name of its rig.
+        seconds: Duration [s]. [default: until Ctrl-C]
+        experiment: TOML file of settings, of which [robot] and [gains] are used.
     """
     from functools import partial
 
@@ -154,52 +150,58 @@ def dry_run_(
     dry_run(partial(load_rig, plant, rig_file, settings.robot), control, seconds)
 
 
-@rig.command
 def emulate(
     experiment: Path | None = None,
     /,
     *words: Annotated[str, Parameter(allow_leading_hyphen=True, show=False)],
     interface: str = "stepgap0",
-    lock_step: bool = False,
+    lock_step: Flag = False,
     hold: float = 5.0,
     settings: Path = Path("emulated.toml"),
     program: Program = None,
     overrides: Overrides = None,
 ) -> None:
-    """Emulate a bus with the twin as the robot on it, until Ctrl-C, or while a COMMAND given after -- runs.
+    """Emulate a bus with the twin as its robot, until Ctrl-C, or while the COMMAND given after -- is running.
 
     Args:
         experiment: TOML file of settings, whose [robot] and [gap] are the twin's.
-        words: None; a command goes after --.
-        interface: Name of the network interface that a master opens; without it stepgap0.
-        lock_step: Let time go on with every frame; without it, by the clock.
-        hold: How long the twin is held in the air when its drives have been enabled [s]; without it 5.
-        settings: File for the rig.toml that fits it; without it emulated.toml.
+        words: Not allowed; a command is written after --.
+        interface: Name of the network interface that a master opens.
+        lock_step: Advance time by one tick with every frame. [default: time follows the clock]
+        hold: Time for which the twin is held in the air after its drives have been enabled [s].
+        settings: File for the rig.toml of this bus.
     """
     if words:
         _refuse_words(experiment, words)
-    from stepgap.cli.emulate import emulate as verb
+    from stepgap.cli.emulate import emulate_ring
     from stepgap.experiment.settings import read_experiment
     from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 
-    if not (isfinite(hold) and 0 <= hold <= LONGEST):
-        raise InputError(f"--hold {hold:g}: it must lie between 0 and {LONGEST:g}")
+    if not (isfinite(hold) and 0 <= hold <= LONGEST_DURATION):
+        raise InputError(f"--hold {hold:g}: it must lie between 0 and {LONGEST_DURATION:g}")
     ring = RingSettings(lock_step=lock_step)
-    code = verb(read_experiment(experiment, overrides or []), ring, interface, hold, settings, program or [])
+    code = emulate_ring(read_experiment(experiment, overrides or []), ring, interface, hold, settings, program or [])
     if code:
         sys.exit(code)
 
 
 def _refuse_words(experiment: Path | None, words: tuple[str, ...]) -> None:
-    """Says how a command is written, which is what words too many most likely are."""
+    """Raises InputError that says how a command is written, since surplus words most likely are a command."""
     of_command = experiment and experiment.suffix != ".toml"
     before, command = ([], [str(experiment), *words]) if of_command else ([str(experiment)] * bool(experiment), words)
     if command[0].startswith("-"):
-        raise InputError(f"{command[0]}: no option of rig emulate; what belongs to a command goes with it after --")
+        raise InputError(f"{command[0]}: not an option of rig emulate; options of a command follow it after --")
     typed = shlex.join(["stepgap", "rig", "emulate", *before, "--", *command])
     raise InputError(f"{command[0]}: a command goes after --; type `{typed}`, options of rig emulate before the --")
 
 
 def _check_seconds(seconds: float) -> None:
-    if not (isfinite(seconds) and 0.1 <= seconds <= LONGEST):
-        raise InputError(f"--seconds {seconds:g}: it must lie between 0.1 and {LONGEST:g}")
+    if not (isfinite(seconds) and 0.1 <= seconds <= LONGEST_DURATION):
+        raise InputError(f"--seconds {seconds:g}: it must lie between 0.1 and {LONGEST_DURATION:g}")
+
+
+rig = App(name="rig", help="Bring up a robot, on EtherCAT or by the name of its rig, or practise on an emulated one.")
+add_verb(rig, "check", check)
+add_verb(rig, "calibrate", calibrate)
+add_verb(rig, "dry-run", dry_run_)
+add_verb(rig, "emulate", emulate)

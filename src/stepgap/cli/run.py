@@ -1,180 +1,229 @@
-"""The verbs that run an experiment and make its report."""
+"""The verb `stepgap run`."""
 
-import json
+import json as json_format
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, NamedTuple
 
-from cyclopts import Parameter, validators
+from cyclopts import Parameter
 
+from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
-from stepgap.base.settings_file import InputError
-from stepgap.cli.app import Overrides, say, says_if_it_compiles
+from stepgap.cli.options import Flag, Integer, Overrides, Port
+from stepgap.cli.terminal import announces_compilation, warn
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what takes time to import is imported where it is used
+    from stepgap.control.reference import Reference
+    from stepgap.experiment.plants import Plants
+    from stepgap.experiment.settings import Experiment
+    from stepgap.experiment.tick_recorder import TickRecorder
+    from stepgap.learning.step_log import StepLog
     from stepgap.report import WrittenReport
+    from stepgap.robots.hopper.apex_map import ApexMap
     from stepgap.robots.hopper.tick import Tick
     from stepgap.view.live import LiveView
 
 
-@says_if_it_compiles
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Shorthand:
+    """Settings of an experiment that have an option of their own.
+
+    Attributes:
+        reference: CSV file of targets, one row per step. [default: the reference of the paper]
+        plant: Plant that hops: twin, emulated-ring (the twin on an EtherCAT bus in software), or a rig, such as
+            ethercat. [default: twin]
+        rig: File that describes the rig, such as rig.toml.
+        seed: Random seed. [default: 0]
+        iterations: Largest number of redeployments. [default: 4]
+        calibrate: Number of exploratory hops before the first deployment. [default: 0]
+        online: Learn after every hop, from the first one on.
+        warm_start: Folder of an earlier run, whose steps are learned from before the first deployment.
+    """
+
+    reference: str | None = None
+    plant: str | None = None
+    rig: str | None = None
+    seed: Integer | None = None
+    iterations: Integer | None = None
+    calibrate: Integer | None = None
+    online: Flag = False
+    warm_start: str | None = None
+
+    def overrides(self) -> list[tuple[str, str]]:
+        """The settings that were given, as dotted name and TOML value."""
+        texts = {"reference": self.reference, "plant": self.plant, "rig": self.rig, "warm_start": self.warm_start}
+        numbers = {
+            "seed": self.seed,
+            "learning.iterations": self.iterations,
+            "learning.calibration": self.calibrate,
+        }
+        return [
+            *((name, json_format.dumps(text, ensure_ascii=False)) for name, text in texts.items() if text is not None),
+            *((name, str(number)) for name, number in numbers.items() if number is not None),
+            *([("learning.online", "true")] if self.online else []),
+        ]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Display:
+    """What a run shows while it is running.
+
+    Attributes:
+        quiet: Print only the path of the report.
+        view: Show the run in the browser while it is running, and afterwards until Ctrl-C.
+        host: Address to serve the page of --view on. [default: 127.0.0.1, which only this machine can open]
+        port: TCP port of the page of --view. [default: the first free one from 8080 on]
+        json: Print JSON lines on stdout, for programs: one for every step and deployment, the report's path last.
+    """
+
+    quiet: Flag = False
+    view: Flag = False
+    host: str | None = None
+    port: Port | None = None
+    json: Flag = False
+
+
+class Prepared(NamedTuple):
+    """An experiment that is ready to run."""
+
+    folder: Path
+    settings: "Experiment"
+    nominal: "ApexMap"
+    reference: "Reference"
+    known: "StepLog"
+
+
+NO_SHORTHAND, NORMAL = Shorthand(), Display()
+
+
+@announces_compilation
 def run(
     experiment: Path | None = None,
     /,
     *,
     out: Path | None = None,
-    reference: str | None = None,
-    plant: str | None = None,
-    rig: str | None = None,
-    arm: bool = False,
-    seed: str | None = None,
-    iterations: str | None = None,
-    calibrate: str | None = None,
-    online: bool = False,
-    warm_start: str | None = None,
-    resume: bool = False,
-    quiet: bool = False,
-    view: bool = False,
-    host: str | None = None,
-    port: Annotated[int | None, Parameter(validator=validators.Number(gte=1, lt=2**16))] = None,
-    json: bool = False,
+    shorthand: Shorthand = NO_SHORTHAND,
+    arm: Flag = False,
+    resume: Flag = False,
+    display: Display = NORMAL,
     overrides: Overrides = None,
 ) -> None:
-    """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. Without more, on the twin.
+    """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. On the twin, unless a plant is given.
 
     Args:
-        experiment: TOML file of settings; without one, the paper's experiment.
-        out: Folder for the results; without it a new one under runs/.
-        reference: CSV file of targets, one row per step; without it, the paper's.
-        plant: What hops: twin, emulated-ring (the twin on an EtherCAT bus in software), or a rig such as ethercat.
-        rig: File that describes the rig, such as rig.toml.
-        arm: Give the rig torque; `stepgap rig check` must have passed.
-        seed: Of all randomness, a whole number.
-        iterations: Redeployments at most.
-        calibrate: Hops before the first deployment whose commands are chosen for what they teach.
-        online: Learn from hop to hop, from the first one on.
-        warm_start: Folder of a run whose steps are learnt from before the first deployment.
-        resume: Go on with the run in --out that was broken off.
-        quiet: Print nothing but the report's path.
-        view: Show it in the browser while it goes on, and until Ctrl-C when it is over.
-        host: Address that --view is served on; without it, only this machine sees it.
-        port: Of --view; without it the first free one from 8080 on.
-        json: Print lines of JSON on stdout, for programs: one for every step and deployment, the report's path at last.
+        experiment: TOML file of settings. [default: the experiment of the paper]
+        out: New folder for the results. [default: a new one in runs/]
+        arm: Let the rig apply torque; `stepgap rig check` must have passed.
+        resume: Resume the interrupted run in --out.
     """
     from stepgap.base.signals import terminated_as_interrupted
-    from stepgap.cli.progress import Progress, shown_count, telling_events
-    from stepgap.cli.run_report import TICKS_PER_FRAME, report_run
-    from stepgap.experiment.loop import run as run_experiment
-    from stepgap.experiment.plants import choose_plants
-    from stepgap.experiment.run_start import check_reach, dated_folder, folder_to_resume, start_folder
-    from stepgap.experiment.settings import load_known, load_reference, read_experiment
+    from stepgap.cli.run_report import TICKS_PER_FRAME
+    from stepgap.experiment.run_start import start_folder
     from stepgap.experiment.tick_recorder import TickRecorder
-    from stepgap.robots.hopper.apex_map import ApexMap
     from stepgap.view.live import LiveView
 
-    if not view and (host or port):
+    if not display.view and (display.host or display.port):
         raise InputError("--host, --port: of the page that --view shows; give --view, too")
-    shorthand = [
-        ("reference", _quoted(reference)),
-        ("plant", _quoted(plant)),
-        ("rig", _quoted(rig)),
-        ("warm_start", _quoted(warm_start)),
-        ("seed", seed),
-        ("learning.iterations", iterations),
-        ("learning.calibration", calibrate),
-        ("learning.online", "true" if online else None),
-    ]
-    changes = [*(overrides or []), *((name, value) for name, value in shorthand if value is not None)]
+    ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume)
+    live = LiveView(ready.folder, display.host or "127.0.0.1", display.port) if display.view else None
+    recorder = TickRecorder(TICKS_PER_FRAME)
+    plants = _choose_plants(ready, arm, recorder, live)
+    if not resume:
+        start_folder(ready.folder, ready.settings, ready.reference, ready.known)
+    try:
+        with terminated_as_interrupted(), live or nullcontext():
+            _execute(ready, plants, recorder, live, display)
+            _finish(_report(ready.folder, recorder, display), live, display)
+    except KeyboardInterrupt:
+        again = f"stepgap run --out {shlex.quote(str(ready.folder))} --resume{' --arm' if arm else ''}"
+        raise KeyboardInterrupt(f"; resume with: {again}") from None
+
+
+def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]], resume: bool) -> Prepared:
+    """Reads all that a run needs, and checks that the nominal map can track the reference; writes nothing."""
+    from stepgap.experiment.run_start import check_reach, dated_folder, folder_to_resume
+    from stepgap.experiment.settings import load_known, load_reference, read_experiment
+    from stepgap.robots.hopper.apex_map import ApexMap
+
     folder = folder_to_resume(experiment, out, changes) if resume else out or free_name(dated_folder())
     settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)
     nominal = ApexMap(settings.robot, settings.gains, settings.command)
-    targets = load_reference(settings, nominal.space)
-    check_reach(nominal, targets, settings.reference)
-    known = load_known(settings, nominal.space)
-    live = LiveView(folder, host or "127.0.0.1", port) if view else None
-    recorder = TickRecorder(TICKS_PER_FRAME)
+    reference = load_reference(settings, nominal.space)
+    check_reach(nominal, reference, settings.reference)
+    return Prepared(folder, settings, nominal, reference, load_known(settings, nominal.space))
+
+
+def _choose_plants(ready: Prepared, arm: bool, recorder: "TickRecorder", live: "LiveView | None") -> "Plants":
+    """The plants of the settings, whose ticks go to the recorder and to the live page."""
+    from stepgap.experiment.plants import choose_plants
+
+    return choose_plants(ready.settings, ready.reference, arm, ready.folder, _all_of(recorder.on_tick, live))
+
+
+def _all_of(record: "Callable[[Tick], None]", live: "LiveView | None") -> "Callable[[Tick], None]":
+    """One function for every tick: it is recorded, and shown if there is a live page."""
+    if live is None:
+        return record
 
     def on_tick(tick: "Tick") -> None:
-        recorder.on_tick(tick)
-        if live:
-            live.on_tick(tick)
+        record(tick)
+        live.on_tick(tick)
 
-    plants = choose_plants(settings, targets, arm, folder, on_tick)
-    if not resume:
-        start_folder(folder, settings, targets, known)
+    return on_tick
+
+
+def _execute(
+    ready: Prepared, plants: "Plants", recorder: "TickRecorder", live: "LiveView | None", display: Display
+) -> None:
+    """Runs the experiment and shows its progress."""
+    from stepgap.cli.progress import RunProgress, printing_events
+    from stepgap.experiment.loop import run_experiment
+
+    space, learning = ready.nominal.space, ready.settings.learning
+    with RunProgress(space, len(ready.reference), learning.iterations, display.quiet) as progress:
+        observer = printing_events(progress.observer, space) if display.json else progress.observer
+        observer = recorder.observing(observer)
+        run_experiment(
+            ready.nominal,
+            plants.make,
+            ready.reference,
+            learning,
+            ready.folder,
+            ready.settings.seed,
+            live.observing(observer) if live else observer,
+            plants.measure_noise_floor,
+            plants.replays,
+            ready.known,
+        )
+
+
+def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "WrittenReport":
+    """Writes the report."""
+    from stepgap.cli.progress import progress_bar
+    from stepgap.cli.run_report import report_run
+
+    with progress_bar("replay", display.quiet) as progress:
+        return report_run(folder, progress, recorder.kept)
+
+
+def _finish(report: "WrittenReport", live: "LiveView | None", display: Display) -> None:
+    """Prints where the report is, and keeps the live page until Ctrl-C, which by now can stop nothing else."""
+    from stepgap.cli.progress import print_event
+
     try:
-        with terminated_as_interrupted(), live or nullcontext():
-            with Progress(nominal.space, len(targets), settings.learning.iterations, quiet) as progress:
-                observer = telling_events(progress.observer, nominal.space) if json else progress.observer
-                observer = recorder.observing(observer)
-                run_experiment(
-                    nominal,
-                    plants.make,
-                    targets,
-                    settings.learning,
-                    folder,
-                    settings.seed,
-                    live.observing(observer) if live else observer,
-                    plants.measure_noise_floor,
-                    plants.replays,
-                    known,
-                )
-            with shown_count("replay", quiet) as tell:
-                written = report_run(folder, tell, recorder.kept)
-            _tell_and_stay(written, json, quiet, live)
-    except KeyboardInterrupt:
-        again = f"stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}"
-        raise KeyboardInterrupt(f"; go on with: {again}") from None
-
-
-def _tell_and_stay(report: "WrittenReport", json: bool, quiet: bool, live: "LiveView | None") -> None:
-    """Says where the report is, and keeps the live page until Ctrl-C, which by now can only end that."""
-    from stepgap.cli.progress import tell_event
-
-    try:
-        if json:
-            tell_event("report", path=str(report.path))
+        if display.json:
+            print_event("report", path=str(report.path))
         else:
             print(report.path, flush=True)
-        if report.missing and not quiet:
-            _warn_of_missing(report.missing)
+        if report.missing and not display.quiet:
+            warn(f"left out of the report: {'; '.join(report.missing)}")
         if live:
             live.stay()
     except KeyboardInterrupt:
         print(file=sys.stderr)
-
-
-def report(folders: list[Path], /, *, out: Path | None = None) -> None:
-    """Make the report of a run anew; of several runs, a page that compares them.
-
-    Args:
-        folders: Folder of the run, or of each run.
-        out: HTML file of a comparison; without it comparison.html beside the first run, or the next free name.
-    """
-    from stepgap.cli.progress import shown_count
-    from stepgap.cli.run_report import compare_runs, report_run
-
-    if len(folders) > 1:
-        page = out or free_name(folders[0].resolve().parent / "comparison.html")
-        compare_runs(folders, page)
-    elif out:
-        raise InputError("--out: goes with several runs; the report of one lies in its folder")
-    else:
-        with shown_count("replay") as tell:
-            page, missing = report_run(folders[0], tell)
-        if missing:
-            _warn_of_missing(missing)
-    print(page)
-
-
-def _warn_of_missing(parts: Sequence[str]) -> None:
-    """Lists on stderr what a report does without."""
-    say(f"left out of the report: {'; '.join(parts)}")
-
-
-def _quoted(text: str | None) -> str | None:
-    """The TOML of a text."""
-    return None if text is None else json.dumps(text, ensure_ascii=False)

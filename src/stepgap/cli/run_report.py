@@ -4,10 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from stepgap.base.output_files import check_new, words_of, writing
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.output_files import check_new, writing
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import logged_ticks, replay, sensor_model_of
-from stepgap.experiment.settings import TWIN, Experiment, InputError, read_experiment
+from stepgap.experiment.settings import TWIN, Experiment, read_experiment
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
@@ -41,7 +42,7 @@ def report_run(
         record = read_run_folder(folder)
         return write_report(record, _context(record, progress, recorded or {}))
     except (ValueError, OSError) as error:
-        raise InputError(words_of(error)) from None
+        raise InputError(message_of(error)) from None
 
 
 def compare_runs(folders: Sequence[Path], page: Path) -> None:
@@ -60,7 +61,7 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
     try:
         text = comparison_html([read_run_folder(folder) for folder in folders])
     except (ValueError, OSError) as error:
-        raise InputError(words_of(error)) from None
+        raise InputError(message_of(error)) from None
     with writing(page, "--out"), page.open("x", encoding="utf-8") as file:
         file.write(text)
 

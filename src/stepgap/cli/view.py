@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from stepgap.base.errors import InputError
+from stepgap.cli.options import Integer, Port
+
 if TYPE_CHECKING:  # what takes time to import is imported where it is used
     from stepgap.plants.ticks.tick_ring import TickRing
 
@@ -15,21 +18,22 @@ def view(
     run: Path,
     /,
     *,
-    deployment: int | None = None,
+    deployment: Integer | None = None,
     host: str = "127.0.0.1",
-    port: int | None = None,
+    port: Port | None = None,
     ring: Annotated[str | None, Parameter(show=False)] = None,
 ) -> None:
-    """Show a run in the browser: the robot in 3-D, targets and apexes step by step, what was learnt. Ctrl-C ends it.
+    """Show a run in the browser, also while it is running: the robot in 3-D, errors, what was learned.
+
+    Ctrl-C stops the server.
 
     Args:
-        run: Folder of a run, also of one that goes on.
-        deployment: Shown first; without it the last.
-        host: Address that the page is served on; without it, only this machine sees it.
-        port: Of the page; without it the first free one from 8080 on.
-        ring: Shared memory with the ticks of the run that started this.
+        run: Folder of a run, finished or still running.
+        deployment: Number of the deployment that is shown first. [default: the last]
+        host: Address to serve the page on; only this machine can open the default.
+        port: TCP port of the page. [default: the first free one from 8080 on]
+        ring: Shared memory with the ticks of the run that started this process.
     """
-    from stepgap.base.settings_file import InputError
     from stepgap.base.signals import terminated_as_interrupted
     from stepgap.view.page import Page
     from stepgap.view.source import Source
@@ -42,7 +46,7 @@ def view(
         stack.callback(source.close)
         if deployment is not None and deployment not in source.iterations:
             known = ", ".join(map(str, source.iterations))
-            raise InputError(f"--deployment {deployment}: the run has none of that number; it has {known}")
+            raise InputError(f"--deployment {deployment}: the run has no deployment of this number; it has {known}")
         server = start_server(host, port)
         page = Page(server, source, deployment, live=ring is not None)
         stack.enter_context(terminated_as_interrupted())
@@ -50,7 +54,6 @@ def view(
 
 
 def _attached(ring: str) -> "TickRing":
-    from stepgap.base.settings_file import InputError
     from stepgap.plants.ticks.tick_ring import TickRing
 
     try:

@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stepgap.base.ranges import require
 from stepgap.control.solve_many import Answers, solve_many
 from stepgap.control.step_controller import StepPlan, as_vector
 from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
@@ -134,8 +135,7 @@ def build_table(step_map: StepMap, points: int = 15, tell: Told = lambda done, t
         points: Points along each of the 2n axes, at least 2.
         tell: Is called after every batch.
     """
-    if points < 2:
-        raise ValueError(f"points = {points}, but it must be at least 2: both ends of each axis")
+    require(points >= 2, "points", points, "be at least 2: both ends of each axis")
     space = step_map.space
     n, m = len(space.state), len(space.command)
     lower = np.array([quantity.lower for quantity in space.state])

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stepgap.base.ranges import require
 from stepgap.control.bounded_search import solve
 from stepgap.control.gauss_newton import REACHED
 from stepgap.control.step_controller import StepController, as_vector
@@ -150,8 +151,7 @@ def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> Rea
         state: Shape (n,).
         samples: Grid points for each command, at least 2.
     """
-    if samples < 2:
-        raise ValueError(f"samples = {samples}, but it must be at least 2: both ends of each command")
+    require(samples >= 2, "samples", samples, "be at least 2: both ends of each command")
     space = step_map.space
     state = as_vector("state", state, len(space.state))
     commands = space.command_grid(samples)

@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from stepgap.experiment.settings import InputError, read_experiment
+from stepgap.base.errors import InputError
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate

@@ -51,7 +51,7 @@ class Observer:
     on_fault: Callable[[str], None] = lambda message: None
 
 
-def run(
+def run_experiment(
     nominal: StepMap,
     make_plant: Callable[[np.random.Generator], Plant],
     reference: Reference,

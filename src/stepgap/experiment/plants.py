@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import MeasureNoiseFloor, deployment_generator
 from stepgap.experiment.noise_floor import measure_noise_floor
-from stepgap.experiment.settings import EMULATED_RING, TWIN, Experiment, InputError
+from stepgap.experiment.settings import EMULATED_RING, TWIN, Experiment
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.process import RealtimeSetup

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
-from stepgap.experiment.settings import Experiment, InputError, read_experiment
+from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks

@@ -7,9 +7,10 @@ from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
+from stepgap.base.errors import InputError
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
-from stepgap.experiment.settings import Experiment, InputError, write_experiment
+from stepgap.experiment.settings import Experiment, write_experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.step import StepFailed, StepMap
 

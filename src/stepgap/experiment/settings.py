@@ -9,16 +9,16 @@ from typing import Any
 
 import tomli_w
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
+from stepgap.base.ranges import format_value, require
 from stepgap.base.settings_file import (
-    LARGEST_FILE,
-    InputError,
-    Place,
+    LARGEST_SETTINGS_FILE,
+    Locate,
     located,
     merge,
     parse_toml,
     read_toml,
-    shown,
     to_table,
     with_table,
 )
@@ -81,8 +81,7 @@ class Experiment:
     gap: RealityGap = field(default_factory=RealityGap)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.seed < 2**63:
-            raise ValueError(f"seed = {shown(self.seed)}, but it must lie between 0 and 2⁶³")
+        require(0 <= self.seed < 2**63, "seed", self.seed, "lie between 0 and 2⁶³")
 
 
 def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()) -> Experiment:
@@ -120,8 +119,8 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
         return paper_reference()
     path, wanted = Path(experiment.reference), f"reference must be '{PAPER}' or a CSV file of targets"
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_FILE} bytes; {wanted}")
+        if path.stat().st_size > LARGEST_SETTINGS_FILE:
+            raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes; {wanted}")
         return read_reference(path, space)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {wanted}") from None
@@ -189,18 +188,18 @@ def _set(table: dict[str, Any], keys: list[str], value: Any) -> None:
     table[keys[-1]] = value
 
 
-def _changed(experiment: Experiment, table: Mapping[str, Any], place: Place) -> Experiment:
+def _changed(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -> Experiment:
     """The experiment with the values of a TOML table; InputError if it is none then."""
-    experiment = merge(*_with_preset(experiment, table, place), place, more=("gap.preset",))
+    experiment = merge(*_with_preset(experiment, table, locate), locate, more=("gap.preset",))
     try:
         experiment.gains.check(experiment.robot)
     except ValueError as error:
-        raise located(error, place, "gains.") from None
+        raise located(error, locate, "gains.") from None
     return experiment
 
 
 def _with_preset(
-    experiment: Experiment, table: Mapping[str, Any], place: Place
+    experiment: Experiment, table: Mapping[str, Any], locate: Locate
 ) -> tuple[Experiment, Mapping[str, Any]]:
     """The experiment with the gap that `[gap] preset` names, and the table without that key."""
     gap = table.get("gap")
@@ -211,6 +210,6 @@ def _with_preset(
         close = get_close_matches(str(name), PRESETS, n=1)
         hint = f"; did you mean '{close[0]}'?" if close else ""
         wanted = " or ".join(f"'{known}'" for known in PRESETS)
-        raise InputError(f"{place('gap.preset')} = {shown(name)}, but it must be {wanted}{hint}")
+        raise InputError(f"{locate('gap.preset')} = {format_value(name)}, but it must be {wanted}{hint}")
     rest = {key: value for key, value in gap.items() if key != "preset"}
     return replace(experiment, gap=PRESETS[name]()), {**table, "gap": rest}

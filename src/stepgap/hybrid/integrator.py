@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.compiled import compiled, generic
-from stepgap.hybrid.motion import between, moved, observe, slopes
+from stepgap.hybrid.motion import axpy, hermite, rate_and_guards, rate_jacobian
 from stepgap.hybrid.rosenbrock import rosenbrock_step
 from stepgap.hybrid.tsitouras import tsitouras_step
 
@@ -27,7 +27,7 @@ BROKEN = -2
 
 MAX_STEPS = 20_000
 MAX_PIECES = 200
-GROWTH = 5.0
+_GROWTH = 5.0
 """By how much a step may be longer than the one before."""
 AIM = 1e-5
 """How well an event is located on the interpolant of a step, relative to the guard's values around it."""
@@ -71,11 +71,11 @@ def rewind(trace):
 
 
 @generic
-def _step(system, time, state, here, slope, h):
+def _step(system, time, state, here, jacobian, h):
     """A step of size h by the method that suits the piece: (end, (rate, guards) there, local error)."""
-    if slope is None:
+    if jacobian is None:
         return tsitouras_step(system, time, state, here, h)
-    return rosenbrock_step(system, time, state, here, slope, h)
+    return rosenbrock_step(system, time, state, here, jacobian, h)
 
 
 @compiled
@@ -112,7 +112,9 @@ class Span(NamedTuple):
 @generic
 def _guard_at(system, span, s):
     """Guards at fraction s of a step."""
-    return observe(system, span.time + s * span.h, between(span.start, span.here, span.end, span.there, span.h, s))[1]
+    return rate_and_guards(
+        system, span.time + s * span.h, hermite(span.start, span.here, span.end, span.there, span.h, s)
+    )[1]
 
 
 @compiled
@@ -207,15 +209,15 @@ def _drop(system, time, state, seen, which, begin, most):
     moment, earliest, latest = 1e-6, max(begin, time - most), time + most
     for _ in range(8):
         here, guards = seen
-        later, guards_later = observe(system, time + moment, moved(state, moment, (1.0,), (here,)))
+        later, guards_later = rate_and_guards(system, time + moment, axpy(state, moment, (1.0,), (here,)))
         fall = (guards[which] - guards_later[which]) / moment
         delay = guards[which] / fall if fall != 0.0 else 0.0
         delay = min(latest, max(earliest, time + delay)) - time
         half = 0.5 * delay / moment
-        state, time = moved(state, delay, (1.0 - half, half), (here, later)), time + delay
+        state, time = axpy(state, delay, (1.0 - half, half), (here, later)), time + delay
         if abs(delay) < 1e-10:
             break
-        seen = observe(system, time, state)
+        seen = rate_and_guards(system, time, state)
     return time, state
 
 
@@ -224,7 +226,7 @@ def integrate(system, time, state, time_limit, tolerance, h, trace):
     """Follows the flow to the first event and notes the steps.
 
     Args:
-        system: Constants of the piece, for whose type `rate`, `observe` and `slopes` are implemented.
+        system: Constants of the piece, for whose type `rate`, `rate_and_guards` and `rate_jacobian` are implemented.
         time: Start, since the beginning of the phase that the piece belongs to [s].
         state: State there.
         time_limit: Latest end [s].
@@ -237,11 +239,11 @@ def integrate(system, time, state, time_limit, tolerance, h, trace):
         with.
     """
     event, begin = BROKEN, time
-    here, guards = observe(system, time, state)
-    slope = slopes(system, state, here)
+    here, guards = rate_and_guards(system, time, state)
+    jacobian = rate_jacobian(system, state, here)
     while trace.place[0] < MAX_STEPS and trace.place[1] < MAX_PIECES:
         h = min(h, time_limit - time)
-        end, seen, error = _step(system, time, state, here, slope, h)
+        end, seen, error = _step(system, time, state, here, jacobian, h)
         size = _scaled(error, state, end, tolerance)
         if not size <= 1.0:
             h *= max(0.2, 0.9 * size**-0.2) if np.isfinite(size) else 0.1
@@ -254,7 +256,7 @@ def integrate(system, time, state, time_limit, tolerance, h, trace):
         if which >= 0:
             part = max(fraction, 1e-9) * h
             trace.sizes[trace.place[0] - 1] = part
-            end, seen, _ = _step(system, time, state, here, slope, part)
+            end, seen, _ = _step(system, time, state, here, jacobian, part)
             time, state = _drop(system, time + part, end, seen, which, begin, h)
             event = which
             break
@@ -262,8 +264,8 @@ def integrate(system, time, state, time_limit, tolerance, h, trace):
         if time >= time_limit:
             event = TIME_OUT
             break
-        slope = slopes(system, state, here)
-        h *= min(GROWTH, 0.9 * max(size, 1e-8) ** -0.2)
+        jacobian = rate_jacobian(system, state, here)
+        h *= min(_GROWTH, 0.9 * max(size, 1e-8) ** -0.2)
     if trace.place[1] < MAX_PIECES:
         trace.pieces[trace.place[1], 0], trace.pieces[trace.place[1], 1] = trace.place[0], event
         trace.place[1] += 1
@@ -279,10 +281,10 @@ def retrace(system, time, state, trace):
     """
     begin, h = time, 0.0
     stop, event = trace.pieces[trace.place[1], 0], trace.pieces[trace.place[1], 1]
-    seen = observe(system, time, state)
+    seen = rate_and_guards(system, time, state)
     while trace.place[0] < stop:
         h = trace.sizes[trace.place[0]]
-        end, seen, _ = _step(system, time, state, seen[0], slopes(system, state, seen[0]), h)
+        end, seen, _ = _step(system, time, state, seen[0], rate_jacobian(system, state, seen[0]), h)
         time, state = time + h, end
         trace.place[0] += 1
     trace.place[1] += 1

@@ -15,7 +15,7 @@ def rate(system, state) -> Any:
     raise TypeError(f"no rate is implemented for {type(system).__name__}")
 
 
-def observe(system, time, state) -> Any:
+def rate_and_guards(system, time, state) -> Any:
     """(rate, guards) at a time since the start of the phase that the piece belongs to [s]; see `implements`.
 
     Guards are a tuple of scalars, each positive within the piece; it ends where the first of them ceases to be. Both
@@ -24,7 +24,7 @@ def observe(system, time, state) -> Any:
     raise TypeError(f"no guards are implemented for {type(system).__name__}")
 
 
-def slopes(system, state, here) -> Any:
+def rate_jacobian(system, state, here) -> Any:
     """∂rate/∂state for a piece that is stiff, None for one that is not: it selects the method. See `implements`.
 
     Args:
@@ -32,7 +32,7 @@ def slopes(system, state, here) -> Any:
         state: Where.
         here: The rate there.
     """
-    raise TypeError(f"no slopes are implemented for {type(system).__name__}")
+    raise TypeError(f"no Jacobian of the rate is implemented for {type(system).__name__}")
 
 
 @compiled
@@ -44,7 +44,7 @@ def _sum(weights, vectors, i):
 
 
 @compiled
-def moved(state, factor, weights, vectors):
+def axpy(state, factor, weights, vectors):
     """State + factor · Σ weights · vectors."""
     return (
         state[0] + factor * _sum(weights, vectors, 0),
@@ -55,7 +55,7 @@ def moved(state, factor, weights, vectors):
 
 
 @compiled
-def between(start, here, end, there, h, s):
+def hermite(start, here, end, there, h, s):
     """Cubic Hermite interpolant at fraction s of a step of size h, from states and rates at its ends."""
     weights = ((2.0 * s - 3.0) * s * s, s * s * (3.0 - 2.0 * s), h * s * (1.0 - s) ** 2, h * s * s * (s - 1.0))
-    return moved(start, 1.0, weights, (start, end, here, there))
+    return axpy(start, 1.0, weights, (start, end, here, there))

@@ -6,20 +6,20 @@ equations in two unknowns, of which the matrix is inverted once a step.
 """
 
 from stepgap.base.compiled import compiled, generic
-from stepgap.hybrid.motion import moved, observe, rate
+from stepgap.hybrid.motion import axpy, rate, rate_and_guards
 
 GAMMA = 0.21193756319429014
-A2 = (3.0,)
-A3 = (2.849394379747939, 0.45842242204463923)
-A4 = (-6.954028509809101, 2.489845061869568, -10.358996098473584)
-A5 = (2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641)
-A6 = (-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946)
-C2 = (-14.155112264123755,)
-C3 = (-17.97296035885952, -2.859693295451294)
-C4 = (147.12150275711716, -1.41221402718213, 71.68940251302358)
-C5 = (165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306)
-C6 = (24.854864614690072, -3.0009227002832186, 47.4931110020768, 5.5814197821558125, -0.6610691825249471)
-C7 = (
+_A2 = (3.0,)
+_A3 = (2.849394379747939, 0.45842242204463923)
+_A4 = (-6.954028509809101, 2.489845061869568, -10.358996098473584)
+_A5 = (2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641)
+_A6 = (-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946)
+_C2 = (-14.155112264123755,)
+_C3 = (-17.97296035885952, -2.859693295451294)
+_C4 = (147.12150275711716, -1.41221402718213, 71.68940251302358)
+_C5 = (165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306)
+_C6 = (24.854864614690072, -3.0009227002832186, 47.4931110020768, 5.5814197821558125, -0.6610691825249471)
+_C7 = (
     30.91273214028599,
     -3.1208243349937974,
     77.79954646070892,
@@ -27,7 +27,7 @@ C7 = (
     -19.097331116725623,
     -28.087943162872662,
 )
-C8 = (
+_C8 = (
     37.80277123390563,
     -3.2571969029072276,
     112.26918849496327,
@@ -39,15 +39,15 @@ C8 = (
 
 
 @compiled
-def factorised(slope, h):
+def factorised(jacobian, h):
     """What `_solved` needs of I/(γh) − J: 1/(γh), V, and the inverse of I/(γh)² − P − V/(γh).
 
     Args:
-        slope: Rows of P and V: ∂(acceleration)/∂(coordinates, rates), as tuples (p11, p12, v11, v12), (p21, …).
+        jacobian: Rows of P and V: ∂(acceleration)/∂(coordinates, rates), as tuples (p11, p12, v11, v12), (p21, …).
         h: Size of the step.
     """
     c = 1.0 / (GAMMA * h)
-    (p11, p12, v11, v12), (p21, p22, v21, v22) = slope
+    (p11, p12, v11, v12), (p21, p22, v21, v22) = jacobian
     a, b = c * c - p11 - c * v11, -p12 - c * v12
     d, e = -p21 - c * v21, c * c - p22 - c * v22
     inverse = 1.0 / (a * e - b * d)
@@ -65,30 +65,30 @@ def _solved(factors, right):
 
 
 @generic
-def rosenbrock_step(system, time, state, here, slope, h):
+def rosenbrock_step(system, time, state, here, jacobian, h):
     """A step of size h from `state`, whose rate is `here`: (end, (rate, guards) there, local error)."""
-    factors, w = factorised(slope, h), 1.0 / h
+    factors, w = factorised(jacobian, h), 1.0 / h
     u1 = _solved(factors, here)
-    k2 = rate(system, moved(state, 1.0, A2, (u1,)))
-    u2 = _solved(factors, moved(k2, w, C2, (u1,)))
-    k3 = rate(system, moved(state, 1.0, A3, (u1, u2)))
-    u3 = _solved(factors, moved(k3, w, C3, (u1, u2)))
-    k4 = rate(system, moved(state, 1.0, A4, (u1, u2, u3)))
-    u4 = _solved(factors, moved(k4, w, C4, (u1, u2, u3)))
-    k5 = rate(system, moved(state, 1.0, A5, (u1, u2, u3, u4)))
-    u5 = _solved(factors, moved(k5, w, C5, (u1, u2, u3, u4)))
-    sixth = moved(state, 1.0, A6, (u1, u2, u3, u4, u5))
-    u6 = _solved(factors, moved(rate(system, sixth), w, C6, (u1, u2, u3, u4, u5)))
-    seventh = moved(sixth, 1.0, (1.0,), (u6,))
-    u7 = _solved(factors, moved(rate(system, seventh), w, C7, (u1, u2, u3, u4, u5, u6)))
-    eighth = moved(seventh, 1.0, (1.0,), (u7,))
-    error = _solved(factors, moved(rate(system, eighth), w, C8, (u1, u2, u3, u4, u5, u6, u7)))
-    end = moved(eighth, 1.0, (1.0,), (error,))
-    return end, observe(system, time + h, end), error
+    k2 = rate(system, axpy(state, 1.0, _A2, (u1,)))
+    u2 = _solved(factors, axpy(k2, w, _C2, (u1,)))
+    k3 = rate(system, axpy(state, 1.0, _A3, (u1, u2)))
+    u3 = _solved(factors, axpy(k3, w, _C3, (u1, u2)))
+    k4 = rate(system, axpy(state, 1.0, _A4, (u1, u2, u3)))
+    u4 = _solved(factors, axpy(k4, w, _C4, (u1, u2, u3)))
+    k5 = rate(system, axpy(state, 1.0, _A5, (u1, u2, u3, u4)))
+    u5 = _solved(factors, axpy(k5, w, _C5, (u1, u2, u3, u4)))
+    sixth = axpy(state, 1.0, _A6, (u1, u2, u3, u4, u5))
+    u6 = _solved(factors, axpy(rate(system, sixth), w, _C6, (u1, u2, u3, u4, u5)))
+    seventh = axpy(sixth, 1.0, (1.0,), (u6,))
+    u7 = _solved(factors, axpy(rate(system, seventh), w, _C7, (u1, u2, u3, u4, u5, u6)))
+    eighth = axpy(seventh, 1.0, (1.0,), (u7,))
+    error = _solved(factors, axpy(rate(system, eighth), w, _C8, (u1, u2, u3, u4, u5, u6, u7)))
+    end = axpy(eighth, 1.0, (1.0,), (error,))
+    return end, rate_and_guards(system, time + h, end), error
 
 
 @generic
-def difference_slopes(system, state, here):
+def difference_rate_jacobian(system, state, here):
     """∂(acceleration)/∂(coordinates, rates) by differences of the rate, rows as in `factorised`."""
     s, d = state, 1e-7
     a = rate(system, (s[0] + d, s[1], s[2], s[3]))

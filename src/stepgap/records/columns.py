@@ -6,7 +6,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from stepgap.base.settings_file import InputError, read_toml
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import read_toml
 from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
 from stepgap.step import Array, Quantity, StepSpace
 

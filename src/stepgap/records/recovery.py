@@ -4,8 +4,8 @@ from pathlib import Path
 
 from mcap.writer import MCAP0_MAGIC
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import naming
-from stepgap.base.settings_file import InputError
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.steps_csv import recover_steps, space_of_header, text_of
 

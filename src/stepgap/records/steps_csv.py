@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import naming
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.paper import UNITS
@@ -24,7 +25,7 @@ MOST_COORDINATES = 12
 """State coordinates at most; each has a figure of its own."""
 
 
-class RecordError(ValueError):
+class RecordError(InputError):
     """A step log cannot be used; the message is one line that names the file and what is wrong with it."""
 
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from stepgap.base.errors import InputError
 from stepgap.base.plugins import load_plugin, plugin_names
-from stepgap.base.settings_file import InputError
 from stepgap.rigs.rig import Rig
 
 GROUP = "stepgap.rigs"

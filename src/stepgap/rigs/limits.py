@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stepgap.base.settings_file import require
+from stepgap.base.ranges import require
 
 
 @dataclass(frozen=True, kw_only=True)

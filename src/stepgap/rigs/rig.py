@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
+from stepgap.base.errors import StepGapError
 from stepgap.rigs.limits import RigLimits
 
 Reading = tuple[float, ...]
@@ -51,7 +52,7 @@ LOST = Health(frame_lost=True, stale=True)
 """A tick whose frame was lost, so that the reading is that of the tick before."""
 
 
-class RigFault(Exception):
+class RigFault(StepGapError):
     """The rig stopped: torque is off and stays off."""
 
 

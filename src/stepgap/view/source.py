@@ -11,10 +11,10 @@ from threading import Event, Thread
 
 import numpy as np
 
-from stepgap.base.output_files import words_of
+from stepgap.base.errors import InputError, message_of
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.replay import logged_ticks, replayed_hops, sensor_model_of
-from stepgap.experiment.settings import InputError, read_experiment
+from stepgap.experiment.settings import read_experiment
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -150,7 +150,7 @@ class Source:
             try:
                 self._models[iteration] = read_model(self.folder, iteration, self.space)
             except (OSError, ValueError) as error:
-                raise InputError(words_of(error)) from None
+                raise InputError(message_of(error)) from None
         return self._models[iteration]
 
     def _find_sensor_model(self) -> HopperSensorModel | None:

@@ -10,7 +10,7 @@ from time import monotonic, sleep
 
 from viser import ViserServer
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.view.page import Page
 
 HERE = "127.0.0.1"

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.plants.commissioning.check import (
     Check,
     Timing,

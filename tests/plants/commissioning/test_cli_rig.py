@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import tomli_w
 
-from stepgap.base.settings_file import InputError, to_table
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import to_table
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import read_ticks
@@ -172,7 +173,7 @@ def test_a_bus_that_is_not_there_is_said_in_one_line(stepgap: Command, rig_file:
 WRONG = [
     (["check", "none.toml"], "none.toml: No such file or directory"),
     (["check", "broken.toml"], "broken.toml: not TOML"),
-    (["check", "--plant", "ethercat"], "--plant ethercat: goes with RIG_FILE"),
+    (["check", "--plant", "ethercat"], "--plant ethercat: valid only with RIG_FILE"),
     (["check", "--seconds", "nan"], "--seconds nan: it must lie between"),
     (["check", "--seconds", "0"], "--seconds 0: it must lie between"),
     (["check", "--gap.delay", "0"], "--gap.delay: this verb takes no settings"),
@@ -184,11 +185,11 @@ WRONG = [
     (["calibrate", "none.toml", "--leg-length", "0.26", "--height", "inf"], "--height inf: it must be finite"),
     (["calibrate", "none.toml", "--leg-length", "0.26", "--height", "0.5", "--alpha-1", "5"], "in radians"),
     (["calibrate", "none.toml", "--leg-length", "0.26", "--height", "0.5"], "none.toml: No such file or directory"),
-    (["emulate", "--gap.preset", "none"], "[gap] motor_counts = inf: a ring carries whole counts"),
+    (["emulate", "--gap.preset", "none"], "[gap] motor_counts = inf: a ring carries integer counts"),
     (["emulate", "stepgap", "rig", "check", "e.toml"], "type `stepgap rig emulate -- stepgap rig check e.toml`"),
     (["emulate", "stepgap", "rig", "check", "e.toml", "--seconds", "5"], "-- stepgap rig check e.toml --seconds 5`"),
     (["emulate", "mine.toml", "sh", "-c", "a b"], "type `stepgap rig emulate mine.toml -- sh -c 'a b'`"),
-    (["emulate", "mine.toml", "--intreface", "x"], "--intreface: no option of rig emulate"),
+    (["emulate", "mine.toml", "--intreface", "x"], "--intreface: not an option of rig emulate"),
     (["emulate", "--hold", "inf"], "--hold inf: it must lie between"),
     (["emulate", "--robot.boom_length", "0.05"], "make no twin"),
     (["emulate", "--settings", "broken.toml"], "broken.toml: exists and describes another rig"),

@@ -9,7 +9,8 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.base.settings_file import InputError, to_table
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import to_table
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.robots.hopper.ethercat import RigSettings, hopper_on_ethercat, read_rig_settings
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -39,7 +40,7 @@ def test_the_example_is_a_rig() -> None:
 
 WRONG = [
     ('interface = "eth0"', "", "interface: missing; it must be given"),
-    ('interface = "eth0"', "interface = 3", "interface = 3, but it must be a text in quotes"),
+    ('interface = "eth0"', "interface = 3", "interface = 3, but it must be a string"),
     ('interface = "eth0"', 'interface = " "', "interface = ' ', but it must name a network interface"),
     ('interface = "eth0"', f'interface = "{"x" * 16}"', "but it must name a network interface, such as 'eth0'"),
     ('interface = "eth0"', 'interface = "e\\u0000"', "but it must name a network interface, such as 'eth0'"),
@@ -59,7 +60,7 @@ WRONG = [
     ("0x6000:11:16 force", "0x6000:11:12 force", "[pdo_sets 1.inputs 1] entries = '0x6000:11:12 force', but it must"),
     ("0x6000:11:16 force", "6000 force", "'6000 force' is no entry; write it as '0x6041:00:16 statusword'"),
     ('"0x0000:00:16"', '"0x0000:00:3"', "[pdo_sets 1] name = 'foot-force', but it must be a set of PDOs: 0x6000:11:16"),
-    ('"0x0000:00:16", ', "7, ", "[pdo_sets 1.inputs 1] entries 1 = 7, but it must be a text in quotes"),
+    ('"0x0000:00:16", ', "7, ", "[pdo_sets 1.inputs 1] entries 1 = 7, but it must be a string"),
     ("sign = -1", "sign = 0", "[motor_2] sign = 0, but it must be 1 or -1"),
     (
         "torque_limit = 38.0",

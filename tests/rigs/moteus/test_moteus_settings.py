@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.robots.hopper.hop_control import sensors_of
 from stepgap.robots.hopper.moteus import MoteusSettings, hopper_on_moteus, read_moteus_settings
 from stepgap.robots.hopper.parameters import RobotParameters

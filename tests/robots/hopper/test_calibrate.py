@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.plants.commissioning.limp import Ticks
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.calibrate import (

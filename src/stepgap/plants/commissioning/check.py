@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
-from stepgap.base.settings_file import LARGEST_FILE, InputError
+from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
 from stepgap.plants.commissioning.limp import ticks_of
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.rigs.limp_rig import FrameCount
@@ -24,7 +25,7 @@ PUNCTUAL = 0.999
 LEAST_SECONDS = 5.0
 """What must have been measured before a robot gets torque [s]."""
 
-ADVICE = (
+_ADVICE = (
     "what helps: nothing else at work on this machine; an rtprio and a memlock limit for you "
     "(/etc/security/limits.conf), or root; a kernel with PREEMPT_RT, or a core that is left alone (isolcpus); "
     "no power saving of the processor; no virtual machine"
@@ -165,7 +166,7 @@ def describe(check: Check, bus: bool) -> str:
     }
     lines = [f"{name:19} {words}" for name, words in rows.items()]
     if failures:
-        lines.append(ADVICE)
+        lines.append(_ADVICE)
     if failures and bus and (check.fault or check.lost_frames):
         lines.append(BUS_ADVICE)
     return "\n".join(lines)
@@ -239,7 +240,7 @@ def _read(file: Path) -> dict[str, Any]:
     """The content of a result; nothing where there is none."""
     try:
         with file.open("rb") as stream:
-            content = json.loads(stream.read(LARGEST_FILE))
+            content = json.loads(stream.read(LARGEST_SETTINGS_FILE))
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}

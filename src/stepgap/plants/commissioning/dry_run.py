@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.commissioning.limp import ended, limp_setup
 from stepgap.plants.realtime.session import Session

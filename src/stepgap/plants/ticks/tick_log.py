@@ -26,6 +26,7 @@ from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
+from stepgap.base.errors import StepGapError
 from stepgap.plants.ticks.tick_message import CHANNEL, HEAD_SIZE, SCHEMA_NAME, TickLayout
 from stepgap.step import Array
 
@@ -39,7 +40,7 @@ _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQIIQ")
 
 
-class TickLogError(Exception):
+class TickLogError(StepGapError):
     """A tick log cannot be written or read; the message is one line that names the file and what is wrong with it."""
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.steps_csv import column_names, values_of
 from stepgap.step import Quantity, StepSpace

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from stepgap.base.settings_file import LARGEST_WHOLE, InputError
+from stepgap.base.errors import InputError
+from stepgap.base.ranges import LARGEST_INTEGER
 from stepgap.records.export.columns import Column
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURES, Summary
@@ -53,7 +54,7 @@ def _value(value: Any) -> Any:
         return np.array([_value(each) for each in value] + [None], dtype=object)[:-1]
     if isinstance(value, bool | float):
         return value
-    return float(value) if isinstance(value, int) and abs(value) < LARGEST_WHOLE else str(value)
+    return float(value) if isinstance(value, int) and abs(value) < LARGEST_INTEGER else str(value)
 
 
 def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from importlib import import_module
 from io import BytesIO
 from typing import Any
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 from stepgap.records.export.columns import Column
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, isfinite
 
-from stepgap.base.settings_file import require, shown
+from stepgap.base.ranges import format_value, require
 from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import Reading
@@ -30,7 +30,7 @@ class WrittenPdo:
             try:
                 Entry.parse(entry)
             except ValueError as error:
-                raise ValueError(f"entries = {shown(entry)}, but it must be right: {error}") from None
+                raise ValueError(f"entries = {format_value(entry)}, but it must be right: {error}") from None
 
     def pdo(self) -> Pdo:
         """What is described."""
@@ -56,7 +56,7 @@ class WrittenPdoSet:
         try:
             self.pdo_set()
         except ValueError as error:
-            raise ValueError(f"name = {shown(self.name)}, but it must be a set of PDOs: {error}") from None
+            raise ValueError(f"name = {format_value(self.name)}, but it must be a set of PDOs: {error}") from None
 
     def pdo_set(self) -> PdoSet:
         """What is described."""
@@ -168,7 +168,7 @@ class ForceSensor:
         require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")
 
 
-Device = Motor | Encoder | ForceSensor
+RigDevice = Motor | Encoder | ForceSensor
 """What a table of `rig.toml` describes: each gives one number of a reading, and a motor takes a torque."""
 
 MOTOR_OUTPUTS = {"target_torque", "controlword", "mode"}
@@ -199,7 +199,7 @@ class BusSettings(ABC):
 
     @property
     @abstractmethod
-    def devices(self) -> Mapping[str, Device]:
+    def devices(self) -> Mapping[str, RigDevice]:
         """Motors, encoders and force sensors by the name of their table, in the order of a reading."""
 
     @property
@@ -253,7 +253,7 @@ class BusSettings(ABC):
     def _sets(self) -> Mapping[str, PdoSet]:
         return {**PDO_SETS, **{written.name: written.pdo_set() for written in self.pdo_sets}}
 
-    def _check_use(self, table: str, device: Device) -> None:
+    def _check_use(self, table: str, device: RigDevice) -> None:
         """Refuses a slave that is not there, or that does not exchange the values a table needs."""
         outputs, inputs = _values_of(device)
         name, names = device.slave, [slave.name for slave in self.slaves]
@@ -264,7 +264,7 @@ class BusSettings(ABC):
         require(not lacking, f"{table}.slave", name, rule)
 
 
-def _values_of(device: Device) -> tuple[set[str], set[str]]:
+def _values_of(device: RigDevice) -> tuple[set[str], set[str]]:
     """Names of the values that a device takes from the master, and of those that it gives."""
     if isinstance(device, Motor):
         return MOTOR_OUTPUTS, MOTOR_INPUTS

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from stepgap.base.settings_file import require
+from stepgap.base.ranges import require
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.moteus.joint import Scale
 from stepgap.rigs.rig import Reading

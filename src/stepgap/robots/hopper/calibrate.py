@@ -9,7 +9,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from stepgap.base.settings_file import InputError, parse_toml
+from stepgap.base.errors import InputError
+from stepgap.base.settings_file import parse_toml
 from stepgap.plants.commissioning.limp import Ticks
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.ethercat import RigSettings, read_rig_settings

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from pathlib import Path
 
-from stepgap.base.settings_file import build, read_toml, require, with_table
+from stepgap.base.ranges import require
+from stepgap.base.settings_file import build, read_toml, with_table
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.ethercat.rig_settings import BusSettings, Device, Encoder, ForceSensor, Motor
+from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor, RigDevice
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
@@ -72,7 +73,7 @@ class RigSettings(BusSettings):
         )
 
     @property
-    def devices(self) -> Mapping[str, Device]:
+    def devices(self) -> Mapping[str, RigDevice]:
         """Both motors, both boom encoders and the contact, in the order of a `HopperReading`."""
         names = ("motor_1", "motor_2", "boom_horizontal", "boom_vertical", "contact")
         return {name: getattr(self, name) for name in names}

@@ -10,8 +10,8 @@ import numpy as np
 
 from stepgap.base.compiled import compiled, implements
 from stepgap.hybrid.integrator import BROKEN, Tolerance, integrate, retrace, rewind
-from stepgap.hybrid.motion import observe, rate, slopes
-from stepgap.hybrid.rosenbrock import difference_slopes
+from stepgap.hybrid.motion import rate, rate_and_guards, rate_jacobian
+from stepgap.hybrid.rosenbrock import difference_rate_jacobian
 from stepgap.robots.hopper.dynamics import impact, terms
 from stepgap.robots.hopper.joint_control import landing_posture
 from stepgap.robots.hopper.leg import foot, four_bar
@@ -56,15 +56,15 @@ def _flight_rate(system, state):
     return flight_motion(system, 0.0, state)[0]
 
 
-@implements(observe, Flight)
+@implements(rate_and_guards, Flight)
 def _flight_observe(system, time, state):
     motion, hip, clearance, torques = flight_motion(system, time, state)
     return motion, piece_guards(system, clearance + system.depth, hip, state, torques)
 
 
-@implements(slopes, Flight)
+@implements(rate_jacobian, Flight)
 def _flight_slopes(system, state, here):
-    return difference_slopes(system, state, here)
+    return difference_rate_jacobian(system, state, here)
 
 
 @implements(rate, Stance)
@@ -72,13 +72,13 @@ def _stance_rate(system, state):
     return stance_motion(system, state)[0]
 
 
-@implements(observe, Stance)
+@implements(rate_and_guards, Stance)
 def _stance_observe(system, time, state):
     motion, hip, force, torques = stance_motion(system, state)
     return motion, piece_guards(system, force, hip, state, torques)
 
 
-@implements(slopes, Stance)
+@implements(rate_jacobian, Stance)
 def _stance_slopes(system, state, here):
     return None
 
@@ -125,12 +125,12 @@ def _run_phase(system, state, time_limit, tolerance, trace, again):
     Returns:
         (status, event, time, state): OK and CONTACT or RISING, or a status that is common to both phases.
     """
-    guards, time, event, h = observe(system, 0.0, state)[1], 0.0, BROKEN, FIRST_STEP
+    guards, time, event, h = rate_and_guards(system, 0.0, state)[1], 0.0, BROKEN, FIRST_STEP
     if guards[MOTOR_1] <= 0.0:
         system = switched(system, time, state, 1)
     if guards[MOTOR_2] <= 0.0:
         system = switched(system, time, state, 2)
-    guards = observe(system, 0.0, state)[1]
+    guards = rate_and_guards(system, 0.0, state)[1]
     if not again:
         if guards[FALLING_OVER] <= 0.0:
             return FELL, event, time, state
@@ -174,7 +174,7 @@ def descend(masses, law, tolerances, speed, height, trace, again):
     if not np.isfinite(speed + height):
         return INVALID, state
     falling = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
-    if not again and observe(falling, 0.0, state)[1][CONTACT] <= 0.0:
+    if not again and rate_and_guards(falling, 0.0, state)[1][CONTACT] <= 0.0:
         return FOOT_SCUFFED, state
     status, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, again)
     if status != OK or event != CONTACT:

@@ -4,8 +4,9 @@ from dataclasses import dataclass, fields
 from math import inf, isnan, pi
 from typing import Self
 
+from stepgap.base.ranges import require
 from stepgap.rigs.limits import MOST_LATE_TICKS, RigLimits
-from stepgap.robots.hopper.parameters import RobotParameters, require
+from stepgap.robots.hopper.parameters import RobotParameters
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from pathlib import Path
 
-from stepgap.base.settings_file import build, read_toml, require, with_table
+from stepgap.base.ranges import require
+from stepgap.base.settings_file import build, read_toml, with_table
 from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
 from stepgap.rigs.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice, CanSettings, Controller
 from stepgap.robots.hopper.limits import SafetyLimits

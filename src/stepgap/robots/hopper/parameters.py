@@ -7,13 +7,8 @@ its reason.
 from dataclasses import dataclass, fields
 from math import isfinite
 
+from stepgap.base.ranges import require
 from stepgap.step import Quantity, StepSpace
-
-
-def require(condition: bool, name: str, value: float, rule: str) -> None:
-    """Raises ValueError `name = value, but it must RULE` unless the condition holds."""
-    if not condition:
-        raise ValueError(f"{name} = {value}, but it must {rule}")
 
 
 @dataclass(frozen=True)

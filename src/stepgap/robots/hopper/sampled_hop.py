@@ -11,7 +11,7 @@ import numpy as np
 
 from stepgap.base.compiled import compiled, implements
 from stepgap.hybrid.integrator import BROKEN, TIME_OUT, integrate, rewind
-from stepgap.hybrid.motion import observe, rate, slopes
+from stepgap.hybrid.motion import rate, rate_and_guards, rate_jacobian
 from stepgap.robots.hopper.dynamics import flight_acceleration, impact, stance_acceleration, terms
 from stepgap.robots.hopper.hop import (
     CONTACT,
@@ -77,7 +77,7 @@ def _flight_rate(system, state):
     return _held_flight(system, state)[0]
 
 
-@implements(observe, HeldFlight)
+@implements(rate_and_guards, HeldFlight)
 def _flight_observe(system, time, state):
     motion, bar, m = _held_flight(system, state)
     hip = hip_in_flight(system.flight, m, time, state)
@@ -85,7 +85,7 @@ def _flight_observe(system, time, state):
     return motion, body_guards(system.flight, clearance + system.flight.depth, hip, state)
 
 
-@implements(slopes, HeldFlight)
+@implements(rate_jacobian, HeldFlight)
 def _flight_slopes(system, state, here):
     return None
 
@@ -105,13 +105,13 @@ def _stance_rate(system, state):
     return _held_stance(system, state)[0]
 
 
-@implements(observe, HeldStance)
+@implements(rate_and_guards, HeldStance)
 def _stance_observe(system, time, state):
     motion, hip, force = _held_stance(system, state)
     return motion, body_guards(system.stance, 1.0 if system.stance.side < 0.0 else force, hip, state)
 
 
-@implements(slopes, HeldStance)
+@implements(rate_jacobian, HeldStance)
 def _stance_slopes(system, state, here):
     return None
 

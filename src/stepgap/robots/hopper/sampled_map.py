@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.base.compiled import compiled
+from stepgap.base.ranges import require
 from stepgap.hybrid.integrator import Tolerance, make_trace
 from stepgap.robots.hopper.apex_map import as_points, on_all_cores
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.joint_control import joint_law
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters, require
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.sampled_hop import sampled_hop
 from stepgap.step import Array, Outcome, StepMap, StepSpace, difference_jacobian
 

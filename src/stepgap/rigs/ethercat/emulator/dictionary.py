@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from stepgap.base.errors import StepGapError
 from stepgap.rigs.ethercat.emulator.sii import Identity
 
 DEVICE_TYPE, DEVICE_NAME, IDENTITY = 0x1000, 0x1008, 0x1018
@@ -12,7 +13,7 @@ SYNC_MANAGER_TYPES, ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C00, 0x1C12, 0x1C13
 MOST_PDOS = 8
 
 
-class Abort(Exception):
+class Abort(StepGapError):
     """An SDO request is refused.
 
     Args:

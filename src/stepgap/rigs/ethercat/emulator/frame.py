@@ -4,6 +4,8 @@ from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
 
+from stepgap.base.errors import StepGapError
+
 ETHERTYPE = 0x88A4
 BROADCAST = b"\xff" * 6
 SHORTEST_FRAME = 60
@@ -17,7 +19,7 @@ _COUNTER = Struct("<H")
 _LENGTH_MASK, _MORE_FOLLOW, _DATAGRAMS = 0x07FF, 0x8000, 0x1000
 
 
-class FrameError(ValueError):
+class FrameError(StepGapError, ValueError):
     """The bytes are no EtherCAT frame with datagrams."""
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn
 
+from stepgap.base.errors import StepGapError
 from stepgap.rigs.ethercat.emulator.frame import ETHERTYPE
 
 LONGEST_NAME = 15
@@ -27,7 +28,7 @@ ADVICE = (
 CLONE_NEWNET = 0x40000000
 
 
-class NoNetwork(Exception):
+class NoNetwork(StepGapError):
     """The network interface cannot be had; the message says what to do."""
 
 

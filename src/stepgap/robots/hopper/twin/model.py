@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.ranges import require
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
@@ -171,8 +172,8 @@ def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> m
         travel.frictionloss, travel.damping[0] = gap.boom_friction, gap.boom_drag
         hopper.add_joint(name="boom_vertical", type=slide, axis=UP, armature=inertia_x / radius**2)
     if gap.boom_stiffness < inf:
-        if not min(inertia_x, inertia_z) > 0:
-            raise ValueError(f"boom_stiffness = {gap.boom_stiffness}, but it must be inf for a boom without inertia")
+        has_inertia = min(inertia_x, inertia_z) > 0
+        require(has_inertia, "boom_stiffness", gap.boom_stiffness, "be inf for a boom without inertia")
         damping = 2 * gap.boom_damping_ratio * sqrt(gap.boom_stiffness * carried_mass(robot, gap))
         for name, axis in (("deflection_horizontal", FORWARD), ("deflection_vertical", UP)):
             joint = hopper.add_joint(name=name, type=slide, axis=axis)

@@ -4,6 +4,8 @@ from dataclasses import dataclass, fields
 from math import inf, isfinite, isnan, pi
 from typing import Self
 
+from stepgap.base.ranges import require
+
 POSITIVE = frozenset(
     {
         "body_mass_scale",
@@ -152,12 +154,9 @@ class RealityGap:
         for field in fields(self):
             if field.name != "boom_arc":
                 _check(field.name, getattr(self, field.name))
-        if not abs(self.ground_slope) < pi / 4:
-            raise ValueError(f"ground_slope = {self.ground_slope}, but it must lie within ±π/4 rad")
-        if not abs(self.boom_tilt) < pi / 4:
-            raise ValueError(f"boom_tilt = {self.boom_tilt}, but it must lie within ±π/4 rad")
-        if not abs(self.torque_imbalance) < 1:
-            raise ValueError(f"torque_imbalance = {self.torque_imbalance}, but it must lie within ±1")
+        require(abs(self.ground_slope) < pi / 4, "ground_slope", self.ground_slope, "lie within ±π/4 rad")
+        require(abs(self.boom_tilt) < pi / 4, "boom_tilt", self.boom_tilt, "lie within ±π/4 rad")
+        require(abs(self.torque_imbalance) < 1, "torque_imbalance", self.torque_imbalance, "lie within ±1")
 
     @classmethod
     def none(cls) -> Self:
@@ -200,11 +199,7 @@ class RealityGap:
 
 def _check(name: str, value: float) -> None:
     """Raises ValueError naming field, value and rule."""
-    if isnan(value):
-        raise ValueError(f"{name} = {value}, but it must be a number")
-    if not isfinite(value) and not (name in MAY_BE_INFINITE and value > 0):
-        raise ValueError(f"{name} = {value}, but it must be finite")
-    if name in POSITIVE and not value > 0:
-        raise ValueError(f"{name} = {value}, but it must be positive")
-    if name not in POSITIVE | SIGNED and value < 0:
-        raise ValueError(f"{name} = {value}, but it must not be negative")
+    require(not isnan(value), name, value, "be a number")
+    require(isfinite(value) or (name in MAY_BE_INFINITE and value > 0), name, value, "be finite")
+    require(name not in POSITIVE or value > 0, name, value, "be positive")
+    require(name in POSITIVE | SIGNED or value >= 0, name, value, "not be negative")

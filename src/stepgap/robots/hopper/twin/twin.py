@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.compiled_record import as_record
+from stepgap.base.ranges import require
 from stepgap.rigs.rig import Rig, RigFault, Torques
-from stepgap.robots.hopper.parameters import Gains, RobotParameters, require
+from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.twin.devices import (
     OUT_OF_REACH,

@@ -1,17 +1,10 @@
-"""What this machine has of all that StepGap can use, in a table: nothing here is needed by every user."""
+"""The verb `stepgap doctor`: what this machine has of everything that StepGap can use; no user needs all of it."""
 
 import os
-import platform
 import re
-import socket
-import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, requires, version
-
-from stepgap.base.compiled import cache_folder
-from stepgap.base.versions import versions_here
 
 PURPOSES = {
     "ethercat": "robots with drives and encoders on an EtherCAT bus, and emulated rings",
@@ -20,59 +13,67 @@ PURPOSES = {
     "parquet": "stepgap export --to parquet",
     "sysid": "method sysid of stepgap bench learning",
 }
-"""What extras are for."""
+"""Purposes of the extras."""
 
-RENDERS = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).close()"
-"""Ends well where MuJoCo can draw."""
+RENDERING_TRIAL = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).close()"
+"""Python code that succeeds where MuJoCo can render."""
 
-ASKS = "from stepgap.plants.realtime.pace import ask_for_realtime; print('; '.join(ask_for_realtime()))"
-"""Says what of real time is refused."""
+REALTIME_TRIAL = "from stepgap.plants.realtime.pace import ask_for_realtime; print('; '.join(ask_for_realtime()))"
+"""Python code that prints the real-time rights that are refused."""
 
-PATIENCE = 30.0
-"""Longest time for what is tried in a process of its own [s]."""
+TRIAL_TIMEOUT = 30.0
+"""Longest time of a trial in another process [s]."""
 
 NEEDS_GL = "only MuJoCo's own pictures need it, not runs, reports and their figures"
 
 
-def describe_machine() -> str:
-    """A line for each thing: what it is, what was found, and what that means."""
+_Row = tuple[str, str]
+"""What was looked for and what was found."""
+
+
+def doctor() -> None:
+    """Show what this machine has: versions, cores, graphics, rights for real time, the cache, extras."""
     rows = [*_versions(), *_machine(), *_graphics(), *_rights(), _cache(), *_extras()]
     width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:{width}}  {found}" for name, found in rows)
+    for name, found in rows:
+        print(f"{name:{width}}  {found}")
 
 
-Row = tuple[str, str]
+def _versions() -> Iterator[_Row]:
+    from stepgap.base.versions import versions_here
 
-
-def _versions() -> Iterator[Row]:
     yield from versions_here().items()
 
 
-def _machine() -> Iterator[Row]:
+def _machine() -> Iterator[_Row]:
+    import platform
+
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield "system", platform.platform()
     yield "cores", f"{usable} of {os.cpu_count()}, load {os.getloadavg()[0]:.1f}"
 
 
-def _graphics() -> Iterator[Row]:
+def _graphics() -> Iterator[_Row]:
     shown = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     yield "display", shown or f"none; {NEEDS_GL}"
     chosen = os.environ.get("MUJOCO_GL")
     for backend in [chosen] if chosen else ["glfw", "egl", "osmesa"] if shown else ["egl", "osmesa"]:
-        if _tried(RENDERS, MUJOCO_GL=backend) is not None:
+        if _try(RENDERING_TRIAL, MUJOCO_GL=backend) is not None:
             yield "OpenGL", f"works with MUJOCO_GL={backend}"
             return
     yield "OpenGL", f"none; {NEEDS_GL}. Debian, Ubuntu: apt install libegl1 libgl1 (or libosmesa6)"
 
 
-def _rights() -> Iterator[Row]:
+def _rights() -> Iterator[_Row]:
     yield "raw sockets", _raw_sockets()
-    refused = _tried(ASKS)
-    yield "real time", "granted" if refused == "" else refused or "could not be tried"
+    refused = _try(REALTIME_TRIAL)
+    yield "real time", "granted" if refused == "" else refused or "the trial failed"
 
 
 def _raw_sockets() -> str:
-    """Whether EtherCAT frames may be sent."""
+    """Says whether EtherCAT frames may be sent."""
+    import socket
+
     if not hasattr(socket, "AF_PACKET"):
         return "not on this system; EtherCAT needs Linux"
     try:
@@ -82,16 +83,20 @@ def _raw_sockets() -> str:
     return "granted: EtherCAT can be used"
 
 
-def _cache() -> Row:
+def _cache() -> _Row:
+    from stepgap.base.compiled import cache_folder
+
     folder = cache_folder()
     if folder is None:
         return "cache", "no folder can be written: everything is compiled at every start; set NUMBA_CACHE_DIR"
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    return "cache", f"{folder}, {size / 2**20:.0f} MiB; may be deleted, what is needed is compiled anew"
+    return "cache", f"{folder}, {size / 2**20:.0f} MiB; it may be deleted; what is needed is then compiled again"
 
 
-def _extras() -> Iterator[Row]:
-    """The optional packages that stepgap names."""
+def _extras() -> Iterator[_Row]:
+    """The optional packages of stepgap."""
+    from importlib.metadata import requires
+
     wanted: dict[str, list[str]] = defaultdict(list)
     for requirement in requires("stepgap") or []:
         name, extra = re.match(r"[\w.-]+", requirement), re.search(r"extra == ['\"](.+?)['\"]", requirement)
@@ -101,25 +106,29 @@ def _extras() -> Iterator[Row]:
         found = [_version(package) for package in packages]
         missing = None in found
         there = ", ".join(f"{package} {number or '-'}" for package, number in zip(packages, found, strict=True))
-        advice = f"; to have it: ./go uv pip install 'stepgap[{extra}]'" if missing else ""
-        yield f"extra {extra}", f"{'missing' if missing else 'there'} ({there}), for {PURPOSES[extra]}{advice}"
+        advice = f"; to install it: ./go uv pip install 'stepgap[{extra}]'" if missing else ""
+        yield f"extra {extra}", f"{'missing' if missing else 'installed'} ({there}), for {PURPOSES[extra]}{advice}"
 
 
 def _version(package: str) -> str | None:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(package)
     except PackageNotFoundError:
         return None
 
 
-def _tried(code: str, **environment: str) -> str | None:
-    """What Python code prints in a process of its own, because it may crash; None if it fails."""
+def _try(code: str, **environment: str) -> str | None:
+    """Output of Python code in another process, because it may crash; None if it fails."""
+    import subprocess
+
     try:
         outcome = subprocess.run(
             [sys.executable, "-c", code],
             capture_output=True,
             text=True,
-            timeout=PATIENCE,
+            timeout=TRIAL_TIMEOUT,
             env={**os.environ, **environment},
             check=False,
         )

@@ -1,34 +1,35 @@
-"""Verbs for what people carry away from runs, for records that broke, and for what this machine has."""
+"""The verb `stepgap export`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter, validators
 
-from stepgap.base.output_files import check_new, free_name, words_of, write_new, writing
-from stepgap.base.settings_file import InputError
-from stepgap.cli.app import says_if_it_compiles
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.output_files import check_new, free_name, write_new, writing
+from stepgap.cli.options import Integer
+from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:
     from stepgap.records.run_folder import RunRecord
 
 
-@says_if_it_compiles
+@announces_compilation
 def export(
     folder: Path,
     /,
     *,
     to: Literal["mat", "csv", "parquet", "mcap", "mjcf"],
-    iteration: Annotated[int | None, Parameter(validator=validators.Number(gte=0))] = None,
+    iteration: Annotated[Integer | None, Parameter(validator=validators.Number(gte=0))] = None,
     out: Path | None = None,
 ) -> None:
-    """Write a run for other programs: MATLAB, tables, players of tick logs, viewers of MuJoCo models.
+    """Convert a run for other programs: MATLAB, data frames, players of tick logs, viewers of MuJoCo models.
 
     Args:
         folder: Folder of the run.
         to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; mjcf: the twin's model.
-        iteration: Only this deployment; without it all of them, for mcap the last one.
-        out: File to write, for mjcf a folder; without it a new one in the run's folder export/.
+        iteration: Number of the only deployment to export. [default: all of them; for mcap the last one]
+        out: New file, or for mjcf a new folder. [default: a new one in export/ in the run's folder]
     """
     if to == "mjcf":
         _export_model(folder, iteration, out)
@@ -63,7 +64,7 @@ def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None
 
 
 def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None:
-    from stepgap.cli.progress import shown_count
+    from stepgap.cli.progress import progress_bar
     from stepgap.experiment.plants import SIMULATED
     from stepgap.experiment.replay import replay
     from stepgap.experiment.settings import read_experiment
@@ -75,14 +76,14 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
         chosen = record.steps.iterations[-1] if iteration is None else iteration
         if out:
             check_new(out, "--out")
-        with shown_count("steps") as progress:
+        with progress_bar("steps") as progress:
             ticks = replay(folder, chosen, progress=progress)
         target = _target(folder, f"ticks{_suffix(chosen)}.mcap", out)
         write_ticks(ticks, target)
         print(target)
         return
     if iteration is not None:
-        raise InputError("--iteration: the logs of a rig do not say which deployment they are of; leave it out")
+        raise InputError("--iteration: logs of a rig do not name the deployment; leave this option out")
     logs = folder / "ticks"
     if not any(logs.glob("*.mcap")):
         raise InputError(f"{logs}: no .mcap file there, so there are no ticks of this run")
@@ -98,7 +99,7 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
     from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
 
     if iteration is not None:
-        raise InputError("--iteration: the model is the same in all deployments; leave it out")
+        raise InputError("--iteration: the model is the same in all deployments; leave this option out")
     settings = read_experiment(folder / "experiment.toml")
     _, twin = remade_rig(settings, 0)
     files = mjcf_files(twin, settings.robot.boom_length)
@@ -110,13 +111,13 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
 
 
 def _read_run(folder: Path) -> "RunRecord":
-    """What the folder of a run says."""
+    """The record in the folder of a run."""
     from stepgap.records.run_folder import read_run_folder
 
     try:
         return read_run_folder(folder)
     except (ValueError, OSError) as error:
-        raise InputError(words_of(error)) from None
+        raise InputError(message_of(error)) from None
 
 
 def _suffix(iteration: int | None) -> str:
@@ -124,7 +125,7 @@ def _suffix(iteration: int | None) -> str:
 
 
 def _target(folder: Path, name: str, out: Path | None) -> Path:
-    """Where to write: what was asked for, or a free name in the run's folder."""
+    """The path to write to: the one given, or a free name in the run's folder."""
     if out:
         check_new(out, "--out")
         return out
@@ -132,27 +133,3 @@ def _target(folder: Path, name: str, out: Path | None) -> Path:
     with writing(home, "--out"):
         home.mkdir(exist_ok=True)
     return free_name(home / name)
-
-
-def recover(file: Path, /, *, out: Path | None = None) -> None:
-    """Save what is whole of a steps.csv or a log of ticks that was cut off or damaged.
-
-    Args:
-        file: steps.csv, or a log of ticks, .mcap; it is not changed.
-        out: File for what is whole; without it NAME_recovered beside it.
-    """
-    from stepgap.records.recovery import recover_file
-
-    if out:
-        check_new(out, "--out")
-    target = out or free_name(file.with_stem(f"{file.stem}_recovered"))
-    for line in recover_file(file, target):
-        print(line)
-    print(target)
-
-
-def doctor() -> None:
-    """Say what this machine has: versions, cores, graphics, rights for real time, the cache, extras."""
-    from stepgap.cli.machine import describe_machine
-
-    print(describe_machine())

@@ -1,19 +1,15 @@
-"""What `stepgap map` reads and says: points in CSV, next states, Jacobians and errors in words."""
+"""CSV files of points of a step map, and of their next states."""
 
 import csv
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stepgap.control.reference import numbers_in_row
-from stepgap.step import Array, Outcome, Quantity, StepSpace, StepStatus
+from stepgap.step import Array, Outcome, StepSpace, StepStatus
 
-if TYPE_CHECKING:  # imports SciPy, for which one point need not wait
-    from stepgap.control.command_table import CommandTable, TableError
-
-LARGEST_FILE = 2**28
+LARGEST_POINTS_FILE = 2**28
 """Largest file of points that is read [bytes]."""
 
 
@@ -29,8 +25,8 @@ def read_points(path: Path, space: StepSpace) -> Array:
     names = [*space.state_names, *space.command_names]
     wanted = f"it must be a CSV file with the columns {','.join(names)}"
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ValueError(f"{path}: larger than {LARGEST_FILE} bytes; {wanted}")
+        if path.stat().st_size > LARGEST_POINTS_FILE:
+            raise ValueError(f"{path}: larger than {LARGEST_POINTS_FILE} bytes; {wanted}")
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror}; {wanted}") from None
@@ -58,33 +54,3 @@ def outcome_rows(space: StepSpace, points: Array, outcome: Outcome) -> str:
     statuses = [StepStatus(code).label for code in outcome.status.tolist()]
     rows = [",".join([*map(repr, row), status]) for row, status in zip(numbers, statuses, strict=True)]
     return "\n".join([",".join(names), *rows]) + "\n"
-
-
-def describe_step(space: StepSpace, next_state: Array, jacobian: Array) -> str:
-    """The next state and its derivatives by state and command, in words."""
-    inputs = (*space.state, *space.command)
-    lines = [f"next state    {_named(space.state, next_state)}", "", "derivative" + " " * 14]
-    lines[-1] += "".join(f"{f'by {q.name} [{q.unit}]':>18}" for q in inputs)
-    for quantity, row in zip(space.state, jacobian, strict=True):
-        lines.append(f"{f'of next {quantity.name} [{quantity.unit}]':24}" + "".join(f"{value:18.6g}" for value in row))
-    return "\n".join(lines)
-
-
-def describe_table(table: "CommandTable", error: "TableError") -> str:
-    """How much of a table is within reach and what interpolation costs there, in words."""
-    space = table.space
-    return "\n".join(
-        [
-            f"{table.reached.size} commands, {table.reached.mean():.0%} of them reach their target",
-            f"interpolated, on {error.samples} random points between nodes within reach:",
-            f"  worst error of the command       {_named(space.command, error.worst_command, '.2g')}",
-            f"  worst error of the next state    {_named(space.state, error.worst_state, '.2g')}",
-            f"  median error of the next state   {_named(space.state, error.median_state, '.2g')}",
-            f"on {error.border_samples} at the border of reach:",
-            f"  worst error of the next state    {_named(space.state, error.border_state, '.2g')}",
-        ]
-    )
-
-
-def _named(quantities: tuple[Quantity, ...], values: Array, form: str = ".6f") -> str:
-    return ", ".join(f"{q.name} {value:{form}} {q.unit}" for q, value in zip(quantities, values, strict=True))

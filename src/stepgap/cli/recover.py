@@ -1,0 +1,22 @@
+"""The verb `stepgap recover`."""
+
+from pathlib import Path
+
+from stepgap.base.output_files import check_new, free_name
+
+
+def recover(file: Path, /, *, out: Path | None = None) -> None:
+    """Recover the intact part of a truncated or damaged steps.csv or log of ticks.
+
+    Args:
+        file: The steps.csv, or the log of ticks (.mcap); it is not changed.
+        out: New file for the intact part. [default: NAME_recovered beside it]
+    """
+    from stepgap.records.recovery import recover_file
+
+    if out:
+        check_new(out, "--out")
+    target = out or free_name(file.with_stem(f"{file.stem}_recovered"))
+    for line in recover_file(file, target):
+        print(line)
+    print(target)

@@ -1,0 +1,30 @@
+"""The verb `stepgap report`."""
+
+from pathlib import Path
+
+from stepgap.base.errors import InputError
+from stepgap.base.output_files import free_name
+from stepgap.cli.terminal import warn
+
+
+def report(folders: list[Path], /, *, out: Path | None = None) -> None:
+    """Regenerate the report of a run, or compare several runs on one page.
+
+    Args:
+        folders: Folder of the run, or the folders of several runs.
+        out: New HTML file for a comparison. [default: comparison.html beside the first run, or the next free name]
+    """
+    from stepgap.cli.progress import progress_bar
+    from stepgap.cli.run_report import compare_runs, report_run
+
+    if len(folders) > 1:
+        page = out or free_name(folders[0].resolve().parent / "comparison.html")
+        compare_runs(folders, page)
+    elif out:
+        raise InputError("--out: valid only with several runs; the report of one run lies in its folder")
+    else:
+        with progress_bar("replay") as progress:
+            page, left_out = report_run(folders[0], progress)
+        if left_out:
+            warn(f"left out of the report: {'; '.join(left_out)}")
+    print(page)

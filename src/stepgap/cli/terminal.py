@@ -1,0 +1,33 @@
+"""Lines on stderr: warnings, and the announcement that code is compiled."""
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+
+def warn(message: str) -> None:
+    """Prints one line on stderr."""
+    print(f"stepgap: {' '.join(message.split())}", file=sys.stderr)
+
+
+def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
+    """Makes a verb print on stderr, unless it is quiet, why it takes longer the first time."""
+
+    @wraps(verb)
+    def announcing(*arguments: Any, **options: Any) -> None:
+        from stepgap.base.compiling import on_first_compilation
+
+        def announce() -> None:
+            if not _is_quiet(options):
+                warn("compiling for this machine; takes about half a minute, once")
+
+        with on_first_compilation(announce):
+            verb(*arguments, **options)
+
+    return announcing
+
+
+def _is_quiet(options: dict[str, Any]) -> bool:
+    """Whether `--quiet` is among the options or in a group of them."""
+    return any(getattr(option, "quiet", False) for option in options.values()) or bool(options.get("quiet"))

@@ -1,0 +1,93 @@
+"""One name means one thing: no public name is defined in two modules; every public object has a docstring."""
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "src" / "stepgap"
+MODULES = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
+
+NOT_YET = {
+    "ADVICE",
+    "ASSIGN_INPUTS",
+    "ASSIGN_OUTPUTS",
+    "ENABLE",
+    "ERROR_CODE",
+    "Encoder",
+    "Entry",
+    "FEATURES",
+    "Flight",
+    "Hop",
+    "LARGEST_TORQUE",
+    "LAST_FRAMES",
+    "LOOK_EVERY",
+    "PATIENCE",
+    "PRIORITY",
+    "RATED_TORQUE",
+    "SCHEMA",
+    "SIGNED",
+    "SWITCH_ON",
+    "Slave",
+    "State",
+    "UNREADABLE",
+    "descend",
+    "next_state",
+    "rig_from_file",
+}
+"""Names that are still defined in several modules; this list may only become shorter."""
+
+
+def names_in(target: ast.expr) -> Iterator[str]:
+    return (node.id for node in ast.walk(target) if isinstance(node, ast.Name))
+
+
+def defined(module: ast.Module) -> set[str]:
+    """Public names that a module defines at its top level: functions, classes and constants."""
+    names: set[str] = set()
+    for node in module.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Assign):
+            names |= {name for target in node.targets for name in names_in(target)}
+        elif isinstance(node, ast.AnnAssign):
+            names |= set(names_in(node.target))
+    return {name for name in names if not name.startswith("_")}
+
+
+def test_no_public_name_is_defined_in_two_modules() -> None:
+    modules_of: dict[str, list[str]] = defaultdict(list)
+    for path, module in sorted(MODULES.items()):
+        for name in defined(module):
+            modules_of[name].append(path)
+    twice = {name: paths for name, paths in modules_of.items() if len(paths) > 1}
+    found = sorted(f"{name}: {', '.join(paths)}" for name, paths in twice.items() if name not in NOT_YET)
+    assert not found, "give each its own name, or make those private that no other module uses"
+    assert set(twice) >= NOT_YET, f"defined once by now, so not to be listed: {sorted(NOT_YET - set(twice))}"
+
+
+def without_docstring(body: list[ast.stmt], prefix: str) -> Iterator[str]:
+    """Public functions, classes and methods of a body that have none."""
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            if not ast.get_docstring(node) and not is_setter(node):
+                yield f"{prefix}{node.name}"
+            if isinstance(node, ast.ClassDef):
+                yield from without_docstring(node.body, f"{prefix}{node.name}.")
+
+
+def is_setter(node: ast.FunctionDef | ast.ClassDef) -> bool:
+    """Whether a property that has a docstring is set by it."""
+    return any(isinstance(mark, ast.Attribute) and mark.attr == "setter" for mark in node.decorator_list)
+
+
+def test_every_public_object_has_a_docstring() -> None:
+    found = [
+        where
+        for path, module in MODULES.items()
+        for where in [
+            *([] if ast.get_docstring(module) else [path]),
+            *without_docstring(module.body, f"{path}: "),
+        ]
+    ]
+    assert not found
