@@ -30,7 +30,7 @@ from stepgap.rigs.rig import HEALTHY
 from stepgap.robots.hopper.hop_control import HopControl, HopperControl
 from stepgap.robots.hopper.twin.twin import Twin
 
-LOOK_EVERY = 1e-3
+_LOOK_EVERY = 1e-3
 """Processor time between two looks at what is running [s]."""
 
 HOPPING, REST = "hopping", "rest"
@@ -49,7 +49,7 @@ PARTS = (
 TURNS, HOPS = 8, 10
 """How often loop and `mj_step` take turns, and hops in a turn."""
 
-EVERY = 10
+_EVERY = 10
 """One of this many ticks is kept by a run for its report."""
 
 COMMAND = np.array([-7.0, -6.0])
@@ -85,7 +85,7 @@ class Sampler:
     def running(self) -> Iterator[None]:
         """Looks every millisecond of processor time."""
         before = signal.signal(signal.SIGPROF, self._look)
-        signal.setitimer(signal.ITIMER_PROF, LOOK_EVERY, LOOK_EVERY)
+        signal.setitimer(signal.ITIMER_PROF, _LOOK_EVERY, _LOOK_EVERY)
         try:
             yield
         finally:
@@ -148,7 +148,7 @@ def tick_cost(settings: Experiment) -> TickCost:
     """The cost of a tick of hopping on the settings' twin, with all that a run does in a tick."""
     control = HopperControl(settings.robot, settings.gains, settings.command)
     twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(settings.seed))
-    plain = RigPlant(twin, control, TickRecorder(EVERY).on_tick)
+    plain = RigPlant(twin, control, TickRecorder(_EVERY).on_tick)
     recorded = RigPlant(twin, control, twin.keep)
     costs = []
     for _ in range(TURNS):

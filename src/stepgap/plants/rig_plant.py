@@ -10,7 +10,7 @@ from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl,
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
-STEP_ENDED, FAILED, UNREADABLE = (
+STEP_ENDED, FAILED, _UNREADABLE = (
     int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE)
 )  # fmt: skip
 
@@ -88,7 +88,7 @@ class RigPlant(Plant):
             while self._status == StepStatus.OK:
                 reading = rig.read()
                 torques, flags = control.tick(self._time, reading, order, applied, rig.health)
-                if flags & UNREADABLE:
+                if flags & _UNREADABLE:
                     raise RigFault(f"the sensors tell what is no number: {reading}")
                 applied = rig.write(torques)
                 self._time += self._tick_time

@@ -19,7 +19,7 @@ from stepgap.base.settings_file import to_table
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import read_ticks
-from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.emulator import emulated
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
@@ -57,7 +57,7 @@ class JiggedMachine(Machine):
     def period(self) -> float:
         return TICK
 
-    def devices(self, settings: RingSettings) -> list[Device]:
+    def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
         return hopper_devices(settings, self.period)
 
     def start(self) -> HopperReading:

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.plants.realtime.board import LONGEST_TEXT, Board, Hop, Request
+from stepgap.plants.realtime.board import LONGEST_TEXT, Board, FinishedHop, Request
 from stepgap.plants.realtime.states import RigState
 from stepgap.step import StepStatus
 
@@ -36,7 +36,7 @@ def test_what_one_posts_the_other_reads_under_its_number_alone(boards, number, f
     here.post_command(number, fx, fy)
     np.testing.assert_array_equal(there.command(number), (fx, fy))
     assert there.command(number + 1) is None
-    hop = Hop(number, fx, fy, -fy, -fx, yaw, StepStatus.NO_APEX)
+    hop = FinishedHop(number, fx, fy, -fy, -fx, yaw, StepStatus.NO_APEX)
     there.post_hop(hop)
     np.testing.assert_array_equal(here.hop(number), hop)
     assert here.hop(number + 1) is None

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.emulator import PRIORITY
 from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
@@ -55,7 +55,7 @@ class Recorder(Machine):
     def period(self) -> float:
         return 1e-3
 
-    def devices(self, settings: RingSettings) -> list[Device]:
+    def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
         return hopper_devices(settings, self.period)
 
     def start(self) -> HopperReading:

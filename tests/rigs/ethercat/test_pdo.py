@@ -6,10 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.rigs.ethercat.pdo import FORMATS, PDO_SETS, SIGNED, Entry, Packing, Pdo
+from stepgap.rigs.ethercat.pdo import ENTRY_FORMATS, PDO_SETS, SIGNED_VALUES, Entry, Packing, Pdo
 
 ENTRIES = st.builds(
-    Entry, st.integers(0, 0xFFFF), st.integers(0, 0xFF), st.sampled_from(list(FORMATS)), st.sampled_from(["", *SIGNED])
+    Entry,
+    st.integers(0, 0xFFFF),
+    st.integers(0, 0xFF),
+    st.sampled_from(list(ENTRY_FORMATS)),
+    st.sampled_from(["", *SIGNED_VALUES]),
 )
 PDOS = st.lists(st.builds(Pdo, st.integers(0x1600, 0x17FF), st.lists(ENTRIES, max_size=4).map(tuple)), max_size=3).map(
     tuple
@@ -47,7 +51,7 @@ def test_what_is_packed_is_what_is_unpacked(pdos: tuple[Pdo, ...], data: st.Data
     packing, values = Packing(pdos), {}
     for name in names:
         bits = packing.places[name][0].bits
-        low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if SIGNED[name] else (0, 2**bits - 1)
+        low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if SIGNED_VALUES[name] else (0, 2**bits - 1)
         values[name] = data.draw(st.integers(low, high))
     packed = packing.pack(values)
     assert len(packed) == packing.size == sum(entry.bits for pdo in pdos for entry in pdo.entries) // 8

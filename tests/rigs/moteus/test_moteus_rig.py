@@ -230,7 +230,7 @@ def test_controllers_that_do_not_fit_are_refused(
     bench: tuple[Controllers, MoteusRig], monkeypatch: pytest.MonkeyPatch, override: dict[int, float], says: str
 ) -> None:
     controllers, rig = bench
-    monkeypatch.setattr("stepgap.rigs.moteus.moteus_rig.PATIENCE", 0.01)
+    monkeypatch.setattr("stepgap.rigs.moteus.moteus_rig.ANSWER_TIMEOUT", 0.01)
     for controller in controllers.controllers.values():
         controller.prepares = 10**9
     controllers.overrides = override
@@ -247,7 +247,7 @@ def test_a_fault_from_before_is_reset_by_connecting(bench: tuple[Controllers, Mo
 
 
 def test_a_bus_without_controllers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stepgap.rigs.moteus.moteus_rig.PATIENCE", 0.0)
+    monkeypatch.setattr("stepgap.rigs.moteus.moteus_rig.ANSWER_TIMEOUT", 0.0)
     rig = hopper_on_moteus(fresh(replace(SETTINGS, reply_timeout=1e-3)), ROBOT)
     with pytest.raises(RigFault, match=r"controller 1 and controller 2 on virtual moteus \d+ did not answer"):
         rig.connect()

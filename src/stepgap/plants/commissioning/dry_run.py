@@ -24,7 +24,7 @@ from stepgap.step import Array
 FOLDER = Path("dry-run")
 """Where ticks go."""
 
-LOOK_EVERY = 0.1
+_LOOK_EVERY = 0.1
 """Time between two pictures [s]."""
 
 Shown = dict[str, str]
@@ -87,7 +87,7 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
     try:
         with terminated_as_interrupted(), _shown(round(1 / rig.sensor_model.tick)) as show:
             while log.count < wanted and not session.over():
-                sleep(LOOK_EVERY)
+                sleep(_LOOK_EVERY)
                 show(describe(log, session), log.count)
         fault = ended(session)
     except KeyboardInterrupt:

@@ -16,7 +16,7 @@ from stepgap.rigs.limp_rig import FrameCount, LimpRig
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array
 
-LOOK_EVERY = 0.05
+_LOOK_EVERY = 0.05
 """Time between two looks whether there are enough ticks [s]."""
 
 
@@ -52,7 +52,7 @@ def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
     try:
         with terminated_as_interrupted():
             while kept.count < count and not session.over():
-                sleep(LOOK_EVERY)
+                sleep(_LOOK_EVERY)
                 if session.board.state in (RigState.CALIBRATE, RigState.READY):
                     refused = refused or session.words()
         fault = ended(session)

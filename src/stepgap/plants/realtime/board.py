@@ -49,7 +49,7 @@ class Request(IntEnum):
     STOP = 2
 
 
-class Hop(NamedTuple):
+class FinishedHop(NamedTuple):
     """How a hop ended.
 
     Attributes:
@@ -148,7 +148,7 @@ class Board:
     def state(self, state: RigState) -> None:
         self._words[Field.STATE] = state
 
-    def post_hop(self, hop: Hop) -> None:
+    def post_hop(self, hop: FinishedHop) -> None:
         """How a hop ended."""
         self._words[Field.HOP_NUMBER] = -1
         self._numbers[Field.SPEED], self._numbers[Field.HEIGHT] = hop.speed, hop.height
@@ -157,13 +157,13 @@ class Board:
         self._words[Field.REASON] = hop.status
         self._words[Field.HOP_NUMBER] = hop.number
 
-    def hop(self, number: int) -> Hop | None:
+    def hop(self, number: int) -> FinishedHop | None:
         """How a hop ended, once it has, until the next one has."""
         words, numbers = self._words, self._numbers
         if words[Field.HOP_NUMBER] != number:
             return None
         speed, height, applied_fx, applied_fy, yaw = numbers[Field.SPEED : Field.REASON].tolist()
-        found = Hop(number, speed, height, applied_fx, applied_fy, yaw, StepStatus(words[Field.REASON]))
+        found = FinishedHop(number, speed, height, applied_fx, applied_fy, yaw, StepStatus(words[Field.REASON]))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:

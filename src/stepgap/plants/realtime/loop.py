@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from stepgap.plants.realtime.board import Board, Hop, Request
+from stepgap.plants.realtime.board import Board, FinishedHop, Request
 from stepgap.plants.realtime.pace import Pace
 from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
 from stepgap.plants.tick_clock import TickClock
@@ -191,7 +191,7 @@ class ControlLoop:
         """Tells the process that learns how the hop ended."""
         speed, height = finished.state.tolist()
         fx, fy = (np.nan_to_num(finished.command) - finished.lost).tolist()  # without a command there was no force
-        self._board.post_hop(Hop(self._hop, speed, height, fx, fy, finished.yaw, self._control.status))
+        self._board.post_hop(FinishedHop(self._hop, speed, height, fx, fy, finished.yaw, self._control.status))
 
     def _repeat(self, now: float) -> bool:
         """A frame between two ticks [s]; False where the rig fails."""
@@ -214,6 +214,6 @@ class ControlLoop:
         if self._state == RigState.FAULT:
             return
         if self._state == RigState.HOP:
-            self._board.post_hop(Hop.stopped(self._hop))
+            self._board.post_hop(FinishedHop.stopped(self._hop))
         self._board.words = words
         self._enter(next_state(self._state, Signals(fault=True)))

@@ -12,7 +12,7 @@ Pace = Callable[[float], float]
 SPIN = 1.5e-4
 """Time before a due time from which on the clock is watched instead of sleeping [s]."""
 
-PRIORITY = 80
+_PRIORITY = 80
 """Of SCHED_FIFO; the kernel's interrupt threads have 50."""
 
 MCL_CURRENT_AND_FUTURE = 3
@@ -44,7 +44,7 @@ def ask_for_realtime() -> list[str]:
     gc.disable()
     refused = []
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     except (AttributeError, PermissionError):
         refused.append("real-time scheduling (SCHED_FIFO) is refused: it needs root, CAP_SYS_NICE or an rtprio limit")
     try:

@@ -7,7 +7,7 @@ from time import sleep
 import numpy as np
 
 from stepgap.plants.plant import Plant
-from stepgap.plants.realtime.board import Hop, Request
+from stepgap.plants.realtime.board import FinishedHop, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
@@ -16,7 +16,7 @@ from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
-LOOK_EVERY = 1e-3
+_LOOK_EVERY = 1e-3
 """Time between two looks whether a hop has ended [s]."""
 
 
@@ -62,7 +62,7 @@ class RealtimePlant(Plant):
         self._session = session = Session(self._setup, log)
         while session.board.state < RigState.READY:
             session.check()
-            sleep(LOOK_EVERY)
+            sleep(_LOOK_EVERY)
         session.check()
         self._on_ready()
         session.board.request = Request.HOP
@@ -98,14 +98,14 @@ class RealtimePlant(Plant):
             session.close()
             self._fault = self._fault or session.words()
 
-    def _await_hop(self, session: Session) -> Hop:
+    def _await_hop(self, session: Session) -> FinishedHop:
         """The present hop, when it has ended."""
         while (hop := session.board.hop(self._hop)) is None:
             if session.over():
-                hop = session.board.hop(self._hop) or Hop.stopped(self._hop)
+                hop = session.board.hop(self._hop) or FinishedHop.stopped(self._hop)
                 break
             session.check_sink()
-            sleep(LOOK_EVERY)
+            sleep(_LOOK_EVERY)
         if hop.status != StepStatus.OK:
             self._fault = session.words()
         self._state = np.array([hop.speed, hop.height])

@@ -13,10 +13,10 @@ from stepgap.rigs.ethercat.pdo import Packing, Pdo
 from stepgap.rigs.ethercat.rig_settings import BusSettings
 from stepgap.rigs.rig import RigFault
 
-ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C12, 0x1C13
+_ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13
 """Objects that hold the PDOs of sync managers 2 and 3."""
 
-PATIENCE = 2.0
+STATE_TIMEOUT = 2.0
 """How long slaves may take to change state [s]."""
 
 REPLY_TIMEOUT = 20_000
@@ -183,8 +183,8 @@ class Bus:
         """PDOs and watchdog of one slave, in PREOP."""
         pdos = self._settings.pdo_set(self._settings.slaves[number])
         for assignment, wanted, packing in (
-            (ASSIGN_OUTPUTS, pdos.outputs, self._outputs[number]),
-            (ASSIGN_INPUTS, pdos.inputs, self._inputs[number]),
+            (_ASSIGN_OUTPUTS, pdos.outputs, self._outputs[number]),
+            (_ASSIGN_INPUTS, pdos.inputs, self._inputs[number]),
         ):
             if wanted:
                 self._assign(number, assignment, wanted)
@@ -249,12 +249,12 @@ class Bus:
                     f"but exchanges {found[0]} and {found[1]}"
                 )
             device.output = bytes(wanted[0])
-        if master.state_check(soem.SAFEOP_STATE, round(PATIENCE * 1e6)) != soem.SAFEOP_STATE:
+        if master.state_check(soem.SAFEOP_STATE, round(STATE_TIMEOUT * 1e6)) != soem.SAFEOP_STATE:
             raise RigFault(f"a slave refuses SAFEOP: {self._states(soem.SAFEOP_STATE)}")
         master.state = soem.OP_STATE
         self._exchange()
         master.write_state()
-        until = monotonic() + PATIENCE
+        until = monotonic() + STATE_TIMEOUT
         while master.state_check(soem.OP_STATE, 1000) != soem.OP_STATE:
             self._exchange()
             if monotonic() > until:

@@ -5,7 +5,7 @@ from math import isfinite
 from struct import Struct
 from time import monotonic, sleep
 
-from stepgap.rigs.ethercat.bus import PATIENCE, Bus
+from stepgap.rigs.ethercat.bus import STATE_TIMEOUT, Bus
 from stepgap.rigs.ethercat.cia402 import (
     CYCLIC_TORQUE,
     DISABLE_VOLTAGE,
@@ -20,13 +20,13 @@ from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques
 
-ERROR_CODE, LARGEST_TORQUE, RATED_TORQUE = 0x603F, 0x6072, 0x6076
+_ERROR_CODE, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
 
 STATES_EVERY = 50
 """Good frames from one look at the slaves' states to the next."""
 
-LAST_FRAMES = 3
+_LAST_FRAMES = 3
 """Frames without torque that are sent when all is over, in case one is lost."""
 
 
@@ -148,17 +148,17 @@ class EthercatRig(Rig):
     def _check_drives(self) -> None:
         """The drives' scales of torque must be the settings'; their own limits are set to the motors'."""
         for drive, motor in zip(self._drives, self._motors, strict=True):
-            rated = self._bus.read_object(drive, RATED_TORQUE, _U32)
+            rated = self._bus.read_object(drive, _RATED_TORQUE, _U32)
             if rated != round(motor.rated_torque * 1000):
                 raise RigFault(
                     f"{self._bus.label(drive)} has a rated torque of {rated / 1000:g} N·m (0x6076), "
                     f"but the settings say {motor.rated_torque:g}"
                 )
-            self._bus.write_object(drive, LARGEST_TORQUE, _U16, motor.most_units)
+            self._bus.write_object(drive, _LARGEST_TORQUE, _U16, motor.most_units)
 
     def _transition(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
         """Exchanges frames without torque until the drives' states are as wanted."""
-        until, words = monotonic() + PATIENCE, [DISABLE_VOLTAGE] * len(self._drives)
+        until, words = monotonic() + STATE_TIMEOUT, [DISABLE_VOLTAGE] * len(self._drives)
         while True:
             for drive, word in zip(self._drives, words, strict=True):
                 self._command(drive, 0, word)
@@ -212,7 +212,7 @@ class EthercatRig(Rig):
         return RigFault(message)
 
     def _voltage_off(self) -> None:
-        for _ in range(LAST_FRAMES):
+        for _ in range(_LAST_FRAMES):
             for drive in self._drives:
                 self._command(drive, 0, DISABLE_VOLTAGE)
             self._bus.send()
@@ -227,7 +227,7 @@ class EthercatRig(Rig):
         values = self._bus.inputs(drive)
         text = f"{self._bus.label(drive)} is {state_of(values['statusword']).value}, mode {values['mode_display']}"
         try:
-            error = self._bus.read_object(drive, ERROR_CODE, _U16)
+            error = self._bus.read_object(drive, _ERROR_CODE, _U16)
         except RigFault:  # a drive without power, say; it must not hide why it is asked
             return f"{text}, its error is not known"
         return f"{text}, error 0x{error:04X}" if error else text

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
-SIGNED = {
+SIGNED_VALUES = {
     "controlword": False,
     "target_torque": True,
     "mode": True,
@@ -20,7 +20,7 @@ SIGNED = {
 }
 """The values a rig uses, and whether each has a sign. A counter that has none is read as if it had: it is unwrapped."""
 
-FORMATS = {8: "b", 16: "h", 32: "i"}
+ENTRY_FORMATS = {8: "b", 16: "h", 32: "i"}
 
 WRITTEN_ENTRY = re.compile(r"(0x[0-9a-f]{4}):([0-9a-f]{2}):(\d{1,2})(?: +([a-z_]+))?", re.IGNORECASE)
 
@@ -33,7 +33,7 @@ class Entry:
         index: Of the object; 0 fills a gap.
         subindex: Of the object.
         bits: Its size.
-        name: What the rig uses it for, one of `SIGNED`; empty where it does not.
+        name: What the rig uses it for, one of `SIGNED_VALUES`; empty where it does not.
 
     Raises:
         ValueError: Size or name are none.
@@ -45,9 +45,9 @@ class Entry:
     name: str = ""
 
     def __post_init__(self) -> None:
-        if self.name and self.name not in SIGNED:
-            raise ValueError(f"{self.name} is no value of a rig; those are {', '.join(SIGNED)}")
-        if self.bits not in FORMATS and (self.name or not 0 < self.bits <= 64):
+        if self.name and self.name not in SIGNED_VALUES:
+            raise ValueError(f"{self.name} is no value of a rig; those are {', '.join(SIGNED_VALUES)}")
+        if self.bits not in ENTRY_FORMATS and (self.name or not 0 < self.bits <= 64):
             raise ValueError(f"{self} has {self.bits} bits, but it must have 8, 16 or 32, or 1 to 64 without a name")
 
     def __str__(self) -> str:
@@ -97,8 +97,8 @@ class Packing:
                 self.places[entry.name] = (entry, bit)
                 if bit % 8:
                     raise ValueError(f"{entry} starts at bit {bit}, but it must start at a byte")
-                code = FORMATS[entry.bits]
-                codes += code if SIGNED[entry.name] else code.upper()
+                code = ENTRY_FORMATS[entry.bits]
+                codes += code if SIGNED_VALUES[entry.name] else code.upper()
             else:
                 codes += "x" * ((bit + entry.bits) // 8 - bit // 8)
             bit += entry.bits

@@ -26,10 +26,10 @@ REGISTER_MAP = 5
 LIMITING = range(96, 104)
 """Fault codes of a controller that works, but at a limit."""
 
-PATIENCE = 1.0
+ANSWER_TIMEOUT = 1.0
 """How long controllers may take to answer first and to get ready [s]."""
 
-LAST_FRAMES = 3
+_LAST_FRAMES = 3
 """Stop commands that are sent when all is over, in case one is lost."""
 
 FAULTS = {
@@ -182,7 +182,7 @@ class MoteusRig(Rig):
         """Stops all, which ends their faults, and asks for the version of their registers."""
         version = _query({Register.REGISTER_MAP_VERSION: moteus.INT32})
         self._stop(bus)
-        until, replies = monotonic() + PATIENCE, self._ask(bus, version)
+        until, replies = monotonic() + ANSWER_TIMEOUT, self._ask(bus, version)
         while len(replies) < len(self._controllers):
             if monotonic() > until:
                 raise RigFault(f"{self._absent(replies)} on {bus.name} did not answer")
@@ -196,7 +196,7 @@ class MoteusRig(Rig):
 
     def _get_ready(self, bus: CanBus) -> None:
         """Commands no torque until all controllers take commands."""
-        until = monotonic() + PATIENCE
+        until = monotonic() + ANSWER_TIMEOUT
         while True:
             self._command(bus, [LIMP] * len(self._motors))
             replies = self._ask(bus)
@@ -265,7 +265,7 @@ class MoteusRig(Rig):
         return RigFault(message)
 
     def _stop(self, bus: CanBus) -> None:
-        for _ in range(LAST_FRAMES):
+        for _ in range(_LAST_FRAMES):
             with suppress(RigFault):  # then their watchdogs must do it
                 bus.send({number: each.make_stop() for number, each in self._controllers.items()})
 

@@ -121,7 +121,7 @@ def hopper_on_ethercat(settings: RigSettings, robot: RobotParameters) -> Etherca
     return EthercatRig(settings, settings.sensor_model(robot.boom_length))
 
 
-def rig_from_file(settings: Path, robot: RobotParameters) -> EthercatRig:
+def ethercat_rig_from_file(settings: Path, robot: RobotParameters) -> EthercatRig:
     """The rig that a `rig.toml` describes; entry point of `stepgap.rigs`.
 
     Raises:

@@ -111,7 +111,7 @@ def hopper_on_moteus(settings: MoteusSettings, robot: RobotParameters) -> Moteus
     return MoteusRig(settings, settings.sensor_model(robot.boom_length))
 
 
-def rig_from_file(settings: Path, robot: RobotParameters) -> MoteusRig:
+def moteus_rig_from_file(settings: Path, robot: RobotParameters) -> MoteusRig:
     """The rig that a `moteus.toml` describes; entry point of `stepgap.rigs`.
 
     Raises:

@@ -2,17 +2,17 @@
 
 from operator import attrgetter
 
-from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.drive import Drive, DriveSettings
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
-from stepgap.rigs.ethercat.emulator.terminals import AnalogInput, Coupler, Encoder
+from stepgap.rigs.ethercat.emulator.terminals import AnalogInput, Coupler, EncoderTerminal
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.twin.twin import Twin
 
 
-def hopper_devices(settings: RingSettings, period: float) -> list[Device]:
+def hopper_devices(settings: RingSettings, period: float) -> list[EmulatedDevice]:
     """The hopper's ring in order: `drive_1`, `drive_2`, `coupler`, `boom_horizontal`, `boom_vertical`, `contact_force`.
 
     Args:
@@ -23,7 +23,7 @@ def hopper_devices(settings: RingSettings, period: float) -> list[Device]:
     return [
         *(Drive(f"drive_{motor}", drive, attrgetter(f"motor_{motor}")) for motor in (1, 2)),
         Coupler("coupler"),
-        *(Encoder(name, attrgetter(name)) for name in ("boom_horizontal", "boom_vertical")),
+        *(EncoderTerminal(name, attrgetter(name)) for name in ("boom_horizontal", "boom_vertical")),
         AnalogInput("contact_force", attrgetter("contact_force"), settings.force_resolution),
     ]
 
@@ -43,7 +43,7 @@ class TwinMachine(Machine):
         """Time of a tick [s]."""
         return self._twin.sensor_model.tick
 
-    def devices(self, settings: RingSettings) -> list[Device]:
+    def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
         """Two drives, a coupler, two boom encoders and an analog input."""
         return hopper_devices(settings, self.period)
 

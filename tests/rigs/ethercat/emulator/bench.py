@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from struct import Struct, pack, unpack_from
 
 from stepgap.rigs.ethercat.emulator import registers as reg
-from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.frame import BROADCAST, Command, Datagram, Frame, decode, encode
 from stepgap.rigs.ethercat.emulator.machine import Machine
@@ -33,7 +33,7 @@ class Flywheels(Machine):
     def period(self) -> float:
         return 1e-3
 
-    def devices(self, settings: RingSettings) -> list[Device]:
+    def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
         return hopper_devices(settings, self.period)
 
     def start(self) -> HopperReading:

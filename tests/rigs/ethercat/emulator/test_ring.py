@@ -20,7 +20,7 @@ from stepgap.rigs.ethercat.emulator.faults import (
     WrongMapping,
 )
 from stepgap.rigs.ethercat.emulator.frame import BROADCAST, ETHERTYPE, Command, Datagram, Frame, encode
-from stepgap.rigs.ethercat.emulator.registers import State, StatusCode
+from stepgap.rigs.ethercat.emulator.registers import AlState, StatusCode
 from tests.rigs.ethercat.emulator.bench import ANALOG, DRIVES, ENCODERS, STATION, Bench, Flywheels, drive_input, inputs
 
 COUNTER = 4 * 3 + 1
@@ -335,7 +335,7 @@ def test_a_slave_that_lost_power_comes_back_as_new():
     assert [answer.counter for answer in answers] == [3, 3, COUNTER - 3]
     assert bench.machine.torques[-3:] == [(5, 0)] * 3
     slave = bench.ring.slaves[1]
-    assert (slave.state, slave.memory[reg.STATION_ADDRESS]) == (State.INIT, 0)
+    assert (slave.state, slave.memory[reg.STATION_ADDRESS]) == (AlState.INIT, 0)
 
 
 def test_a_stalled_slave_still_counts():

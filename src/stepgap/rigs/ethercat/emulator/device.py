@@ -7,7 +7,7 @@ from stepgap.rigs.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
 
 
-class Device(ABC):
+class EmulatedDevice(ABC):
     """What sits behind a slave controller: a drive or a terminal.
 
     Args:

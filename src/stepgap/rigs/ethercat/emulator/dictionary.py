@@ -36,7 +36,7 @@ class Abort(StepGapError):
 
 
 @dataclass(slots=True)
-class Entry:
+class ObjectEntry:
     """One value of the dictionary.
 
     Attributes:
@@ -81,7 +81,7 @@ class Image:
         parts: Entry and bits of each part; no entry where it is padding.
     """
 
-    def __init__(self, parts: Iterable[tuple[Entry | None, int]]):
+    def __init__(self, parts: Iterable[tuple[ObjectEntry | None, int]]):
         self._fields, shift = [], 0
         for entry, bits in parts:
             if entry is not None:
@@ -121,16 +121,16 @@ class Dictionary:
     def __init__(
         self,
         identity: Identity,
-        objects: Mapping[tuple[int, int], Entry],
+        objects: Mapping[tuple[int, int], ObjectEntry],
         outputs: Pdos,
         inputs: Pdos,
         assigned_outputs: tuple[int, ...],
         assigned_inputs: tuple[int, ...],
         check: Callable[[int, int], None] = lambda index, value: None,
     ):
-        self._entries: dict[tuple[int, int], Entry] = {
-            (DEVICE_TYPE, 0): Entry(0, 32),
-            (DEVICE_NAME, 0): Entry(0, 0, text=identity.name.encode("ascii")),
+        self._entries: dict[tuple[int, int], ObjectEntry] = {
+            (DEVICE_TYPE, 0): ObjectEntry(0, 32),
+            (DEVICE_NAME, 0): ObjectEntry(0, 0, text=identity.name.encode("ascii")),
             **_array(IDENTITY, (identity.vendor, identity.product, identity.revision, identity.serial), 32),
             **_array(SYNC_MANAGER_TYPES, (1, 2, 3, 4), 8),
             **_array(ASSIGN_OUTPUTS, assigned_outputs, 16, MOST_PDOS),
@@ -200,7 +200,7 @@ class Dictionary:
     def _number(self, index: int, subindex: int) -> int:
         return self._entries[index, subindex].value
 
-    def _find(self, index: int, subindex: int) -> Entry:
+    def _find(self, index: int, subindex: int) -> ObjectEntry:
         entry = self._entries.get((index, subindex))
         if entry is None:
             known = (index, 0) in self._entries
@@ -208,9 +208,9 @@ class Dictionary:
         return entry
 
 
-def _array(index: int, values: tuple[int, ...], bits: int, most: int = 0) -> dict[tuple[int, int], Entry]:
+def _array(index: int, values: tuple[int, ...], bits: int, most: int = 0) -> dict[tuple[int, int], ObjectEntry]:
     """An object of equal entries whose subindex 0 counts them, with room for `most`."""
-    entries = {(index, 0): Entry(len(values), 8)}
+    entries = {(index, 0): ObjectEntry(len(values), 8)}
     for number in range(max(len(values), most)):
-        entries[index, number + 1] = Entry(values[number] if number < len(values) else 0, bits)
+        entries[index, number + 1] = ObjectEntry(values[number] if number < len(values) else 0, bits)
     return entries

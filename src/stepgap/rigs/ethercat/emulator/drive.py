@@ -4,16 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-from stepgap.rigs.ethercat.emulator.device import Device
-from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, Entry, Mapped
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
+from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, Mapped, ObjectEntry
 from stepgap.rigs.ethercat.emulator.mailbox import emergency
 from stepgap.rigs.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
 
-ERROR_REGISTER, ERROR_CODE = 0x1001, 0x603F
+ERROR_REGISTER, _ERROR_CODE = 0x1001, 0x603F
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
 POSITION, VELOCITY = 0x6064, 0x606C
-TARGET_TORQUE, LARGEST_TORQUE, RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
+TARGET_TORQUE, _LARGEST_TORQUE, _RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
 SUPPORTED_MODES = 0x6502
 """Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register)."""
 
@@ -28,7 +28,7 @@ GENERIC_ERROR = 0x01
 ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)
 """An identity as Elmo's Gold drives have it."""
 
-SWITCH_ON, VOLTAGE, NO_QUICK_STOP, ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
+_SWITCH_ON, VOLTAGE, NO_QUICK_STOP, _ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
 """Bits of the controlword (CiA 402-2, object 0x6040)."""
 
 VOLTAGE_ENABLED, REMOTE, FOLLOWS = 0x0010, 0x0200, 0x1000
@@ -46,7 +46,7 @@ class DriveState(IntEnum):
     FAULT = 0x08
 
 
-def next_state(state: DriveState, controlword: int, before: int) -> DriveState:
+def next_drive_state(state: DriveState, controlword: int, before: int) -> DriveState:
     """The state after a controlword (CiA 402-2, device control state machine); at most one state up at a time.
 
     Args:
@@ -62,12 +62,12 @@ def next_state(state: DriveState, controlword: int, before: int) -> DriveState:
     if not controlword & NO_QUICK_STOP:
         return DriveState.QUICK_STOP if state is DriveState.OPERATION_ENABLED else DriveState.SWITCH_ON_DISABLED
     if state is DriveState.SWITCH_ON_DISABLED:
-        return state if controlword & SWITCH_ON else DriveState.READY_TO_SWITCH_ON
-    if not controlword & SWITCH_ON:
+        return state if controlword & _SWITCH_ON else DriveState.READY_TO_SWITCH_ON
+    if not controlword & _SWITCH_ON:
         return DriveState.READY_TO_SWITCH_ON
     if state is DriveState.READY_TO_SWITCH_ON:
         return DriveState.SWITCHED_ON
-    return DriveState.OPERATION_ENABLED if controlword & ENABLE else DriveState.SWITCHED_ON
+    return DriveState.OPERATION_ENABLED if controlword & _ENABLE else DriveState.SWITCHED_ON
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ INPUT_PDOS = {
 """PDOs for torque as Elmo's drives map them; only 0x1602 and 0x1A02 are assigned after power-up."""
 
 
-class Drive(Device):
+class Drive(EmulatedDevice):
     """A drive behind a slave controller.
 
     Args:
@@ -115,19 +115,19 @@ class Drive(Device):
 
     def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
         self._settings, self._counts = settings, counts
-        self._position = self._velocity = self._status = self._error = Entry(0, 0)  # replaced by power_on
+        self._position = self._velocity = self._status = self._error = ObjectEntry(0, 0)  # replaced by power_on
         super().__init__(name, settings.identity)
         self.power_on()
 
     def power_on(self) -> None:
         """Begins anew: switch-on disabled, no torque, PDOs as after power-up."""
         settings = self._settings
-        self._control, self._status = Entry(0, 16, writable=True), Entry(DriveState.SWITCH_ON_DISABLED, 16)
-        self._mode, self._mode_display = Entry(0, 8, True, True), Entry(0, 8, True)
-        self._target, self._torque = Entry(0, 16, True, True), Entry(0, 16, True)
-        self._position, self._velocity = Entry(0, 32, True), Entry(0, 32, True)
-        self._largest = Entry(settings.largest_torque, 16, writable=True)
-        self._error, self._register = Entry(0, 16), Entry(0, 8)
+        self._control, self._status = ObjectEntry(0, 16, writable=True), ObjectEntry(DriveState.SWITCH_ON_DISABLED, 16)
+        self._mode, self._mode_display = ObjectEntry(0, 8, True, True), ObjectEntry(0, 8, True)
+        self._target, self._torque = ObjectEntry(0, 16, True, True), ObjectEntry(0, 16, True)
+        self._position, self._velocity = ObjectEntry(0, 32, True), ObjectEntry(0, 32, True)
+        self._largest = ObjectEntry(settings.largest_torque, 16, writable=True)
+        self._error, self._register = ObjectEntry(0, 16), ObjectEntry(0, 8)
         entries = {
             CONTROLWORD: self._control,
             STATUSWORD: self._status,
@@ -136,12 +136,12 @@ class Drive(Device):
             POSITION: self._position,
             VELOCITY: self._velocity,
             TARGET_TORQUE: self._target,
-            LARGEST_TORQUE: self._largest,
-            RATED_TORQUE: Entry(settings.rated_torque, 32),
+            _LARGEST_TORQUE: self._largest,
+            _RATED_TORQUE: ObjectEntry(settings.rated_torque, 32),
             TORQUE: self._torque,
-            ERROR_CODE: self._error,
+            _ERROR_CODE: self._error,
             ERROR_REGISTER: self._register,
-            SUPPORTED_MODES: Entry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
+            SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
         }
         self.dictionary = Dictionary(
             settings.identity,
@@ -163,7 +163,7 @@ class Drive(Device):
     def update(self, operational: bool) -> None:
         """State machine, then torque; whoever is enabled and no longer gets process data trips."""
         if operational:
-            self.state = next_state(self.state, self._control.value, self._before)
+            self.state = next_drive_state(self.state, self._control.value, self._before)
             self._before = self._control.value
         elif self.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP):
             self.trip(COMMUNICATION_LOST)

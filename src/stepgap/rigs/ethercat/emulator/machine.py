@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import Reading, Torques
 
@@ -17,7 +17,7 @@ class Machine(ABC):
         """Time of a tick [s]."""
 
     @abstractmethod
-    def devices(self, settings: RingSettings) -> Sequence[Device]:
+    def devices(self, settings: RingSettings) -> Sequence[EmulatedDevice]:
         """The ring of its drives and sensors, in the order in which frames pass them."""
 
     @abstractmethod

@@ -12,13 +12,13 @@ from typing import NoReturn
 from stepgap.base.errors import StepGapError
 from stepgap.rigs.ethercat.emulator.frame import ETHERTYPE
 
-LONGEST_NAME = 15
+_LONGEST_NAME = 15
 """Characters of an interface's name (IFNAMSIZ − 1)."""
 
 RING_END = "-ring"
 """What the name of the ring's end has after the master's."""
 
-ADVICE = (
+_ADVICE = (
     "raw Ethernet needs root (CAP_NET_ADMIN and CAP_NET_RAW). Run it with sudo; or without, where your system "
     "allows it, in a network of its own: `unshare -Urn COMMAND`, master and ring in the same COMMAND; "
     "in a container add --cap-add NET_ADMIN --cap-add NET_RAW"
@@ -49,8 +49,8 @@ def wire(name: str) -> Iterator[socket.socket]:
         NoNetwork: It cannot be made.
     """
     other = name + RING_END
-    if not name or len(other) > LONGEST_NAME:
-        raise NoNetwork(f"the interface's name must have 1 to {LONGEST_NAME - len(RING_END)} characters, not '{name}'")
+    if not name or len(other) > _LONGEST_NAME:
+        raise NoNetwork(f"the interface's name must have 1 to {_LONGEST_NAME - len(RING_END)} characters, not '{name}'")
     with _other_namespace() as ours:
         _ip("link", "add", other, "type", "veth", "peer", "name", name, *ours)
         _ip("link", "set", other, "up")
@@ -91,7 +91,7 @@ def raw_socket(interface: str) -> socket.socket:
     try:
         raw = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ETHERTYPE))
     except PermissionError as refused:
-        raise NoNetwork(ADVICE) from refused
+        raise NoNetwork(_ADVICE) from refused
     try:
         raw.bind((interface, ETHERTYPE))
     except OSError as missing:
@@ -110,11 +110,11 @@ def run_in_namespace(command: Sequence[str]) -> NoReturn:
     """
     program = shutil.which("unshare")
     if program is None:
-        raise NoNetwork(f"the command `unshare` (util-linux) is missing; {ADVICE}")
+        raise NoNetwork(f"the command `unshare` (util-linux) is missing; {_ADVICE}")
     begin = [program, "--user", "--map-root-user", "--net"]
     trial = subprocess.run([*begin, "true"], capture_output=True, text=True, check=False)
     if trial.returncode:
-        raise NoNetwork(f"{trial.stderr.strip()}: {ADVICE}")
+        raise NoNetwork(f"{trial.stderr.strip()}: {_ADVICE}")
     os.execv(program, [*begin, "--", *command])
 
 
@@ -126,6 +126,6 @@ def _ip(*arguments: str) -> None:
     if outcome.returncode:
         said = outcome.stderr.strip()
         if "not permitted" in said:
-            raise NoNetwork(f"ip {' '.join(arguments)}: {said}: {ADVICE}")
+            raise NoNetwork(f"ip {' '.join(arguments)}: {said}: {_ADVICE}")
         exists = "; end the emulator that has it, or take it away by `ip link del`" if "exists" in said else ""
         raise NoNetwork(f"ip {' '.join(arguments)}: {said}{exists}")

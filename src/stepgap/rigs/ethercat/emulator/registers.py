@@ -2,7 +2,14 @@
 
 from enum import IntEnum
 
-TYPE, FMMU_COUNT, SYNC_MANAGER_COUNT, RAM_SIZE, PORTS, FEATURES = 0x0000, 0x0004, 0x0005, 0x0006, 0x0007, 0x0008
+TYPE, FMMU_COUNT, SYNC_MANAGER_COUNT, RAM_SIZE, _PORTS, ESC_FEATURES = (
+    0x0000,
+    0x0004,
+    0x0005,
+    0x0006,
+    0x0007,
+    0x0008,
+)
 """What the slave controller is (§6.1.1)."""
 
 STATION_ADDRESS, STATION_ALIAS = 0x0010, 0x0012
@@ -56,7 +63,7 @@ WRITABLE = (
 """Ranges [from, to) that a master may write; elsewhere writing changes nothing."""
 
 
-class State(IntEnum):
+class AlState(IntEnum):
     """States of the application layer (ETG.1000.6 §6.4.1)."""
 
     INIT = 1

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from stepgap.rigs.ethercat.emulator import registers as reg
-from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.drive import SPEED_RUN_AWAY, Drive
 from stepgap.rigs.ethercat.emulator.faults import (
     DriveFault,
@@ -21,9 +21,9 @@ from stepgap.rigs.ethercat.emulator.faults import (
 from stepgap.rigs.ethercat.emulator.frame import Command, Datagram, Frame, FrameError, decode, encode
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.mailbox import emergency
-from stepgap.rigs.ethercat.emulator.registers import State, StatusCode
+from stepgap.rigs.ethercat.emulator.registers import AlState, StatusCode
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
-from stepgap.rigs.ethercat.emulator.slave import Slave
+from stepgap.rigs.ethercat.emulator.slave import EmulatedSlave
 from stepgap.rigs.rig import RigFault
 
 _COUNTED_ON = frozenset({Command.APRD, Command.APWR, Command.APRW, Command.ARMW, Command.BRD, Command.BWR, Command.BRW})
@@ -47,8 +47,8 @@ class Ring:
         ValueError: There is no drive, names are not distinct, or a fault names none of them.
     """
 
-    def __init__(self, machine: Machine, settings: RingSettings, devices: Sequence[Device] | None = None):
-        self.slaves = [Slave(device) for device in devices or machine.devices(settings)]
+    def __init__(self, machine: Machine, settings: RingSettings, devices: Sequence[EmulatedDevice] | None = None):
+        self.slaves = [EmulatedSlave(device) for device in devices or machine.devices(settings)]
         self._by_name = {slave.device.name: slave for slave in self.slaves}
         self.drives = [slave.device for slave in self.slaves if isinstance(slave.device, Drive)]
         if not self.drives or len(self._by_name) < len(self.slaves):
@@ -187,8 +187,8 @@ class Ring:
             slave.device.messages.append(emergency(fault.code, 0))
         elif isinstance(fault, WrongMapping):
             slave.wrong_mapping = True
-            if slave.state in (State.SAFEOP, State.OP):
-                slave.drop(State.PREOP, StatusCode.INVALID_INPUTS)
+            if slave.state in (AlState.SAFEOP, AlState.OP):
+                slave.drop(AlState.PREOP, StatusCode.INVALID_INPUTS)
 
 
 def _lasts(fault: LostFrames | Unplugged, cycle: int) -> bool:
@@ -197,4 +197,4 @@ def _lasts(fault: LostFrames | Unplugged, cycle: int) -> bool:
 
 def _asks_for_init(datagram: Datagram) -> bool:
     place = reg.AL_CONTROL - datagram.offset
-    return 0 <= place < len(datagram.data) and datagram.data[place] & 0x0F == State.INIT
+    return 0 <= place < len(datagram.data) and datagram.data[place] & 0x0F == AlState.INIT

@@ -5,11 +5,11 @@ from struct import pack_into, unpack_from
 from typing import NamedTuple
 
 from stepgap.rigs.ethercat.emulator import registers as reg
-from stepgap.rigs.ethercat.emulator.device import Device
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.dictionary import ASSIGN_INPUTS, ASSIGN_OUTPUTS, Image
 from stepgap.rigs.ethercat.emulator.frame import Command
 from stepgap.rigs.ethercat.emulator.mailbox import answer
-from stepgap.rigs.ethercat.emulator.registers import State, StatusCode
+from stepgap.rigs.ethercat.emulator.registers import AlState, StatusCode
 from stepgap.rigs.ethercat.emulator.sii import (
     INPUT_CONTROL,
     INPUT_START,
@@ -43,10 +43,10 @@ class _Fmmu(NamedTuple):
     writes: bool
 
 
-class Slave:
+class EmulatedSlave:
     """A slave controller with a device behind it."""
 
-    def __init__(self, device: Device):
+    def __init__(self, device: EmulatedDevice):
         self.device = device
         areas: tuple[Area, ...] = ()
         if device.dictionary is not None:
@@ -70,8 +70,8 @@ class Slave:
         """Everything as after power-up."""
         self.memory = bytearray(reg.MEMORY_SIZE)
         self.memory[reg.TYPE] = 0x11
-        self.memory[reg.FMMU_COUNT : reg.FEATURES] = bytes([reg.FMMU_SLOTS, reg.SYNC_MANAGER_SLOTS, 4, 0x0F])
-        pack_into("<H", self.memory, reg.FEATURES, 0x000C)  # distributed clocks, 64 bit
+        self.memory[reg.FMMU_COUNT : reg.ESC_FEATURES] = bytes([reg.FMMU_SLOTS, reg.SYNC_MANAGER_SLOTS, 4, 0x0F])
+        pack_into("<H", self.memory, reg.ESC_FEATURES, 0x000C)  # distributed clocks, 64 bit
         self.memory[reg.PDI_CONTROL] = 0x05 if self._areas else 0x00
         pack_into("<H", self.memory, reg.WATCHDOG_DIVIDER, 2498)
         pack_into("<H", self.memory, reg.WATCHDOG_TIME, 1000)  # 100 ms
@@ -82,7 +82,7 @@ class Slave:
         self._sent, self._mail_counter = b"", 0
         self._time = self._written = 0
         self._outputs, self._inputs, self._outputs_at, self._inputs_at = NO_IMAGE, NO_IMAGE, 0, 0
-        self._set_state(State.INIT)
+        self._set_state(AlState.INIT)
         self.device.power_on()
 
     def link(self, ports: int) -> None:
@@ -116,10 +116,10 @@ class Slave:
 
     def take_outputs(self) -> None:
         """Before a tick of the machine: watches over the outputs and lets the device act on them."""
-        if self.state is State.OP:
+        if self.state is AlState.OP:
             self._watch()
         if not self.stalled:
-            operational = self.state is State.OP
+            operational = self.state is AlState.OP
             if operational:
                 start = self._outputs_at
                 self._outputs.unpack(bytes(self.memory[start : start + self._outputs.length]))
@@ -138,12 +138,12 @@ class Slave:
         self.device.sense(reading)
         self._refresh_inputs()
 
-    def drop(self, state: State, code: StatusCode) -> None:
+    def drop(self, state: AlState, code: StatusCode) -> None:
         """Falls back to a state and says why; the master has to acknowledge it."""
         self._set_state(state, code)
 
     def _refresh_inputs(self) -> None:
-        if self.state >= State.SAFEOP and self._inputs.length:
+        if self.state >= AlState.SAFEOP and self._inputs.length:
             self.memory[self._inputs_at : self._inputs_at + self._inputs.length] = self._inputs.pack()
 
     def _watch(self) -> None:
@@ -152,7 +152,7 @@ class Slave:
         if self._outputs.length and limit and self._time - self._written >= limit:
             self.memory[reg.WATCHDOG_STATUS] = 0
             self.memory[reg.WATCHDOG_COUNTER] = min(self.memory[reg.WATCHDOG_COUNTER] + 1, 255)
-            self.drop(State.SAFEOP, StatusCode.WATCHDOG)
+            self.drop(AlState.SAFEOP, StatusCode.WATCHDOG)
 
     # ---- memory
 
@@ -229,10 +229,10 @@ class Slave:
             self._written = self._time
             self.memory[reg.WATCHDOG_STATUS] = 1
         place, length, _ = self._mailbox(0)
-        if self.device.dictionary and start < place + length <= end and self.state is not State.INIT:
+        if self.device.dictionary and start < place + length <= end and self.state is not AlState.INIT:
             request = bytes(self.memory[place : place + length])
             room = self._mailbox(1)[1]
-            self._mail.append(answer(self.device.dictionary, request, self.state is State.PREOP, room))
+            self._mail.append(answer(self.device.dictionary, request, self.state is AlState.PREOP, room))
             self._load_mail()
 
     def _read_fmmu(self, slot: int) -> _Fmmu | None:
@@ -287,7 +287,7 @@ class Slave:
 
     # ---- states
 
-    def _set_state(self, state: State, code: StatusCode = StatusCode.NONE) -> None:
+    def _set_state(self, state: AlState, code: StatusCode = StatusCode.NONE) -> None:
         self.state = state
         """Present state of the application layer."""
         pack_into("<H", self.memory, reg.AL_STATUS, state | (reg.ERROR_FLAG if code else 0))
@@ -298,28 +298,28 @@ class Slave:
         if self.memory[reg.AL_STATUS] & reg.ERROR_FLAG and not control & reg.ACKNOWLEDGE:
             return
         wanted, present = control & 0x0F, self.state
-        if wanted not in tuple(State):
+        if wanted not in tuple(AlState):
             self._set_state(present, StatusCode.UNKNOWN_STATE)
         elif wanted > 2 * present:
             self._set_state(present, StatusCode.INVALID_CHANGE)
         else:
-            self._set_state(*self._enter(State(wanted), present))
+            self._set_state(*self._enter(AlState(wanted), present))
             self._refresh_inputs()
 
-    def _enter(self, wanted: State, present: State) -> tuple[State, StatusCode]:
+    def _enter(self, wanted: AlState, present: AlState) -> tuple[AlState, StatusCode]:
         """The state reached, and why it is not the one wanted."""
-        if wanted is State.INIT:
+        if wanted is AlState.INIT:
             self._mail.clear()
             return wanted, StatusCode.NONE
-        if wanted is State.PREOP and present is State.INIT and not self._managers_agree(0, 1):
+        if wanted is AlState.PREOP and present is AlState.INIT and not self._managers_agree(0, 1):
             return present, StatusCode.INVALID_MAILBOX
-        if wanted is State.SAFEOP and present is State.PREOP:
+        if wanted is AlState.SAFEOP and present is AlState.PREOP:
             return self._enter_safe_operational()
-        if wanted is State.OP:
+        if wanted is AlState.OP:
             self._written = self._time
         return wanted, StatusCode.NONE
 
-    def _enter_safe_operational(self) -> tuple[State, StatusCode]:
+    def _enter_safe_operational(self) -> tuple[AlState, StatusCode]:
         """The lengths that the master mapped must be those of the assigned PDOs."""
         dictionary = self.device.dictionary
         self._outputs, self._inputs = NO_IMAGE, NO_IMAGE
@@ -327,12 +327,12 @@ class Slave:
             outputs, inputs = dictionary.image(ASSIGN_OUTPUTS), dictionary.image(ASSIGN_INPUTS)
             more = 1 if self.wrong_mapping else 0
             if not self._maps(2, outputs.length):
-                return State.PREOP, StatusCode.INVALID_OUTPUTS
+                return AlState.PREOP, StatusCode.INVALID_OUTPUTS
             if not self._maps(3, inputs.length + more):
-                return State.PREOP, StatusCode.INVALID_INPUTS
+                return AlState.PREOP, StatusCode.INVALID_INPUTS
             self._outputs, self._inputs = outputs, inputs
             self._outputs_at, self._inputs_at = self._manager(2)[0], self._manager(3)[0]
-        return State.SAFEOP, StatusCode.NONE
+        return AlState.SAFEOP, StatusCode.NONE
 
     def _maps(self, number: int, expected: int) -> bool:
         """A sync manager of process data is on, in free memory, as long as expected; off where nothing is."""

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-from stepgap.rigs.ethercat.emulator.device import Device
-from stepgap.rigs.ethercat.emulator.dictionary import Dictionary, Entry, Mapped
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
+from stepgap.rigs.ethercat.emulator.dictionary import Dictionary, Mapped, ObjectEntry
 from stepgap.rigs.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
 
@@ -16,7 +16,7 @@ INPUTS, OUTPUTS, VALUE, LATCH = 0x6000, 0x7000, 0x11, 0x12
 """Objects and subindices of a terminal's first channel (ETG.5001)."""
 
 
-class Coupler(Device):
+class Coupler(EmulatedDevice):
     """Joins terminals to the ring; neither mailbox nor process data."""
 
     def __init__(self, name: str, identity: Identity = COUPLER_IDENTITY):
@@ -32,7 +32,7 @@ class Coupler(Device):
         """Nothing to forget."""
 
 
-class Encoder(Device):
+class EncoderTerminal(EmulatedDevice):
     """An incremental encoder's counter, 32 bits, which wraps; it can be latched and set in reality, not here.
 
     Args:
@@ -48,11 +48,11 @@ class Encoder(Device):
 
     def power_on(self) -> None:
         """PDOs as after power-up; the counter follows the machine, as if the encoder were absolute."""
-        self._counter = Entry(0, 32)
+        self._counter = ObjectEntry(0, 32)
         objects = {
             (INPUTS, VALUE): self._counter,
-            (INPUTS, LATCH): Entry(0, 32),
-            (OUTPUTS, VALUE): Entry(0, 32, writable=True),
+            (INPUTS, LATCH): ObjectEntry(0, 32),
+            (OUTPUTS, VALUE): ObjectEntry(0, 32, writable=True),
         }
         outputs = {0x1600: (Mapped(0, 0, 16), Mapped(OUTPUTS, VALUE, 32))}
         inputs = {0x1A00: (Mapped(0, 0, 16), Mapped(INPUTS, VALUE, 32), Mapped(INPUTS, LATCH, 32))}
@@ -66,7 +66,7 @@ class Encoder(Device):
         self._counter.value = round(self._counts(reading)) & 0xFFFFFFFF
 
 
-class AnalogInput(Device):
+class AnalogInput(EmulatedDevice):
     """An analog input of 16 bits, saturating.
 
     Args:
@@ -85,7 +85,7 @@ class AnalogInput(Device):
 
     def power_on(self) -> None:
         """PDOs as after power-up."""
-        self._counts = Entry(0, 16, True)
+        self._counts = ObjectEntry(0, 16, True)
         objects = {(INPUTS, VALUE): self._counts}
         inputs = {0x1A00: (Mapped(0, 0, 16), Mapped(INPUTS, VALUE, 16))}
         self.dictionary = Dictionary(self.identity, objects, {}, inputs, (), (0x1A00,))
