@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from stepgap.records.missing import Missing
-from stepgap.report.drawing import LONGEST_ERROR, draw
+from stepgap.report.drawing import LONGEST_ERROR, draw_figure
 from tests.report.pages import Page, check_alone
 from tests.report.runs import report_of, write_run
 
@@ -15,7 +15,7 @@ def test_the_reason_is_one_short_line() -> None:
     def fail() -> None:
         raise OSError("no font\n" * 100)
 
-    said = draw(fail, "errors")
+    said = draw_figure(fail, "errors")
     assert isinstance(said, Missing)
     assert said.reason.startswith("no figure of errors could be drawn (OSError: no font no font")
     assert "pip install --force-reinstall matplotlib" in said.reason

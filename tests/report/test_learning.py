@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stepgap.report.bands import PAPER_BAND, hops_to_band
-from stepgap.report.learning import BEYOND_NOISE, Row, describe_learning, learning_picture, summarise_learning
+from stepgap.report.learning import BEYOND_NOISE, DeploymentRow, describe_learning, learning_picture, summarise_learning
 
 
 def test_the_band_is_reached_when_no_later_window_leaves_it() -> None:
@@ -19,7 +19,7 @@ def test_the_band_is_reached_when_no_later_window_leaves_it() -> None:
     assert hops_to_band(np.zeros((19, 2))) is None
 
 
-def row(method: str, seed: int, error: float, falls: int = 0, **more: object) -> Row:
+def row(method: str, seed: int, error: float, falls: int = 0, **more: object) -> DeploymentRow:
     measures = {name: [error, error / 10] for name in ("rmse", "transient_rmse", "steady_rmse")}
     return {"twin": 0, "seed": seed, "method": method, "steps": 9, "falls": falls, "error": error} | measures | more
 

@@ -14,7 +14,7 @@ from stepgap.control.reference import paper_reference
 from stepgap.records import paper
 from stepgap.records.summary import MEASURES
 from stepgap.report import RunContext, read_run_folder
-from stepgap.report.bands import coverage
+from stepgap.report.bands import interval_coverage
 from stepgap.report.figures import tracking_figure
 from stepgap.report.sentences import decimal
 from stepgap.step import Quantity, StepSpace
@@ -123,7 +123,7 @@ def test_curves_are_the_steps(written: Path) -> None:
     np.testing.assert_array_equal(curves["reference"], last.target[:, 1])
     np.testing.assert_array_equal(curves["deployment 2, with GP"], last.next_state[:, 1])
     np.testing.assert_array_equal(curves["deployment 0, without GP"], record.steps.of_iteration(0).next_state[:, 1])
-    inside, known = coverage(last, 0)
+    inside, known = interval_coverage(last, 0)
     assert known == 40
     assert 30 <= inside <= 40
 

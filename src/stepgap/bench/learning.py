@@ -36,7 +36,7 @@ from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.report.bands import hops_to_band
-from stepgap.report.learning import UNCORRECTED, Row
+from stepgap.report.learning import UNCORRECTED, DeploymentRow
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -170,7 +170,7 @@ def usual_methods() -> list[str]:
     return [*WITHOUT_RESIDUAL, *kinds, AUTO, *FROM_THE_FIRST_HOP]
 
 
-def measure_twin(reference: Reference, twin: int, seed: int, names: Sequence[str]) -> list[Row]:
+def measure_twin(reference: Reference, twin: int, seed: int, names: Sequence[str]) -> list[DeploymentRow]:
     """What each method makes of a twin; the first row is that of the shared deployment 0."""
     nominal = ApexMap()
     with threadpool_limits(limits=1, user_api="blas"):
@@ -195,10 +195,10 @@ def hopping_gap(nominal: ApexMap, reference: Reference, twin: int) -> tuple[Real
         drawn_again += 1
 
 
-def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Row:
+def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> DeploymentRow:
     """The measures of the last of the deployments that a method needs."""
     steps = deployments[-1]
-    row: Row = {"twin": trial.twin, "seed": trial.seed, "method": method}
+    row: DeploymentRow = {"twin": trial.twin, "seed": trial.seed, "method": method}
     if not len(steps):
         return row | {"steps": 0, "falls": 1}
     found = summarise(steps, trial.reference, method)
@@ -247,7 +247,7 @@ def bench_learning(
     record: Path,
     workers: int,
     announce: Announce = lambda line: None,
-) -> list[Row]:
+) -> list[DeploymentRow]:
     """Measures what the record does not hold yet, a line per twin and seed as it is done; all rows asked for.
 
     Args:
@@ -275,7 +275,7 @@ def bench_learning(
     return [rows[*pair, method] for method in (UNCORRECTED, *methods) for pair in pairs]
 
 
-def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterator[list[Row]]:
+def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterator[list[DeploymentRow]]:
     """The rows of each job, in the order in which they are done."""
     if workers == 1:
         yield from (measure_twin(reference, *job) for job in jobs)
@@ -288,7 +288,7 @@ def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterat
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _read(record: Path) -> list[Row]:
+def _read(record: Path) -> list[DeploymentRow]:
     """The rows recorded; a last line cut off in the middle of writing is taken out of the file.
 
     Raises:

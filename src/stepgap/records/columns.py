@@ -11,11 +11,8 @@ from stepgap.base.settings_file import read_toml
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array, Quantity, StepSpace
 
-LARGEST_SCALE = 1e12
+LARGEST_VALUE = 1e12
 """Numbers beyond are no measurements."""
-
-MOST_COLUMNS = 12
-"""Coordinates of a state, and of a command, at most."""
 
 ROLES = ("state", "next", "command", "target", "predicted")
 """What the columns of a step hold, coordinate by coordinate."""
@@ -60,15 +57,15 @@ class Columns:
             count, wanted = len(getattr(self, role)), len(self.state or self.next)
             if role != "command" and count not in (0, wanted):
                 raise ValueError(f"{role}: {count} columns; it must have as many as the state, which has {wanted}")
-            if count > MOST_COLUMNS:
-                raise ValueError(f"{role}: {count} columns; it must have at most {MOST_COLUMNS}")
+            if count > MOST_COORDINATES:
+                raise ValueError(f"{role}: {count} columns; it must have at most {MOST_COORDINATES}")
         numbers = list(self.numbers)
         for table in ("units", "factors"):
             for column in getattr(self, table):
                 if column not in numbers:
                     raise ValueError(f"{table}: {unknown_column(column, numbers)}")
         for column, factor in self.factors.items():
-            if not 1 / LARGEST_SCALE <= abs(factor) <= LARGEST_SCALE:
+            if not 1 / LARGEST_VALUE <= abs(factor) <= LARGEST_VALUE:
                 raise ValueError(f"factors: {column} = {factor}, but it must be a number of ordinary size, not zero")
         names = [name_of(entry) for entry in (*self.inputs[0], *self.inputs[1])]
         if len(set(names)) < len(names):

@@ -11,7 +11,7 @@ import numpy as np
 from stepgap.base.files import write_whole
 from stepgap.step import Array
 
-SCHEMA = 1
+SUMMARY_SCHEMA = 1
 """Version of `summary.json`."""
 
 MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
@@ -20,7 +20,7 @@ MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
 LARGEST_SUMMARY = 2**24
 """Largest `summary.json` that is read [bytes]."""
 
-LONGEST_NAME = 100
+LONGEST_RESIDUAL_NAME = 100
 """Longest name of a residual model [characters]."""
 
 LARGEST_NUMBER = 1e9
@@ -107,7 +107,7 @@ def write_summary(path: Path, summary: Summary, names: Sequence[str]) -> None:
     """
     known = np.full(len(names), np.nan) if summary.repeatability is None else summary.repeatability
     content = {
-        "schema": SCHEMA,
+        "schema": SUMMARY_SCHEMA,
         "seed": summary.seed,
         "iterations": [deployment_entry(deployment, names) for deployment in summary.deployments],
         "repeatability": _by_name(names, known),
@@ -150,8 +150,10 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{source}: not JSON ({error}); it must be the file that the run wrote") from None
     fields = _fields(content, "it", source)
-    if (schema := fields.get("schema")) != SCHEMA or isinstance(schema, bool):
-        raise ValueError(f"{source}: schema is {_short(schema)}, but it must be {SCHEMA}, the one this StepGap knows")
+    if (schema := fields.get("schema")) != SUMMARY_SCHEMA or isinstance(schema, bool):
+        raise ValueError(
+            f"{source}: schema is {_short(schema)}, but it must be {SUMMARY_SCHEMA}, the one this StepGap knows"
+        )
     entries = fields.get("iterations")
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{source}: iterations is {_short(entries)}, but it must be a list of deployments")
@@ -206,7 +208,7 @@ def read_text(path: Path, largest: int) -> str | None:
 def _deployment(entry: Any, names: tuple[str, ...], key: str, source: str) -> Deployment:
     fields, source = _fields(entry, key, source), f"{source}: {key}"
     residual = fields.get("residual")
-    if not isinstance(residual, str) or len(residual) > LONGEST_NAME:
+    if not isinstance(residual, str) or len(residual) > LONGEST_RESIDUAL_NAME:
         raise ValueError(f"{source}: residual is {_short(residual)}, but it must be a short text such as 'gp'")
     return Deployment(
         iteration=_whole(fields, "iteration", 0, source),

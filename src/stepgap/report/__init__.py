@@ -18,7 +18,7 @@ from stepgap.base.files import write_whole
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.report.comparison import comparison_html
-from stepgap.report.drawing import Drawing, draw
+from stepgap.report.drawing import Drawing, draw_figure
 from stepgap.report.learnt import Learnt, read_learnt
 from stepgap.report.missing_parts import missing_parts
 from stepgap.report.page import report_html
@@ -104,9 +104,9 @@ def _drawings(record: RunRecord, learnt: Learnt | None, gait: ReferenceGait | Mi
 
         return map_figure(record, index)
 
-    drawings = {"tracking": draw(tracking, "the tracking"), "errors": draw(errors, "the errors")}
+    drawings = {"tracking": draw_figure(tracking, "the tracking"), "errors": draw_figure(errors, "the errors")}
     for index, name in enumerate(record.space.state_names):
-        drawings[f"map_{index}"] = draw(lambda index=index: map_of(index), f"the map of {name}")
+        drawings[f"map_{index}"] = draw_figure(lambda index=index: map_of(index), f"the map of {name}")
     if learnt is not None and learnt.steps:
 
         def left_out() -> object:
@@ -114,7 +114,7 @@ def _drawings(record: RunRecord, learnt: Learnt | None, gait: ReferenceGait | Mi
 
             return left_out_figure(record.space, learnt)
 
-        drawings["left_out"] = draw(left_out, "the leave-one-out residuals")
+        drawings["left_out"] = draw_figure(left_out, "the leave-one-out residuals")
     if isinstance(gait, ReferenceGait) and (len(gait.space.state), len(gait.space.command)) == (2, 2):
 
         def reached() -> object:
@@ -122,7 +122,7 @@ def _drawings(record: RunRecord, learnt: Learnt | None, gait: ReferenceGait | Mi
 
             return reference_gait_figure(gait)
 
-        drawings["gait"] = draw(reached, "the reachable set")
+        drawings["gait"] = draw_figure(reached, "the reachable set")
     return drawings
 
 

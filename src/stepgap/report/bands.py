@@ -41,7 +41,7 @@ def window_errors(errors: Array) -> Array:
     return np.sqrt(np.maximum(squares[WINDOW:] - squares[:-WINDOW], 0) / WINDOW)
 
 
-def coverage(steps: StepLog, index: int) -> tuple[int, int]:
+def interval_coverage(steps: StepLog, index: int) -> tuple[int, int]:
     """How many next states lie within the 95 % interval of their prediction, and of how many with an interval."""
     known = steps.completed()
     error, std = np.abs(known.next_state - known.predicted)[:, index], known.std[:, index]

@@ -9,7 +9,7 @@ import numpy as np
 
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.bands import hops_to_band, tracking_errors
-from stepgap.report.drawing import draw
+from stepgap.report.drawing import draw_figure
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
 from stepgap.report.sentences import decimal, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
@@ -56,7 +56,7 @@ def comparison_html(records: Sequence[RunRecord]) -> str:
         [
             f"<h1>StepGap comparison of {len(records)} runs</h1>",
             bullets([f"{name}: {headline(record)}" for name, record in zip(names, records, strict=True)]),
-            section("figure", "Figure", picture(draw(errors, "the errors"), "errors-", CAPTION)),
+            section("figure", "Figure", picture(draw_figure(errors, "the errors"), "errors-", CAPTION)),
             section(
                 "numbers",
                 "Errors by deployment",

@@ -44,7 +44,7 @@ class Drawing(NamedTuple):
     pdf: bytes
 
 
-def draw(make: Callable[[], Any], what: str) -> Drawing | Missing:
+def draw_figure(make: Callable[[], Any], what: str) -> Drawing | Missing:
     """The figure that `make` gives, or why it cannot be drawn.
 
     Args:

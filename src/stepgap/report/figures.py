@@ -16,6 +16,7 @@ from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
+from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
 from stepgap.step import Array, Quantity, StepStatus
 
 WIDTH: Final = 7.16
@@ -33,8 +34,6 @@ MOST_CHANGES: Final = 60
 LONGEST_LABEL: Final = 26
 """Characters of a name that are drawn at most."""
 
-# Colours after Okabe and Ito, distinguished by colour-blind readers; dark ones in front of light ones.
-BLACK, BLUE, VERMILLION, SKY, GREY, LIGHT = "#000000", "#0072B2", "#D55E00", "#56B4E9", "#767676", "#b8b8b8"
 RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
 RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
 RUN_LINES: Final = ("-", "--", "-.", ":")

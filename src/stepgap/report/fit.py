@@ -8,7 +8,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stepgap.learning.validation import Validation
-from stepgap.report.figures import BLACK, BLUE, VERMILLION, axis_label
+from stepgap.report.colours import BLACK, BLUE, VERMILLION
+from stepgap.report.figures import axis_label
 from stepgap.step import Quantity
 
 PANEL = 4.2

@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet
-from stepgap.report.figures import BLACK, BLUE, GREY, VERMILLION, WIDTH, axis_label
+from stepgap.report.colours import BLACK, BLUE, GREY, VERMILLION
+from stepgap.report.figures import WIDTH, axis_label
 from stepgap.report.reference_gait import ReferenceGait
 from stepgap.step import Array, StepSpace, StepStatus
 

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from stepgap.report.bands import PAPER_BAND, WINDOW
-from stepgap.report.figures import BLUE, GREY
+from stepgap.report.colours import BLUE, GREY
 
-Row = dict[str, Any]
+DeploymentRow = dict[str, Any]
 """Measures of one deployment, plain data for JSON; those of a deployment without a step are missing."""
 
 Key = tuple[int, int]
@@ -25,12 +25,12 @@ BEYOND_NOISE = 2.0
 """Standard deviations of the difference between two uncorrected deployments that count as more than chance."""
 
 
-def summarise_learning(rows: Sequence[Row]) -> dict[str, Any]:
+def summarise_learning(rows: Sequence[DeploymentRow]) -> dict[str, Any]:
     """Measures of each method over all twins and seeds; plain data for JSON.
 
     A deployment that ended by a fall has an infinite error.
     """
-    table: dict[str, dict[Key, Row]] = {}
+    table: dict[str, dict[Key, DeploymentRow]] = {}
     for row in rows:
         table.setdefault(row["method"], {})[row["twin"], row["seed"]] = row
     first = table[UNCORRECTED]
@@ -47,12 +47,12 @@ def summarise_learning(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def tracking_error_of(row: Row) -> float:
+def tracking_error_of(row: DeploymentRow) -> float:
     """Tracking error of both coordinates together in half ranges; infinite after a fall."""
     return math.inf if row["falls"] else row["error"]
 
 
-def _noise(first: dict[Key, Row]) -> float | None:
+def _noise(first: dict[Key, DeploymentRow]) -> float | None:
     """Standard deviation of log(error) − log(error) of two uncorrected deployments of one twin; None if unknown."""
     squares, freedom = 0.0, 0
     for twin in {twin for twin, _ in first}:
@@ -64,7 +64,7 @@ def _noise(first: dict[Key, Row]) -> float | None:
     return math.sqrt(2 * squares / freedom) if freedom else None
 
 
-def _measures(rows: dict[Key, Row], first: dict[Key, Row], noise: float | None) -> dict[str, Any]:
+def _measures(rows: dict[Key, DeploymentRow], first: dict[Key, DeploymentRow], noise: float | None) -> dict[str, Any]:
     """Those of one method's deployment."""
     ratio = np.array([_ratio(tracking_error_of(row), tracking_error_of(first[key])) for key, row in rows.items()])
     counted = sum(row.get("counted", 0) for row in rows.values())
@@ -82,7 +82,7 @@ def _measures(rows: dict[Key, Row], first: dict[Key, Row], noise: float | None) 
     }
 
 
-def _better(rows: dict[Key, Row], others: dict[Key, Row]) -> int | None:
+def _better(rows: dict[Key, DeploymentRow], others: dict[Key, DeploymentRow]) -> int | None:
     """On how many twins and seeds the error is smaller than that of another method; None if that was not measured."""
     if not others:
         return None
@@ -94,7 +94,7 @@ def _ratio(error: float, uncorrected: float) -> float:
     return 1.0 if error == uncorrected == math.inf else error / uncorrected
 
 
-def _median(rows: dict[Key, Row], name: str) -> list[float | None]:
+def _median(rows: dict[Key, DeploymentRow], name: str) -> list[float | None]:
     values = [row[name] if not row["falls"] else [math.inf, math.inf] for row in rows.values()]
     return [_finite(value) for value in np.median(values, axis=0).tolist()]
 
@@ -153,7 +153,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
     ]
 
 
-def learning_picture(rows: Sequence[Row], form: str) -> bytes:
+def learning_picture(rows: Sequence[DeploymentRow], form: str) -> bytes:
     """Error of each method relative to that of `gp` on the same twin and seed, or of none without it."""
     base = "gp" if any(row["method"] == "gp" for row in rows) else UNCORRECTED
     errors = {(row["twin"], row["seed"]): tracking_error_of(row) for row in rows if row["method"] == base}

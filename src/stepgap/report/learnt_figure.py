@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from stepgap.base.normal import INTERVAL_95
-from stepgap.report.figures import BLACK, BLUE, GREY, MOST_VECTORS, WIDTH, axis_label, unit_label
+from stepgap.report.colours import BLACK, BLUE, GREY
+from stepgap.report.figures import MOST_VECTORS, WIDTH, axis_label, unit_label
 from stepgap.report.learnt import Learnt
 from stepgap.step import StepSpace
 

@@ -7,7 +7,7 @@ import numpy as np
 from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.regression import Parameter
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.bands import coverage
+from stepgap.report.bands import interval_coverage
 from stepgap.report.html import table, with_unit
 from stepgap.report.learnt import Learnt, input_quantities
 from stepgap.report.sentences import decimal
@@ -89,7 +89,7 @@ def coverage_table(record: RunRecord) -> str:
     """How many next states the 95 % intervals held, drawn before each hop; nothing if there were no intervals."""
     rows = []
     for iteration in record.steps.iterations:
-        held = [coverage(record.steps.of_iteration(iteration), row) for row in range(len(record.space.state))]
+        held = [interval_coverage(record.steps.of_iteration(iteration), row) for row in range(len(record.space.state))]
         if any(known for _, known in held):
             rows.append(
                 [str(iteration), *(f"{n} of {known} ({100 * n / known:.1f} %)" if known else "–" for n, known in held)]

@@ -6,7 +6,7 @@ from typing import Any, Final
 from stepgap.records import paper
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.bands import coverage
+from stepgap.report.bands import interval_coverage
 from stepgap.report.drawing import Drawing
 from stepgap.report.error_table import band_table, error_table
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
@@ -134,7 +134,7 @@ def _map_caption(record: RunRecord, row: int) -> str:
 
 def _held(record: RunRecord, iteration: int, row: int) -> str:
     """How many measurements of a deployment the band held; empty where there was no band."""
-    inside, known = coverage(record.steps.of_iteration(iteration), row)
+    inside, known = interval_coverage(record.steps.of_iteration(iteration), row)
     return f"{inside} of {known} measurements ({100 * inside / known:.0f} %) in deployment {iteration}" if known else ""
 
 

@@ -13,7 +13,7 @@ from stepgap.report.html import table, with_unit
 from stepgap.report.learnt import Learnt
 from stepgap.step import Array, StepFailed, StepMap, StepSpace
 
-MOST_TARGETS: Final = 40
+MOST_GAITS: Final = 40
 """Targets of which limit cycles are sought."""
 
 
@@ -67,7 +67,7 @@ def reference_gait(record: RunRecord, nominal: StepMap, learnt: Learnt | None) -
         raise ValueError(f"{record.folder}: the nominal map is of {names}, which is not the state and command of it")
     steps = record.steps.of_iteration(record.shown_iterations[-1]).tracking()
     distinct = list(dict.fromkeys(tuple(logged.target.tolist()) for logged in steps))
-    targets = np.array(distinct[:MOST_TARGETS])
+    targets = np.array(distinct[:MOST_GAITS])
     away = (targets - (targets.min(axis=0) + targets.max(axis=0)) / 2) / nominal.space.state_scale
     centre = targets[np.argmin(np.sum(away**2, axis=1))]
     maps = {"nominal": nominal}

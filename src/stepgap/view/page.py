@@ -10,11 +10,12 @@ from viser import GuiDropdownHandle, ViserServer
 from stepgap.learning.observations import error_of
 from stepgap.learning.residual import join_points
 from stepgap.learning.step_log import LoggedStep
+from stepgap.report.colours import BLUE, VERMILLION
 from stepgap.step import StepStatus
 from stepgap.view.geometry import HopperPose
 from stepgap.view.learnt import curve_along
 from stepgap.view.player import Player
-from stepgap.view.plots import BAND, INK, LINE_BLUE, LINE_VERMILLION, LearntPlot, TrackingPlot, add_legend, named
+from stepgap.view.plots import BAND, INK, LearntPlot, TrackingPlot, add_legend, named
 from stepgap.view.robot_scene import Ground, RobotScene
 from stepgap.view.source import Source
 
@@ -173,7 +174,7 @@ class Page:
         gui, space = self._server.gui, self._source.space
         tabs = gui.add_tab_group()
         with tabs.add_tab("Tracking"):
-            add_legend(gui, [("┅", INK, "target"), ("━", LINE_BLUE, "apex"), ("┉", LINE_VERMILLION, "apex overlaid")])
+            add_legend(gui, [("┅", INK, "target"), ("━", BLUE, "apex"), ("┉", VERMILLION, "apex overlaid")])
             self._tracking = [TrackingPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
         with tabs.add_tab("What was learnt"):
             names = [*space.state_names, *space.command_names]
@@ -181,9 +182,7 @@ class Page:
                 "Along", names, initial_value=names[0], hint="The other inputs are those of the step shown"
             )
             self._model_note = gui.add_markdown("")
-            add_legend(
-                gui, [("━", LINE_BLUE, "mean"), ("▇", BAND, "95 % of steps"), ("●", LINE_VERMILLION, "this step")]
-            )
+            add_legend(gui, [("━", BLUE, "mean"), ("▇", BAND, "95 % of steps"), ("●", VERMILLION, "this step")])
             self._learnt = [LearntPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
 
     def _find_deployments(self) -> None:

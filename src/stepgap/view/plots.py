@@ -10,10 +10,11 @@ import numpy as np
 from viser import GuiApi, GuiUplotHandle, uplot
 
 from stepgap.learning.step_log import LoggedStep
+from stepgap.report.colours import BLUE, VERMILLION
 from stepgap.step import Array, Quantity
 from stepgap.view.learnt import Curve
 
-INK, LINE_BLUE, LINE_VERMILLION, BAND, CLEAR = "#3c3e46", "#0072b2", "#d55e00", "rgba(0,114,178,0.2)", "rgba(0,0,0,0)"
+INK, BAND, TRANSPARENT = "#3c3e46", "rgba(0,114,178,0.2)", "rgba(0,0,0,0)"
 HEIGHT = 160
 """Of a chart [pixels]."""
 
@@ -38,7 +39,7 @@ def _line(colour: str, width: float, dash: tuple[float, ...] = ()) -> uplot.Seri
 def _add_chart(
     gui: GuiApi, series: Sequence[uplot.Series], x_label: str, y_label: str, bands: tuple[uplot.Band, ...] = ()
 ) -> GuiUplotHandle:
-    span = uplot.Series(stroke=CLEAR, width=0, points=NO_DOTS)
+    span = uplot.Series(stroke=TRANSPARENT, width=0, points=NO_DOTS)
     return gui.add_uplot(
         _blank(2 + len(series)),
         (uplot.Series(), span, *series),
@@ -76,7 +77,7 @@ class TrackingPlot:
 
     def __init__(self, gui: GuiApi, quantity: Quantity, index: int):
         self._index = index
-        series = _line(INK, 1.2, (5, 3)), _line(LINE_VERMILLION, 1.5, (2, 2)), _line(LINE_BLUE, 2)
+        series = _line(INK, 1.2, (5, 3)), _line(VERMILLION, 1.5, (2, 2)), _line(BLUE, 2)
         self._chart = _add_chart(gui, series, "step", named(quantity))
 
     def show(self, steps: Sequence[LoggedStep], overlaid: Sequence[LoggedStep], shown: int) -> None:
@@ -104,9 +105,9 @@ class LearntPlot:
 
     def __init__(self, gui: GuiApi, quantity: Quantity, index: int):
         self._index, self._y_label, self._x_label = index, named(quantity, "error of "), ""
-        dot = uplot.Series_Points(show=True, size=9, width=2, stroke=LINE_VERMILLION, fill=LINE_VERMILLION)
-        here = uplot.Series(stroke=LINE_VERMILLION, width=0, points=dot, auto=False)
-        series = _line(BAND, 1), _line(BAND, 1), _line(LINE_BLUE, 2), here
+        dot = uplot.Series_Points(show=True, size=9, width=2, stroke=VERMILLION, fill=VERMILLION)
+        here = uplot.Series(stroke=VERMILLION, width=0, points=dot, auto=False)
+        series = _line(BAND, 1), _line(BAND, 1), _line(BLUE, 2), here
         self._chart = _add_chart(gui, series, " ", self._y_label, bands=(uplot.Band(series=(2, 3), fill=BAND),))
 
     def show(self, curve: Curve, label: str, error: Array) -> None:

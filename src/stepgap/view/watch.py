@@ -16,7 +16,7 @@ from stepgap.view.page import Page
 HERE = "127.0.0.1"
 """The host that only this machine reaches."""
 
-FIRST_PORT, PORTS = 8080, 100
+FIRST_PORT, PORTS_TRIED = 8080, 100
 """Where a free port is looked for, and how many are tried."""
 
 FRAME = 1 / 30
@@ -35,11 +35,11 @@ def start_server(host: str, port: int | None) -> ViserServer:
     """
     if port is not None and not 0 < port < 2**16:
         raise InputError(f"--port {port}: it must lie between 1 and 65535")
-    for wanted in [port] if port else range(FIRST_PORT, FIRST_PORT + PORTS):
+    for wanted in [port] if port else range(FIRST_PORT, FIRST_PORT + PORTS_TRIED):
         if _is_free(host, wanted):
             with redirect_stdout(io.StringIO()):  # `announce` prints what is needed
                 return ViserServer(host, wanted, label="StepGap", verbose=False)
-    tried = f"--port {port}: it is taken" if port else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are taken"
+    tried = f"--port {port}: it is taken" if port else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS_TRIED - 1} are taken"
     raise InputError(f"{tried}; choose another --port")
 
 
