@@ -72,7 +72,7 @@ def test_opening_it_to_others_warns(run_folder: Path) -> None:
 def test_wrong_input_is_one_line(stepgap: Command, run_folder: Path, tmp_path: Path) -> None:
     refused(stepgap("view", tmp_path / "none"), "none", "experiment.toml")
     refused(stepgap("view", run_folder, "--deployment", "7"), "--deployment 7", "0, 1")
-    refused(stepgap("view", run_folder, "--port", "70000"), "--port 70000", "65535")
+    refused(stepgap("view", run_folder, "--port", "70000"), '"70000" for --port', "65536")
     refused(stepgap("view", run_folder, "--host", "no.such.host.invalid"), "--host", "no such address")
     refused(stepgap("view", run_folder, "--ring", "no-such-ring"), "no-such-ring")
 

@@ -235,7 +235,7 @@ def _fields(value: Any, what: str, source: str) -> dict[str, Any]:
 def _whole(fields: Mapping[str, Any], key: str, least: int, source: str) -> int:
     value = fields.get(key)
     if type(value) is not int or not least <= value < 2**63:
-        raise ValueError(f"{source}: {key} is {_short(value)}, but it must be a whole number from {least}")
+        raise ValueError(f"{source}: {key} is {_short(value)}, but it must be an integer from {least}")
     return value
 
 
