@@ -8,7 +8,7 @@ from typing import Any
 
 from stepgap.base.errors import InputError
 from stepgap.base.settings_file import read_toml
-from stepgap.records.steps_csv import RecordError
+from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
 from stepgap.step import Array, Quantity, StepSpace
 
 LARGEST_VALUE = 1e12
