@@ -149,7 +149,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --learning.iterations 1.5", ["--iterations = 1.5, but it must be an integer"]),
         ("run --iterations -1", ["--iterations = -1, but it must lie between 0 and 1000"]),
         ("run --iterations=x", ['Invalid value for --iterations: "x" is not an integer']),
-        ("run --learning.residual cubic", ["--learning.residual = 'cubic', but it must be one of none, "]),
+        ("run --learning.residual cubic", ["--learning.residual = 'cubic', but it must be one of auto, constant, "]),
         ("run --gains.stiffness", ["--gains.stiffness: give a value"]),
         ("run --gains.stiffness --quiet", ["--gains.stiffness: give a value"]),
         ("run --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
@@ -215,10 +215,10 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, word
     ("text", "words"),
     [
         ("[gains]\nstifness = 3\n", ["bad.toml: [gains] stifness: unknown key; did you mean stiffness?"]),
-        ("[gains]\nstiffness = 'a\nb'\n", ["bad.toml: [gains] stiffness = 'a\\nb', but it must be a number"]),
+        ("[gains]\nstiffness = 'a\\nb'\n", ["bad.toml: [gains] stiffness = 'a\\\\nb', but it must be a number"]),
         ("[robot]\ngravity = nan\n", ["bad.toml: [robot] gravity = nan, but it must be finite"]),
         ("'a\nb' = 1", ["not TOML"]),
-        ('"a\nb" = 1', ["unknown key"]),
+        ('"a\\nb" = 1', ["unknown key"]),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(stepgap: Command, text: str, words: list[str]) -> None:

@@ -116,7 +116,7 @@ WRONG = {
     f"[gains]\nstiffness = 1{'0' * 400}": "[gains] stiffness = a very large integer, but it must be a number",
     "[learning]\niterations = -1": "[learning] iterations = -1, but it must lie between 0 and 1000",
     "[learning]\niterations = 2.5": "[learning] iterations = 2.5, but it must be an integer",
-    "[learning]\nresidual = 'cubic'": "[learning] residual = 'cubic', but it must be one of none, ",
+    "[learning]\nresidual = 'cubic'": "[learning] residual = 'cubic', but it must be one of auto, constant, ",
     "[learning]\nresidual = 3": "[learning] residual = 3, but it must be a string",
     "[learning]\nleast_gain = nan": "[learning] least_gain = nan, but it must be",
     "[gap]\nboom_arc = 1": "[gap] boom_arc = 1, but it must be true or false",
