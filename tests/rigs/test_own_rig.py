@@ -61,7 +61,7 @@ def board_rig(folder: Path) -> Iterator[Rig]:
         thread = Thread(target=board, args=(server, twin))
         thread.start()
         settings.write_text(
-            f'host = "127.0.0.1"\nport = {address[1]}\ntorque_limit = 20\npivot_height = 0.4\nreply_timeout = 0.2\n'
+            f'host = "127.0.0.1"\nport = {address[1]}\ntorque_limit = 20\npivot_height = 0.4\nreply_timeout = 2.0\n'
         )
         try:
             yield load_rig("board", settings, ROBOT)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, descend, norms
+from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, minimise, norms
 from stepgap.step import Array, box_grid
 
 GRID_POINTS = (81, 1089)
@@ -18,7 +18,7 @@ def solve(function: Function, jacobian: Jacobian, start: Array, bound: float) ->
 
     The grid of the search lies within |point| ≤ 1 whatever the bound.
     """
-    best = descend(function, jacobian, start, bound)
+    best = minimise(function, jacobian, start, bound)
     if best.distance <= REACHED:
         return best
     points, distance = _sample(function, len(start))
@@ -26,7 +26,7 @@ def solve(function: Function, jacobian: Jacobian, start: Array, bound: float) ->
     for index in _basins(distance)[:BASINS]:
         known = np.abs(points[index] - best.point).max() <= spacing and distance[index] >= best.distance
         if not known:
-            best = min(best, descend(function, jacobian, points[index], bound), key=lambda solution: solution.distance)
+            best = min(best, minimise(function, jacobian, points[index], bound), key=lambda solution: solution.distance)
         if best.distance <= REACHED:
             return best
     return best if best.settled or np.isinf(best.distance) else _zoom(function, best, spacing, bound)

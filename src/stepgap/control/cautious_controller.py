@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepgap.control.gauss_newton import descend
+from stepgap.control.gauss_newton import minimise
 from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
@@ -113,7 +113,7 @@ class CautiousController:
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
             return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
 
-        return space.command_at(descend(root, jacobian, space.point_of(start), bound=1.0).point)
+        return space.command_at(minimise(root, jacobian, space.point_of(start), bound=1.0).point)
 
     def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
         """Of commands (k, m) the safe one of least expected squared distance, None if none is safe."""

@@ -12,9 +12,9 @@ from stepgap.base.files import write_whole
 from stepgap.control.command_table import CommandTable
 from stepgap.step import Quantity, StepSpace
 
-LARGEST_FILE = 2**30
+LARGEST_TABLE = 2**30
 """Largest table that is read, packed or not [bytes]."""
-SCHEMA = 1
+TABLE_SCHEMA = 1
 KINDS = {
     "schema": "i", "state": "U", "command": "U", "units": "U", "ranges": "f",
     "commands": "f", "predicted": "f", "reached": "b", "statuses": "i",
@@ -28,7 +28,7 @@ def write_table(path: str | Path, table: CommandTable) -> None:
     quantities = (*space.state, *space.command)
     np.savez(
         content,
-        schema=np.array(SCHEMA),
+        schema=np.array(TABLE_SCHEMA),
         state=np.array(space.state_names),
         command=np.array(space.command_names),
         units=np.array([quantity.unit for quantity in quantities]),
@@ -50,11 +50,11 @@ def read_table(path: str | Path) -> CommandTable:
     """
     wanted = "it must be a command table as `stepgap map --table` writes it"
     try:
-        if Path(path).stat().st_size > LARGEST_FILE:
-            raise ValueError(f"larger than {LARGEST_FILE} bytes")
+        if Path(path).stat().st_size > LARGEST_TABLE:
+            raise ValueError(f"larger than {LARGEST_TABLE} bytes")
         with ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > LARGEST_FILE:
-                raise ValueError(f"it unpacks to more than {LARGEST_FILE} bytes")
+            if sum(member.file_size for member in archive.infolist()) > LARGEST_TABLE:
+                raise ValueError(f"it unpacks to more than {LARGEST_TABLE} bytes")
         with np.load(path, allow_pickle=False) as members:
             arrays = {name: members[name] for name in members.files}
         return _table_of(arrays)
@@ -69,8 +69,8 @@ def _table_of(arrays: Mapping[str, NDArray[np.generic]]) -> CommandTable:
     for name, kind in KINDS.items():
         if arrays[name].dtype.kind != kind:
             raise ValueError(f"{name} has entries of type {arrays[name].dtype}")
-    if arrays["schema"].shape != () or arrays["schema"] != SCHEMA:
-        raise ValueError(f"its schema is {arrays['schema']}, but this version reads {SCHEMA}")
+    if arrays["schema"].shape != () or arrays["schema"] != TABLE_SCHEMA:
+        raise ValueError(f"its schema is {arrays['schema']}, but this version reads {TABLE_SCHEMA}")
     n, names = len(arrays["state"]), [*arrays["state"].tolist(), *arrays["command"].tolist()]
     if arrays["units"].shape != (len(names),) or arrays["ranges"].shape != (len(names), 2):
         raise ValueError("units and ranges must be given for each coordinate")

@@ -4,9 +4,9 @@ Sought is the point within a box at which a vector-valued function is zero or of
 the norm of the linearised function within the box (`box_step`, `box_steps`), with Levenberg's damping where it
 did not help before. Broyden's rank-one updates keep the Jacobian, because a new one costs several evaluations.
 
-`descend` solves one problem and asks for another Jacobian where the updated one misleads. `descend_many` takes
+`minimise` solves one problem and asks for another Jacobian where the updated one misleads. `minimise_many` takes
 the steps of many problems together, so that each round is one large batch of evaluations, and never asks for
-another Jacobian; what it cannot settle is left to `descend`. A function value that is not finite (a step that
+another Jacobian; what it cannot settle is left to `minimise`. A function value that is not finite (a step that
 fails) is worse than any other.
 """
 
@@ -62,7 +62,7 @@ class Solution:
     settled: bool
 
 
-def descend(function: Function, jacobian: Jacobian, start: Array, bound: float) -> Solution:
+def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float) -> Solution:
     """From a start to the nearest least norm within |point| ≤ bound; the answer is never worse than the start."""
     point = np.clip(start, -bound, bound)
     value, matrix, origin, damping = function(point), jacobian(point), point, 0.0
@@ -102,7 +102,7 @@ def descend(function: Function, jacobian: Jacobian, start: Array, bound: float) 
     return Solution(point, distance, settled=distance <= REACHED)
 
 
-def descend_many(
+def minimise_many(
     functions: ManyFunctions, points: Array, values: Array, matrices: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """From a start for each problem to the nearest least norm within |point| ≤ 1.

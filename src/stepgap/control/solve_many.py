@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import minimum_filter
 
 from stepgap.control.bounded_search import BASINS
-from stepgap.control.gauss_newton import REACHED, descend_many, norms
+from stepgap.control.gauss_newton import REACHED, minimise_many, norms
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
 
@@ -111,7 +111,7 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
         nodes = np.flatnonzero((choice >= 0) & (norms(best) > REACHED))
         matrices = _jacobians(problem, states, nodes // count, sample, choice[nodes])
         starts = sample[choice[nodes]], sampled[nodes, choice[nodes]], matrices
-        points, values, ended = descend_many(partial(problem.errors, nodes), *starts)
+        points, values, ended = minimise_many(partial(problem.errors, nodes), *starts)
         closer = norms(values) <= norms(best[nodes])
         chosen = nodes[closer]
         at[chosen], best[chosen], settled[chosen] = points[closer], values[closer], ended[closer]

@@ -32,7 +32,7 @@ from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.step import Array, Quantity, StepSpace
 
-SCHEMA = 1
+FIT_SCHEMA = 1
 """Version of the JSON file."""
 
 MOST_STEPS = 2000
@@ -281,7 +281,7 @@ def fit_report(logs: Sequence[Path], lesson: Lesson, validation: Validation) -> 
         return {n: {"value": _finite(r.value), "standard_error": _finite(r.standard_error)} for n, r in by.items()}
 
     return {
-        "schema": SCHEMA,
+        "schema": FIT_SCHEMA,
         "logs": [str(log) for log in logs],
         "nominal": lesson.nominal,
         "units": {quantity.name: quantity.unit for quantity in (*state, *steps.space.command)},

@@ -15,7 +15,7 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
-MOST_TARGETS = 20
+REPEATED_TARGETS = 20
 """Targets of the reference, at most, at which a step is repeated; they are spread evenly."""
 
 SETTLING = 6
@@ -46,7 +46,7 @@ def measure_noise_floor(
         NaN where no step could be repeated twice.
     """
     starts = np.unique([0, *reference.changes])
-    chosen = starts[np.unique(np.linspace(0, len(starts) - 1, MOST_TARGETS).round().astype(int))]
+    chosen = starts[np.unique(np.linspace(0, len(starts) - 1, REPEATED_TARGETS).round().astype(int))]
     controller, deviations, degrees_of_freedom = StepController(step_map), [np.zeros((0, len(reference.names)))], 0
     with plant:
         state = plant.start()

@@ -1,5 +1,7 @@
 """The compiled tick beside a slow reference in plain Python, and what makes it fit for a real-time process."""
 
+import subprocess
+import sys
 from math import inf, nan
 from typing import Any
 
@@ -227,3 +229,23 @@ def test_two_controls_do_not_disturb_each_other():
         assert plant.take_step(np.array([-4.0, -3.0])).status == StepStatus.OK
     fresh = HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).state
     assert_allclose(np.array(flat(fresh)), np.array(flat(HopState())))
+
+
+AT_THE_SAME_TIME = """
+from concurrent.futures import ThreadPoolExecutor
+import numpy as np
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin import Twin
+control = HopperControl(RobotParameters(), Gains(), CommandBounds())
+twin = Twin(RobotParameters(), RealityGap(), np.random.default_rng(0))
+with ThreadPoolExecutor(8) as threads:
+    print(len(list(threads.map(control.control, [twin] * 8))))
+"""
+
+
+def test_threads_may_make_the_first_controls_at_the_same_time():
+    """As the page of a run does, which makes the motion of several deployments again at once."""
+    made = subprocess.run([sys.executable, "-c", AT_THE_SAME_TIME], capture_output=True, text=True, check=False)
+    assert (made.stdout, made.stderr) == ("8\n", "")

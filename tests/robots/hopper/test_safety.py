@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -29,9 +30,15 @@ ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)
 MOTIONS = st.builds(Motion, ANY, ANY, ANY, ANY, ANY, ANY)
 
 
+@cache
+def record_of(limits):
+    """The limits as compiled code reads them."""
+    return as_record(limits)[0]
+
+
 def checked_torque(limits, watch, motion, health, torque_1, torque_2):
     """The compiled check, its reason as a `Limited`."""
-    checked = check_torque(as_record(limits)[0], watch, motion, health, float(torque_1), float(torque_2))
+    checked = check_torque(record_of(limits), watch, motion, health, float(torque_1), float(torque_2))
     return checked._replace(limited=Limited(checked.limited))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from stepgap.base.compiled import compiled
 from stepgap.hybrid.integrator import Tolerance, make_trace
 from stepgap.robots.hopper.dynamics import Masses, masses_of
-from stepgap.robots.hopper.hop import INVALID, OK, Tolerances, ascend, descend
+from stepgap.robots.hopper.hop import INVALID, OK, Tolerances, to_apex, to_midstance
 from stepgap.robots.hopper.joint_control import JointLaw, joint_law
 from stepgap.robots.hopper.leg import Leg
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -55,10 +55,10 @@ def _hop_all(constants, points, next_state, status):
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
-            landed, middle = descend(masses, law, tolerances, speed, height, trace, False)
+            landed, middle = to_midstance(masses, law, tolerances, speed, height, trace, False)
         status[i], next_state[i] = landed if np.isfinite(force_x + force_y) else INVALID, np.nan
         if status[i] == OK:
-            status[i], next_state[i, 0], next_state[i, 1] = ascend(
+            status[i], next_state[i, 0], next_state[i, 1] = to_apex(
                 masses, law, tolerances, middle, force_x, force_y, trace, False
             )
 
@@ -73,19 +73,19 @@ def _differentiate_all(constants, nudge, points, jacobian):
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
-            landed, middle = descend(masses, law, tolerances, speed, height, way_down, False)
+            landed, middle = to_midstance(masses, law, tolerances, speed, height, way_down, False)
             if landed == OK:
-                _, faster = descend(masses, law, tolerances, speed + nudge[0], height, way_down, True)
-                _, higher = descend(masses, law, tolerances, speed, height + nudge[1], way_down, True)
+                _, faster = to_midstance(masses, law, tolerances, speed + nudge[0], height, way_down, True)
+                _, higher = to_midstance(masses, law, tolerances, speed, height + nudge[1], way_down, True)
         if landed != OK:
             continue
-        status, next_speed, next_height = ascend(masses, law, tolerances, middle, force_x, force_y, way_up, False)
+        status, next_speed, next_height = to_apex(masses, law, tolerances, middle, force_x, force_y, way_up, False)
         if status != OK:
             continue
         starts = (faster, higher, middle, middle)
         for j in range(4):
             more_x, more_y = nudge[2] if j == 2 else 0.0, nudge[3] if j == 3 else 0.0
-            _, neighbour_speed, neighbour_height = ascend(
+            _, neighbour_speed, neighbour_height = to_apex(
                 masses, law, tolerances, starts[j], force_x + more_x, force_y + more_y, way_up, True
             )
             jacobian[i, 0, j] = (neighbour_speed - next_speed) / nudge[j]

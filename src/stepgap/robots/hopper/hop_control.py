@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees
-from threading import Lock
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numba import boolean, float64, int64, typeof
+from numba.core.compiler_lock import global_compiler_lock
 
 from stepgap.base.compiled_record import Record, as_record, from_record
 from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, RobotControl, TickControl
@@ -30,19 +30,17 @@ _SCALARS = (*[float64] * 7, boolean, boolean, int64, boolean, int64, *[float64] 
 """Types of the arguments of `tick` after the arrays; whole numbers of counts are converted."""
 
 
-_ONE_COMPILES = Lock()
-"""Threads that make their first control at the same time wait for each other here."""
-
-
 def _compile(*arrays: Array | Record) -> None:
     """Compiles the tick for these arrays once and for all: no tick may wait for it."""
     settings, memory, _ = map(typeof, arrays)
-    wanted: Any = (
-        (tick, (*map(typeof, arrays), *_SCALARS)),
-        (broken_off, (settings, memory, float64, float64)),
-    )
-    with _ONE_COMPILES:
-        for function, kinds in wanted:
+    for function, kinds in cast(
+        "Any",
+        (
+            (tick, (*map(typeof, arrays), *_SCALARS)),
+            (broken_off, (settings, memory, float64, float64)),
+        ),
+    ):
+        with global_compiler_lock:  # another thread may make a controller at the same time
             if not function.signatures:
                 function.compile(kinds)
                 function.disable_compile()

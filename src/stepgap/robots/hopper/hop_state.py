@@ -67,7 +67,7 @@ class TickInputs(NamedTuple):
     applied_2: float
 
 
-class Flight(NamedTuple):
+class FlightState(NamedTuple):
     """Estimate of the present flight, or of the last one.
 
     Attributes:
@@ -83,7 +83,7 @@ class Flight(NamedTuple):
     last_speed: float = 0.0
 
 
-class Hop(NamedTuple):
+class HopProgress(NamedTuple):
     """The hop that the robot is in; it ends when the apex has just been passed.
 
     Attributes:
@@ -152,8 +152,8 @@ class HopState(NamedTuple):
     sampled: float = 0.0
     motion: Motion = Motion(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     rates: JointRates = JointRates()
-    flight: Flight = Flight()
-    hop: Hop = Hop()
+    flight: FlightState = FlightState()
+    hop: HopProgress = HopProgress()
     apex: Apex = Apex()
     watch: Watch = Watch()
     asked_1: float = 0.0

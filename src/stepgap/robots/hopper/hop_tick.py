@@ -11,7 +11,7 @@ from stepgap.base.compiled import as_written
 from stepgap.base.compiled_record import assign, loaded
 from stepgap.plants.tick_control import Mode, TickFlag
 from stepgap.robots.hopper.estimator import apex_height, fitted_speed
-from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, Flight, Hop, HopState, TickInputs
+from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, FlightState, HopProgress, HopState, TickInputs
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.reduced import uprightness
 from stepgap.robots.hopper.safety import STOPS, brakes, check_torque
@@ -58,7 +58,7 @@ def hop_tick(settings, state, inputs):
 
 @as_written
 def _count_loss(law, state, applied_1, applied_2):
-    """`Hop` with the command force that limits took away in the last tick, if the command acted in it."""
+    """`HopProgress` with the command force that limits took away in the last tick, if the command acted in it."""
     hop = state.hop
     if state.phase != Phase.THRUST:
         return hop
@@ -67,14 +67,14 @@ def _count_loss(law, state, applied_1, applied_2):
     if lost_1 != 0.0 or lost_2 != 0.0:
         force_x, force_y = lost_force(law, state.motion.alpha_1, state.motion.alpha_2, lost_1, lost_2)
         lost_x, lost_y = lost_x + force_x, lost_y + force_y
-    return Hop(
+    return HopProgress(
         hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks + 1, lost_x, lost_y, hop.status
     )  # fmt: skip
 
 
 @as_written
 def _update_hop(hop, before, phase, mode_before, inputs):
-    """`Hop` and the phase of this tick, with take-off, deadline, release and command taken into account."""
+    """`HopProgress` and the phase of this tick, with take-off, deadline, release and command taken into account."""
     deadline, left_ground, force_x, force_y = hop.deadline, hop.left_ground, hop.force_x, hop.force_y
     thrust_ticks, lost_x, lost_y = hop.thrust_ticks, hop.lost_x, hop.lost_y
     if phase == Phase.COMPRESSION and before != Phase.COMPRESSION:
@@ -87,13 +87,13 @@ def _update_hop(hop, before, phase, mode_before, inputs):
         deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
     if inputs.mode == Mode.STEP and np.isnan(force_x) and _takes_command(phase, left_ground):
         force_x, force_y = inputs.force_x, inputs.force_y
-    return Hop(deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, hop.status), phase
+    return HopProgress(deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, hop.status), phase
 
 
 @as_written
 def _new_hop(deadline, status):
-    """`Hop` at its begin."""
-    return Hop(deadline, 0, np.nan, np.nan, 0, 0.0, 0.0, status)
+    """`HopProgress` at its begin."""
+    return HopProgress(deadline, 0, np.nan, np.nan, 0, 0.0, 0.0, status)
 
 
 @as_written
@@ -104,7 +104,7 @@ def _takes_command(phase, left_ground):
 
 @as_written
 def _judge(leg, hop, motion, limited):
-    """`Hop` with the status of a step that ends without an apex: the safety function stopped the robot, or it fell."""
+    """`HopProgress` with the status of a step without an apex: the safety function stopped the robot, or it fell."""
     status = hop.status
     if limited & STOPS:
         status = StepStatus.STOPPED.value
@@ -115,14 +115,14 @@ def _judge(leg, hop, motion, limited):
 
 @as_written
 def _with_status(hop, status):
-    return Hop(
+    return HopProgress(
         hop.deadline, hop.left_ground, hop.force_x, hop.force_y, hop.thrust_ticks, hop.lost_x, hop.lost_y, status
     )  # fmt: skip
 
 
 @as_written
 def _end_hop(hop, flight, apex, phase, body, time):
-    """(flags, `Hop`, `Flight`, `Apex`) where the hop may have ended.
+    """(flags, `HopProgress`, `FlightState`, `Apex`) where the hop may have ended.
 
     A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
     """
@@ -130,7 +130,7 @@ def _end_hop(hop, flight, apex, phase, body, time):
         speed = fitted_speed(flight.fit)
         height = apex_height(flight.fit) - body.shift_y
         if not np.isnan(speed):
-            flight = Flight(flight.start, flight.x, flight.fit, speed)
+            flight = FlightState(flight.start, flight.x, flight.fit, speed)
         if np.isfinite(speed + height):
             lost_x, lost_y = _mean_loss(hop)
             ended = Apex(speed, height, body.yaw, lost_x, lost_y, hop.force_x, hop.force_y)

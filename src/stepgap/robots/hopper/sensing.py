@@ -7,7 +7,7 @@ import numpy as np
 from stepgap.base.compiled import as_written, compiled
 from stepgap.robots.hopper.dynamics import leg_inertia
 from stepgap.robots.hopper.estimator import apex_passed, no_samples, with_reading, with_sample
-from stepgap.robots.hopper.hop_state import Flight
+from stepgap.robots.hopper.hop_state import FlightState
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.phases import Phase, next_phase
 from stepgap.robots.hopper.safety import Motion
@@ -65,7 +65,7 @@ def _leg_state(masses, alpha_1, alpha_2, rate_1, rate_2):
 
 @as_written
 def follow_flight(layout, state, sampled, motion, body, inputs):
-    """`Flight` with this tick's sample, and the phase of this tick."""
+    """`FlightState` with this tick's sample, and the phase of this tick."""
     start, x, fit, last_speed = state.flight
     airborne = state.phase == Phase.ASCENT or state.phase == Phase.DESCENT
     if airborne and not inputs.stale:
@@ -76,4 +76,4 @@ def follow_flight(layout, state, sampled, motion, body, inputs):
     )  # fmt: skip
     if phase == Phase.ASCENT and state.phase != Phase.ASCENT:
         start, x, fit = sampled, body.x, no_samples()
-    return Flight(start, x, fit, last_speed), phase
+    return FlightState(start, x, fit, last_speed), phase
