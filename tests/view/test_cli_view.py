@@ -2,6 +2,7 @@
 
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import urllib.request
@@ -40,6 +41,13 @@ def address(process: subprocess.Popen[str]) -> str:
         if "open http://" in line:
             return line.split()[2]
     raise AssertionError(f"it ended: {process.wait()}")
+
+
+def free_port() -> int:
+    """One that no page of another test takes, as it may the usual one when this page has left it."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
 
 
 def test_it_serves_the_page_until_ctrl_c(run_folder: Path) -> None:
@@ -107,7 +115,7 @@ def test_a_run_is_the_same_with_a_page_that_dies(
 def test_a_run_shows_its_page_and_ctrl_c_ends_both_when_it_is_over(tmp_path: Path) -> None:
     (tmp_path / "targets.csv").write_text("speed,height\n0.1,0.56\n")
     arguments = ["--reference", tmp_path / "targets.csv", "--out", tmp_path / "run", "--iterations", "0"]
-    with started("run", *arguments, "--view") as process:
+    with started("run", *arguments, "--view", "--port", free_port()) as process:
         url = address(process)
         with urllib.request.urlopen(url) as answer:
             assert answer.status == 200

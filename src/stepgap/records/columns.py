@@ -11,7 +11,7 @@ from stepgap.base.settings_file import read_toml
 from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
 from stepgap.step import Array, Quantity, StepSpace
 
-LARGEST_SCALE = 1e12
+LARGEST_VALUE = 1e12
 """Numbers beyond are no measurements."""
 
 ROLES = ("state", "next", "command", "target", "predicted")
@@ -65,7 +65,7 @@ class Columns:
                 if column not in numbers:
                     raise ValueError(f"{table}: {unknown_column(column, numbers)}")
         for column, factor in self.factors.items():
-            if not 1 / LARGEST_SCALE <= abs(factor) <= LARGEST_SCALE:
+            if not 1 / LARGEST_VALUE <= abs(factor) <= LARGEST_VALUE:
                 raise ValueError(f"factors: {column} = {factor}, but it must be a number of ordinary size, not zero")
         names = [name_of(entry) for entry in (*self.inputs[0], *self.inputs[1])]
         if len(set(names)) < len(names):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.learning.step_table import Labels, StepTable, describe_left_out
-from stepgap.records.columns import LARGEST_SCALE, ROLES, Columns, column_of, unknown_column
+from stepgap.records.columns import LARGEST_VALUE, ROLES, Columns, column_of, unknown_column
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
@@ -146,7 +146,7 @@ def _number(cell: str, source: str) -> float:
         value = float(cell)
     except ValueError:
         value = np.inf
-    if not abs(value) <= LARGEST_SCALE:
-        right = f"a number within ±{LARGEST_SCALE:g}, such as 0.5, or empty"
+    if not abs(value) <= LARGEST_VALUE:
+        right = f"a number within ±{LARGEST_VALUE:g}, such as 0.5, or empty"
         raise RecordError(f"{source}: {cell!r:.40}; it must be {right}")
     return value

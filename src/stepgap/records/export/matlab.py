@@ -14,7 +14,7 @@ from stepgap.records.export.columns import Column
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURES, Summary
 
-LONGEST_VARIABLE = 63
+LONGEST_FIELD_NAME = 63
 """Of a field in MATLAB."""
 
 
@@ -80,7 +80,7 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
 
 def _check_names(struct: Mapping[str, Any]) -> None:
     for name, value in struct.items():
-        if not re.fullmatch(f"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_VARIABLE - 1}}}", name):
+        if not re.fullmatch(f"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_FIELD_NAME - 1}}}", name):
             raise InputError(f"{name!r:.80}: MATLAB has no such names; export to csv instead")
         if isinstance(value, Mapping):
             _check_names(value)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numba import boolean, float64, int64, typeof
@@ -33,14 +33,12 @@ _SCALARS = (*[float64] * 7, boolean, boolean, int64, boolean, int64, *[float64] 
 def _compile(*arrays: Array | Record) -> None:
     """Compiles the tick for these arrays once and for all: no tick may wait for it."""
     settings, memory, _ = map(typeof, arrays)
-    for function, kinds in cast(
-        "Any",
-        (
-            (tick, (*map(typeof, arrays), *_SCALARS)),
-            (broken_off, (settings, memory, float64, float64)),
-        ),
-    ):
-        with global_compiler_lock:  # another thread may make a controller at the same time
+    wanted: Any = (
+        (tick, (*map(typeof, arrays), *_SCALARS)),
+        (broken_off, (settings, memory, float64, float64)),
+    )
+    with global_compiler_lock:  # another thread may make a controller at the same time
+        for function, kinds in wanted:
             if not function.signatures:
                 function.compile(kinds)
                 function.disable_compile()
