@@ -102,7 +102,7 @@ class Servo:
         rate = 0 if self.last is None else (angle - self.last) / self.twin.sensor_model.tick
         self.last = angle
         torque = self.stiffness * (self.target - angle) - self.damping * rate
-        self.twin.write(*torque.tolist())
+        self.twin.write(tuple(torque.tolist()))
         return reading
 
 
@@ -584,7 +584,7 @@ def test_no_finite_torque_gives_a_reading_that_is_not(seed: int, size: float, pe
     try:
         for _ in range(150):
             assert np.isfinite(twin.read()).all()
-            twin.write(*(size * rng.uniform(-1, 1, 2)).tolist())
+            twin.write(tuple((size * rng.uniform(-1, 1, 2)).tolist()))
     except RigFault:
         assert not twin._data.ctrl.any()
 

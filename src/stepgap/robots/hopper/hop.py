@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stepgap.base.compiled import compiled, implements
-from stepgap.hybrid.integrator import BROKEN, Tolerance, integrate, rewind
+from stepgap.hybrid.integrator import BROKEN, Tolerance, integrate, retrace, rewind
 from stepgap.hybrid.motion import rate, rate_and_guards, rate_jacobian
 from stepgap.hybrid.rosenbrock import difference_rate_jacobian
 from stepgap.robots.hopper.dynamics import impact, terms
@@ -111,7 +111,7 @@ def _stance_switched(system, time, state, motor):
 
 
 @compiled
-def _run_phase(system, state, time_limit, tolerance, trace, retrace):
+def _run_phase(system, state, time_limit, tolerance, trace, retracing):
     """Goes on through saturation switches until the contact changes or ẏ changes sign.
 
     Args:
@@ -120,7 +120,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retrace):
         time_limit: Longest duration [s].
         tolerance: `Tolerance`.
         trace: `Trace`.
-        retrace: Whether to retrace the steps of a neighbouring motion; then nothing can fail.
+        retracing: Whether to retrace the steps of a neighbouring motion; then nothing can fail.
 
     Returns:
         (status, event, time, state): OK and CONTACT or RISING, or a status that is common to both phases.
@@ -131,7 +131,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retrace):
     if guards[MOTOR_2] <= 0.0:
         system = switched(system, time, state, 2)
     guards = rate_and_guards(system, 0.0, state)[1]
-    if not retrace:
+    if not retracing:
         if guards[FALLING_OVER] <= 0.0:
             return FELL, event, time, state
         if guards[STRETCHING] <= 0.0:
@@ -139,7 +139,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retrace):
         if guards[CONTACT] <= 0.0:  # the ground never pulls: a stance that begins without load ends at once
             return OK, CONTACT, time, state
     for _ in range(MOST_PIECES):
-        if retrace:
+        if retracing:
             time, state, event = retrace(system, time, state, trace)
         else:
             time, state, event, h = integrate(system, time, state, time_limit, tolerance, h, trace)
@@ -153,7 +153,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retrace):
 
 
 @compiled
-def to_midstance(masses, law, tolerances, speed, height, trace, retrace):
+def to_midstance(masses, law, tolerances, speed, height, trace, retracing):
     """From the apex through the impact to mid-stance, where ẏ = 0.
 
     Args:
@@ -163,7 +163,7 @@ def to_midstance(masses, law, tolerances, speed, height, trace, retrace):
         speed: Forward speed at the apex ẋ [m/s]; the leg is at rest in its landing posture.
         height: Hip height at the apex y [m].
         trace: `Trace` for the steps.
-        retrace: Whether to retrace the steps it holds.
+        retracing: Whether to retrace the steps it holds.
 
     Returns:
         (status, state): `StepStatus` as an integer, and leg angles and rates at mid-stance.
@@ -174,9 +174,9 @@ def to_midstance(masses, law, tolerances, speed, height, trace, retrace):
     if not np.isfinite(speed + height):
         return INVALID, state
     falling = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
-    if not retrace and rate_and_guards(falling, 0.0, state)[1][CONTACT] <= 0.0:
+    if not retracing and rate_and_guards(falling, 0.0, state)[1][CONTACT] <= 0.0:
         return FOOT_SCUFFED, state
-    status, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, retrace)
+    status, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, retracing)
     if status != OK or event != CONTACT:
         return status if status != OK else NO_APEX, state
 
@@ -188,14 +188,14 @@ def to_midstance(masses, law, tolerances, speed, height, trace, retrace):
     if speed_y >= 0.0:
         return OK, state
     loading = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
-    status, event, _, state = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, trace, retrace)
+    status, event, _, state = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
     if status == NO_APEX or event == CONTACT:
         status = NO_TAKE_OFF
     return status, state
 
 
 @compiled
-def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retrace):
+def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retracing):
     """From mid-stance, where the command sets in, through take-off to the next apex.
 
     Args:
@@ -206,7 +206,7 @@ def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retrace):
         force_x: Forward command force [N].
         force_y: Upward command force [N].
         trace: `Trace` for the steps.
-        retrace: Whether to retrace the steps it holds.
+        retracing: Whether to retrace the steps it holds.
 
     Returns:
         (status, next speed, next height): `StepStatus` as an integer; NaN if there is no next apex.
@@ -215,7 +215,7 @@ def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retrace):
     pushing = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
     if not np.isfinite(force_x + force_y):
         return INVALID, np.nan, np.nan
-    status, event, _, state = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, trace, retrace)
+    status, event, _, state = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
     hip = stance_motion(pushing, state)[1]
     if status == NO_APEX or (status == OK and (event == RISING or hip.speed_y <= STANDSTILL)):
         status = NO_TAKE_OFF
@@ -223,7 +223,7 @@ def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retrace):
         return status, np.nan, np.nan
 
     rising = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
-    status, event, time, state = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, trace, retrace)
+    status, event, time, state = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, trace, retracing)
     if status != OK or event == CONTACT:
         return FOOT_SCUFFED if status == OK else status, np.nan, np.nan
     _, hip, _, _ = flight_motion(rising, time, state)
