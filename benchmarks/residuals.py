@@ -2,7 +2,7 @@
 
 Scored is what a run would have predicted of each step when it began, drift followed, of the commands that were given.
 
-Give it folders of runs: ./go python benchmarks/residuals.py RUN… [--features auto]
+Give it folders of runs: ./go python benchmarks/residuals.py RUN… [--lagged-inputs auto]
 """
 
 import argparse
@@ -15,7 +15,7 @@ from stepgap import ApexMap
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.entry_points import residual_models
 from stepgap.learning.learner import Learner
-from stepgap.learning.settings import AUTO, Features, LearningSettings
+from stepgap.learning.settings import AUTO, LaggedInputs, LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array
@@ -40,7 +40,7 @@ def main() -> None:
     """Prints a line per model and redeployment, then means over the first redeployments and over the later ones."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path)
-    parser.add_argument("--features", default="none")
+    parser.add_argument("--lagged-inputs", default="none")
     options = parser.parse_args()
     kinds = [*(model.name for model in residual_models() if model.candidate), AUTO]
     found: dict[tuple[str, bool], list[Array]] = {}
@@ -51,7 +51,7 @@ def main() -> None:
         log = read_step_log(run / "steps.csv", nominal.space)
         for number in log.iterations[1:]:
             for kind in kinds:
-                learning = LearningSettings(residual=kind, features=cast(Features, options.features))
+                learning = LearningSettings(residual=kind, lagged_inputs=cast(LaggedInputs, options.lagged_inputs))
                 name, rmse, score = scores(nominal, learning, log, number)
                 label = f"auto: {name}" if kind == AUTO else name
                 print(f"{run.name} {number} {label:40s}", *(f"{1e3 * x:7.2f}e-3" for x in rmse), f"{score:7.3f}")

@@ -415,7 +415,7 @@ def test_the_defaults_in_the_help_are_those_of_the_settings(stepgap: Command) ->
         "--plant STR": usual.plant,
         "--seed INT": usual.seed,
         "--iterations INT": usual.learning.iterations,
-        "--calibrate INT": usual.learning.calibration,
+        "--explore INT": usual.learning.exploration,
     }.items():
         assert said.partition(option)[2].partition("[default: ")[2].partition("]")[0] == str(value), option
 
@@ -423,7 +423,7 @@ def test_the_defaults_in_the_help_are_those_of_the_settings(stepgap: Command) ->
 @pytest.mark.parametrize("verb", ["run", "map", "fit", "view", "export", "bench learning"])
 def test_no_integer_is_shown_as_a_string(stepgap: Command, verb: str) -> None:
     said = stepgap(*verb.split(), "--help").out
-    counted = r"--(seed|iterations|calibrate|port|points|folds|deployment|iteration|twins|seeds)"
+    counted = r"--(seed|iterations|explore|port|points|folds|deployment|iteration|twins|seeds)"
     kinds = re.findall(rf"{counted} +([A-Z]+)", said)
     assert kinds
     assert {kind for name, kind in kinds if not (verb == "fit" and name == "deployment")} == {"INT"}

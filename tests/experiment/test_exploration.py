@@ -42,8 +42,8 @@ def test_a_calibrating_step_teaches_more_than_the_middle_of_the_bounds() -> None
 
 def test_calibrating_steps_come_first_and_stay_within_what_the_reference_needs() -> None:
     plant = ModelPlant(REALITY, np.array([0.1, 0.55]), NOISE, np.random.default_rng(0))
-    learner = Learner.start(NOMINAL, log_of([]), LearningSettings(calibration=10), iteration=0)
-    steps = list(deploy(learner, plant, REFERENCE, 0, calibration=10))
+    learner = Learner.start(NOMINAL, log_of([]), LearningSettings(exploration=10), iteration=0)
+    steps = list(deploy(learner, plant, REFERENCE, 0, exploration=10))
     assert [logged.step for logged in steps] == list(range(-9, len(REFERENCE) + 1))
     lower, upper = REFERENCE.targets.min(axis=0), REFERENCE.targets.max(axis=0)
     room = 0.2 * NOMINAL.space.state_scale + 4 * NOISE
@@ -51,10 +51,10 @@ def test_calibrating_steps_come_first_and_stay_within_what_the_reference_needs()
     assert ((ends >= lower - room) & (ends <= upper + room)).all()
 
 
-def tracked_error(calibration: int) -> np.ndarray:
+def tracked_error(exploration: int) -> np.ndarray:
     plant = ModelPlant(REALITY, np.array([0.1, 0.55]), NOISE, np.random.default_rng(1))
-    learner = Learner.start(NOMINAL, log_of([]), LearningSettings(calibration=calibration), iteration=0)
-    tracked = [logged for logged in deploy(learner, plant, REFERENCE, 0, calibration) if logged.step > 0]
+    learner = Learner.start(NOMINAL, log_of([]), LearningSettings(exploration=exploration), iteration=0)
+    tracked = [logged for logged in deploy(learner, plant, REFERENCE, 0, exploration) if logged.step > 0]
     error = [logged.record.next_state - logged.target for logged in tracked]
     return np.sqrt(np.mean(np.square(error), axis=0))
 

@@ -38,7 +38,7 @@ NOISE = np.array([0.004, 0.001])
 REFERENCE = Reference.from_segments(
     ("speed", "height"), [(1, (0.1, 0.55)), (4, (0.2, 0.58)), (10, (0.1, 0.6))], steps=16
 )
-ALWAYS = LearningSettings(iterations=2, least_gain=0.0)
+ALWAYS = LearningSettings(iterations=2, tolerance=0.0)
 
 MakePlant = Callable[[np.random.Generator], Plant]
 
@@ -158,7 +158,7 @@ def test_nothing_learnt_leaves_the_nominal_map() -> None:
 
 
 def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
-    learning = LearningSettings("auto", iterations=2, least_gain=0.0, features="previous_error")
+    learning = LearningSettings("auto", iterations=2, tolerance=0.0, lagged_inputs="previous_error")
     done = run_in(tmp_path, learning=learning)
     log = list(read_step_log(tmp_path / "steps.csv", NOMINAL.space))
     for deployment in done[1:]:
@@ -196,15 +196,15 @@ def deployment(speed: float, height: float = 0.0, falls: int = 0) -> Deployment:
 )
 def test_when_redeploying_is_worth_it(errors: list[float], goes_on: bool) -> None:
     done = [deployment(0.0 if math.isinf(error) else error, falls=int(math.isinf(error))) for error in errors]
-    assert loop._still_improves(done, np.array([1.0, 1.0]), least_gain=0.01) is goes_on
+    assert loop._still_improves(done, np.array([1.0, 1.0]), tolerance=0.01) is goes_on
 
 
 def test_it_stops_when_nothing_is_gained(tmp_path: Path) -> None:
-    done = run_in(tmp_path, learning=LearningSettings(iterations=9, least_gain=0.9))
+    done = run_in(tmp_path, learning=LearningSettings(iterations=9, tolerance=0.9))
     assert [deployment.iteration for deployment in done] == [0, 1, 2]
     assert len(list((tmp_path / "models").iterdir())) == 2
     before = contents(tmp_path)
-    run_in(tmp_path, learning=LearningSettings(iterations=9, least_gain=0.9))
+    run_in(tmp_path, learning=LearningSettings(iterations=9, tolerance=0.9))
     assert contents(tmp_path) == before
 
 
@@ -214,11 +214,11 @@ def test_it_stops_when_nothing_is_gained(tmp_path: Path) -> None:
         {"residual": "cubic"},
         {"iterations": -1},
         {"iterations": 1001},
-        {"least_gain": 1.0},
-        {"least_gain": math.nan},
-        {"features": "next_error"},
-        {"memory": 0.0},
-        {"memory": math.nan},
+        {"tolerance": 1.0},
+        {"tolerance": math.nan},
+        {"lagged_inputs": "next_error"},
+        {"forgetting_time": 0.0},
+        {"forgetting_time": math.nan},
     ],
 )
 def test_settings_out_of_range_are_refused(wrong: dict) -> None:

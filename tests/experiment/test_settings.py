@@ -118,7 +118,9 @@ WRONG = {
     "[learning]\niterations = 2.5": "[learning] iterations = 2.5, but it must be an integer",
     "[learning]\nresidual = 'cubic'": "[learning] residual = 'cubic', but it must be one of auto, constant, ",
     "[learning]\nresidual = 3": "[learning] residual = 3, but it must be a string",
-    "[learning]\nleast_gain = nan": "[learning] least_gain = nan, but it must be",
+    "[learning]\ntolerance = nan": "[learning] tolerance = nan, but it must be",
+    "[learning]\nleast_gain = 0.1": "[learning] least_gain: this key is called tolerance now",
+    "[learning]\ncalibration = 20": "[learning] calibration: this key is called exploration now",
     "[gap]\nboom_arc = 1": "[gap] boom_arc = 1, but it must be true or false",
     "[gap]\npreset = 'papre'": "[gap] preset = 'papre', but it must be 'paper' or 'none'; did you mean 'paper'?",
     "[gap]\npreset = [1]": "[gap] preset = [1], but it must be 'paper' or 'none'",
@@ -167,7 +169,9 @@ def test_no_number_may_be_nan_and_hardly_one_infinite(name: str) -> None:
         with pytest.raises(InputError, match=f"^--{name} = {value}, but it must"):
             read_experiment(None, [(name, value)])
     table, key = name.split(".")
-    may_be_infinite = name == "learning.memory" or (table == "gap" and math.isinf(getattr(RealityGap.none(), key)))
+    may_be_infinite = name == "learning.forgetting_time" or (
+        table == "gap" and math.isinf(getattr(RealityGap.none(), key))
+    )
     if not may_be_infinite:
         with pytest.raises(InputError, match=f"^--{name} = inf, but it must"):
             read_experiment(None, [(name, "inf")])

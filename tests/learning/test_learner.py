@@ -131,7 +131,7 @@ def test_a_fit_that_is_taken_over_knows_every_step() -> None:
 
 
 def test_calibration_teaches_its_steps_and_no_more() -> None:
-    settings = LearningSettings("gp", calibration=12)
+    settings = LearningSettings("gp", exploration=12)
     start = Learner.start(NOMINAL, log_of([]), settings, iteration=0)
     steps = hops(REALITY, 12, seed=4, first=-11)
     known = after(start, steps).residual.mean(POINTS)

@@ -99,9 +99,9 @@ def test_settings_take_it_and_it_brings_its_features() -> None:
     assert "own_residual" not in sys.modules, "names are known without imports"
     LearningSettings(**SETTINGS["learning"])
     assert "own_residual" not in sys.modules
-    assert fit_residual(NAME, steps()).history_inputs.features == "previous_error"
-    assert fit_residual(NAME, steps(), "previous_step").history_inputs.features == "previous_step"
-    assert fit_residual(NAME, steps(), "auto").history_inputs.features in ("previous_error", "previous_step")
+    assert fit_residual(NAME, steps()).history_inputs.lagged_inputs == "previous_error"
+    assert fit_residual(NAME, steps(), "previous_step").history_inputs.lagged_inputs == "previous_step"
+    assert fit_residual(NAME, steps(), "auto").history_inputs.lagged_inputs in ("previous_error", "previous_step")
     assert fit_residual("auto", steps()).kind != NAME, "it does not declare itself a candidate"
 
 
@@ -120,9 +120,9 @@ def test_a_run_uses_it_and_the_report_shows_it(tmp_path: Path) -> None:
 
     folder = tmp_path / "run"
     folder.mkdir()
-    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings(NAME, 1, least_gain=0.0), folder, seed=0)
+    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings(NAME, 1, tolerance=0.0), folder, seed=0)
     saved = json.loads((folder / "models" / "iteration_1.json").read_text())
-    assert (saved["kind"], saved["features"]) == (NAME, "previous_error")
+    assert (saved["kind"], saved["lagged_inputs"]) == (NAME, "previous_error")
     page = Page(report_of(folder))
     check_alone(page)
     assert f"Deployment 1 began with the residual '{NAME} with previous error'" in page.text
@@ -145,7 +145,9 @@ def test_without_its_package_a_model_file_is_refused_in_one_line() -> None:
 def test_a_file_cannot_have_code_imported(packages: Path, path: str) -> None:
     (packages / "own_residual.py").write_text("raise SystemExit('imported')")
     with pytest.raises(InputError, match="unknown"):
-        residual_from_dict({"kind": path, "regressions": [{}], "command_size": 1, "features": "none", "memory": None})
+        residual_from_dict(
+            {"kind": path, "regressions": [{}], "command_size": 1, "lagged_inputs": "none", "forgetting_time": None}
+        )
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from stepgap.base.settings_file import InputError
 from stepgap.learning.entry_points import residual_models
 from stepgap.learning.gaussian_process_fit import Basis, fit_gaussian_process, fit_like_fitrgp
 from stepgap.learning.observations import Observations
-from stepgap.learning.residual import FEATURES, Features, HistoryInputs, Residual, join_points, no_residual
+from stepgap.learning.residual import LAGGED_INPUTS, HistoryInputs, LaggedInputs, Residual, join_points, no_residual
 from stepgap.learning.residual_fit import fit_residual, held_out_score, residual_from_dict
 from stepgap.learning.zero import NONE, Zero
 from stepgap.step import Array, Quantity, StepSpace
@@ -52,9 +52,9 @@ CASES += [("gp", "previous_error", inf)]
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join(map(str, case)))
 def residual(request: pytest.FixtureRequest) -> Residual:
     """Of every kind; with history inputs it is conditioned on the histories of the queries, one each."""
-    kind, features, memory = request.param
+    kind, lagged_inputs, forgetting_time = request.param
     assert QUERIES.history is not None
-    return fit_residual(kind, steps(), features, memory).conditioned_on(QUERIES.history)
+    return fit_residual(kind, steps(), lagged_inputs, forgetting_time).conditioned_on(QUERIES.history)
 
 
 class TestEveryResidual:
@@ -112,10 +112,10 @@ class TestEveryResidual:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in FITTED if kind not in ("none", "fitrgp")])
-@pytest.mark.parametrize("memory", [inf, 30.0])
-def test_left_out_is_conditioning_on_the_others(kind: str, memory: float) -> None:
+@pytest.mark.parametrize("forgetting_time", [inf, 30.0])
+def test_left_out_is_conditioning_on_the_others(kind: str, forgetting_time: float) -> None:
     """By `to_dict`, so that the hyper-parameters stay."""
-    residual, observations = fit_residual(kind, steps(), memory=memory), steps()
+    residual, observations = fit_residual(kind, steps(), forgetting_time=forgetting_time), steps()
     blocks = [slice(0, 12), slice(12, 13), slice(13, 40)]
     inputs = observations.points(residual.history_inputs)
     for regression, saved in zip(residual.regressions, residual.to_dict()["regressions"], strict=True):
@@ -231,7 +231,7 @@ class TestChoice:
         error = observations.error + weight * SCALE[:2] * history[:, :2]
         told = history if weight else np.random.default_rng(3).permuted(history, axis=0)
         data = Observations(SPACE, observations.state, observations.applied_command, error, told)
-        assert fit_residual("linear", data, "auto").history_inputs.features in wanted
+        assert fit_residual("linear", data, "auto").history_inputs.lagged_inputs in wanted
 
 
 class TestHistoryInputs:
@@ -240,7 +240,7 @@ class TestHistoryInputs:
         assert HistoryInputs().of(history, 2).tolist() == []
         assert HistoryInputs("previous_error").of(history, 2).tolist() == [0, 1]
         assert HistoryInputs("previous_step").of(history, 2).tolist() == [0, 1, 2, 3, 4, 5]
-        assert HistoryInputs("previous_error", memory=3.0).of(history, 2).tolist() == [0, 1, 2]
+        assert HistoryInputs("previous_error", forgetting_time=3.0).of(history, 2).tolist() == [0, 1, 2]
 
     def test_a_residual_with_history_inputs_asks_for_the_history(self) -> None:
         residual = fit_residual("linear", steps(), "previous_error")
@@ -256,22 +256,24 @@ class TestHistoryInputs:
             np.testing.assert_allclose(residual.conditioned_on(history).mean(point), together[row], rtol=1e-12)
         assert not np.allclose(residual.conditioned_on(np.zeros(7)).mean(points(QUERIES)), together)
 
-    @pytest.mark.parametrize(("features", "memory"), [("next_error", inf), ("none", 0.0), ("none", float("nan"))])
-    def test_what_is_none_is_refused(self, features: Any, memory: float) -> None:
+    @pytest.mark.parametrize(
+        ("lagged_inputs", "forgetting_time"), [("next_error", inf), ("none", 0.0), ("none", float("nan"))]
+    )
+    def test_what_is_none_is_refused(self, lagged_inputs: Any, forgetting_time: float) -> None:
         with pytest.raises(ValueError, match=r"= .*, but it must be"):
-            HistoryInputs(features, memory)
+            HistoryInputs(lagged_inputs, forgetting_time)
 
-    @pytest.mark.parametrize("features", get_args(Features)[1:])
-    def test_features_need_histories(self, features: Features) -> None:
+    @pytest.mark.parametrize("lagged_inputs", get_args(LaggedInputs)[1:])
+    def test_lagged_inputs_need_histories(self, lagged_inputs: LaggedInputs) -> None:
         data = steps()
         bare = Observations(SPACE, data.state, data.applied_command, data.error)
         with pytest.raises(ValueError, match="need the history"):
-            fit_residual("linear", bare, features)
-        assert fit_residual("linear", bare, memory=10.0).history_inputs == HistoryInputs(memory=10.0)
+            fit_residual("linear", bare, lagged_inputs)
+        assert fit_residual("linear", bare, forgetting_time=10.0).history_inputs == HistoryInputs(forgetting_time=10.0)
 
 
 class TestMemory:
-    """A level that drifts: a finite memory follows it, an infinite one averages."""
+    """A level that drifts: a finite forgetting time follows it, an infinite one averages."""
 
     @staticmethod
     def drifting(size: int = 240) -> Observations:
@@ -286,13 +288,13 @@ class TestMemory:
         observations, middle = self.drifting(), np.array([0.2, 0.58, 0.0, 0.0])
         now, after = SCALE[:2] * 0.1, 240 * np.eye(7)[-1]
         for_ever = fit_residual(kind, observations).conditioned_on(after).mean(middle)
-        fading = fit_residual(kind, observations, memory=30.0).conditioned_on(after).mean(middle)
+        fading = fit_residual(kind, observations, forgetting_time=30.0).conditioned_on(after).mean(middle)
         assert np.all(np.abs(fading - now) < 0.45 * np.abs(for_ever - now))
 
     def test_without_drift_a_long_memory_is_as_good_as_an_infinite_one(self) -> None:
         kinds: tuple[str, ...] = ("linear", "gp")
         for kind in kinds:
-            for_ever, long = fit_residual(kind, steps()), fit_residual(kind, steps(), memory=1e5)
+            for_ever, long = fit_residual(kind, steps()), fit_residual(kind, steps(), forgetting_time=1e5)
             found = long.conditioned_on(40 * np.eye(7)[-1]).mean(points(QUERIES))
             np.testing.assert_allclose(found, for_ever.mean(points(QUERIES)), atol=2e-5)
 
@@ -329,10 +331,10 @@ class TestRefused:
             ({"command_size": True}, "^command_size must be"),
             ({"command_size": 0}, "^command_size must be"),
             ({"command_size": 3}, "must have 5 inputs"),
-            ({"features": "future"}, "^features = 'future', but"),
-            ({"features": "previous_error"}, "must have 6 inputs"),
-            ({"memory": 0.0}, "^memory = 0.0, but"),
-            ({"memory": "long"}, "^memory must be"),
+            ({"lagged_inputs": "future"}, "^lagged_inputs = 'future', but"),
+            ({"lagged_inputs": "previous_error"}, "must have 6 inputs"),
+            ({"forgetting_time": 0.0}, "^forgetting_time = 0.0, but"),
+            ({"forgetting_time": "long"}, "^forgetting_time must be"),
         ],
     )
     def test_a_wrong_entry_is_named(self, change: dict[str, Any], named: str) -> None:
@@ -340,7 +342,7 @@ class TestRefused:
         with pytest.raises(ValueError, match=named):
             residual_from_dict({**saved, **change})
 
-    @pytest.mark.parametrize("key", ["kind", "features", "memory", "command_size", "regressions"])
+    @pytest.mark.parametrize("key", ["kind", "lagged_inputs", "forgetting_time", "command_size", "regressions"])
     def test_a_missing_entry_is_named(self, key: str) -> None:
         saved = fit_residual("gp", steps(5)).to_dict()
         del saved[key]
@@ -361,4 +363,4 @@ class TestRefused:
 
 
 def test_features_are_named() -> None:
-    assert FEATURES == ("none", "previous_error", "previous_step")
+    assert LAGGED_INPUTS == ("none", "previous_error", "previous_step")

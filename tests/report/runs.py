@@ -58,7 +58,7 @@ def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), rea
         made.lasts = next(tired, made.lasts)
         return made
 
-    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, least_gain=0.0), folder, seed=0)
+    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, tolerance=0.0), folder, seed=0)
     return folder
 
 

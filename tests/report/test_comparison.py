@@ -79,9 +79,9 @@ def test_settings_that_differ() -> None:
 
 
 def test_calibrating_steps_are_no_other_reference(folders: list[Path], tmp_path: Path) -> None:
-    """Their targets are what was predicted, as a run with `--calibrate` writes them."""
+    """Their targets are what was predicted, as a run with `--explore` writes them."""
     record = read_run_folder(folders[0])
     first = next(iter(record.steps))
     steps = StepLog(record.space, [replace(first, step=0, target=first.predicted), *record.steps])
-    calibrated = replace(record, folder=tmp_path, steps=steps)
-    assert "All runs tracked the same reference." in comparison_html([record, calibrated])
+    explored = replace(record, folder=tmp_path, steps=steps)
+    assert "All runs tracked the same reference." in comparison_html([record, explored])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.learning.residual import HistoryInputs
-from stepgap.learning.settings import FEATURES
+from stepgap.learning.settings import LAGGED_INPUTS
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.learnt import input_quantities, read_learnt
 from stepgap.report.learnt_table import coverage_table, learnt_tables
@@ -71,10 +71,10 @@ def test_a_foreign_model_is_refused(tmp_path: Path, text: str) -> None:
         read_learnt(tmp_path, 2, SPACE)
 
 
-@pytest.mark.parametrize("features", FEATURES)
-@pytest.mark.parametrize("memory", [np.inf, 50.0])
-def test_every_input_has_a_name(features, memory: float) -> None:
-    history_inputs = HistoryInputs(features, memory)
+@pytest.mark.parametrize("lagged_inputs", LAGGED_INPUTS)
+@pytest.mark.parametrize("forgetting_time", [np.inf, 50.0])
+def test_every_input_has_a_name(lagged_inputs, forgetting_time: float) -> None:
+    history_inputs = HistoryInputs(lagged_inputs, forgetting_time)
     names = [quantity.name for quantity in input_quantities(SPACE, history_inputs)]
     assert len(names) == len(set(names)) == 4 + history_inputs.of(np.zeros(7), 2).size
 
@@ -103,7 +103,7 @@ def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("svg_only")
-def test_a_run_that_still_calibrates_has_no_gait(folder: Path, tmp_path: Path) -> None:
+def test_a_run_that_still_explores_has_no_gait(folder: Path, tmp_path: Path) -> None:
     header, first, *_ = (folder / "steps.csv").read_text().splitlines(keepends=True)
     (tmp_path / "steps.csv").write_text(header + first.replace("0,1,", "0,0,", 1))
     page = Page(report_of(tmp_path, RunContext("map", {}, LossyHopper())))

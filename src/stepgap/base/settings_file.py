@@ -13,6 +13,9 @@ from stepgap.base.ranges import LARGEST_INTEGER, format_value
 LARGEST_SETTINGS_FILE = 2**20
 """Largest file of settings that is read [bytes]."""
 
+FORMER_NAME = "former name"
+"""Metadata of a settings field that was renamed: its former name, so that the error can give the present one."""
+
 BYTE_ORDER_MARK = "\ufeff"
 
 Locate = Callable[[str], str]
@@ -133,6 +136,9 @@ def _values(
     for key, value in table.items():
         here, inner = locate(prefix + key), f"{prefix}{key}."
         if key not in known:
+            for entry in fields(kind):
+                if entry.metadata.get(FORMER_NAME) == key:
+                    raise InputError(f"{here}: this key is called {entry.name} now")
             known += [name.removeprefix(prefix) for name in more if name.rpartition(".")[0] == prefix.rstrip(".")]
             raise InputError(f"{here}: unknown key; {_meant(key, known, current, prefix)}")
         wanted = types[key]

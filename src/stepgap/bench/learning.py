@@ -50,7 +50,7 @@ from stepgap.step import Array
 FIRST_STEPS = 20
 """Steps that the uncorrected robot of a draw must manage, or else it is drawn again."""
 
-CALIBRATION = 20
+EXPLORATION = 20
 """Hops of the methods that begin with some whose commands are chosen for what they teach."""
 
 
@@ -88,14 +88,14 @@ class Trial:
         self,
         learner: AdaptiveMap,
         iteration: int,
-        calibration: int = 0,
+        exploration: int = 0,
         most_steps: int | None = None,
         on_tick: Callable[[Tick], None] | None = None,
     ) -> StepLog:
         """The steps of a deployment; none where not even the hop before them was made."""
         nominal, log = self.nominal, StepLog(self.nominal.space)
         plant = RigPlant(self.meet(iteration), HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_tick)
-        with closing(deploy(learner, plant, self.reference, iteration, calibration)) as steps:
+        with closing(deploy(learner, plant, self.reference, iteration, exploration)) as steps:
             try:
                 for logged in islice(steps, most_steps):
                     log += [logged]
@@ -137,7 +137,7 @@ def _residual(trial: Trial, log: StepLog, kind: str) -> StepLog:
 
 
 def _from_the_first_hop(trial: Trial, log: StepLog, learning: LearningSettings) -> StepLog:
-    return trial.deploy(Learner.start(trial.nominal, StepLog(log.space), learning, 0), 0, learning.calibration)
+    return trial.deploy(Learner.start(trial.nominal, StepLog(log.space), learning, 0), 0, learning.exploration)
 
 
 SKIPPED = {} if hasattr(mujoco.sysid, "optimize") else {"sysid": "needs the packages of stepgap[sysid]"}
@@ -152,8 +152,8 @@ WITHOUT_RESIDUAL: dict[str, Method] = {
 
 FROM_THE_FIRST_HOP: dict[str, Method] = {
     "online": partial(_from_the_first_hop, learning=LearningSettings(online=True)),
-    "calibrated": partial(_from_the_first_hop, learning=LearningSettings(calibration=CALIBRATION)),
-    "calibrated_online": partial(_from_the_first_hop, learning=LearningSettings(online=True, calibration=CALIBRATION)),
+    "exploring": partial(_from_the_first_hop, learning=LearningSettings(exploration=EXPLORATION)),
+    "exploring_online": partial(_from_the_first_hop, learning=LearningSettings(online=True, exploration=EXPLORATION)),
 }
 """Methods that make deployment 0 themselves, all with the default residual."""
 

@@ -98,7 +98,7 @@ def fit(
 
     from stepgap.cli.progress import progress_bar
     from stepgap.experiment.fit import choose_folds, describe_lesson, read_lesson, show_validation, verdicts
-    from stepgap.learning.residual_fit import names_without_features
+    from stepgap.learning.residual_fit import names_without_lagged_inputs
     from stepgap.learning.validation import validate
     from stepgap.records.columns import read_columns
 
@@ -109,7 +109,7 @@ def fit(
     parts = choose_folds(lesson.steps, folds)
     print(describe_lesson(lesson, parts), flush=True)
     with threadpool_limits(limits=1, user_api="blas"), progress_bar("fits") as progress:
-        validation = validate(names_without_features(), lesson.steps, parts, progress)
+        validation = validate(names_without_lagged_inputs(), lesson.steps, parts, progress)
     show_validation(lesson.steps.space.state, validation, sys.stdout)
     print(verdicts(lesson.steps.space.state, validation))
     _write(results, log, lesson, validation)

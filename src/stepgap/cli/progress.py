@@ -66,7 +66,7 @@ class RunProgress:
     def __exit__(self, exc_type: object, *exc_info: object) -> None:
         self._bars.stop()
         if exc_type is None and self._last < self._iterations and not self._quiet:
-            self._console.print("stopped there: the error no longer falls (learning.least_gain)", soft_wrap=True)
+            self._console.print("stopped there: the error no longer falls (learning.tolerance)", soft_wrap=True)
 
     def _on_step(self, logged: LoggedStep) -> None:
         if self._task is None:

@@ -40,7 +40,7 @@ class Shorthand:
         rig: File that describes the rig, such as rig.toml.
         seed: Random seed. [default: 0]
         iterations: Largest number of redeployments. [default: 4]
-        calibrate: Number of exploratory hops before the first deployment. [default: 0]
+        explore: Number of exploratory hops before the first deployment. [default: 0]
         online: Learn after every hop, from the first one on.
         warm_start: Folder of an earlier run, whose steps are learned from before the first deployment.
     """
@@ -50,7 +50,7 @@ class Shorthand:
     rig: str | None = None
     seed: Integer | None = None
     iterations: Integer | None = None
-    calibrate: Integer | None = None
+    explore: Integer | None = None
     online: Flag = False
     warm_start: str | None = None
 
@@ -60,7 +60,7 @@ class Shorthand:
         numbers = {
             "seed": self.seed,
             "learning.iterations": self.iterations,
-            "learning.calibration": self.calibrate,
+            "learning.exploration": self.explore,
         }
         return [
             *((name, json_format.dumps(text, ensure_ascii=False)) for name, text in texts.items() if text is not None),

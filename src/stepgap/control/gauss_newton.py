@@ -6,8 +6,11 @@ did not help before. Broyden's rank-one updates keep the Jacobian, because a new
 
 `minimise` solves one problem and asks for another Jacobian where the updated one misleads. `minimise_many` takes
 the steps of many problems together, so that each round is one large batch of evaluations, and never asks for
-another Jacobian; what it cannot settle is left to `minimise`. A function value that is not finite (a step that
-fails) is worse than any other.
+another Jacobian; what it cannot settle is left to `minimise`. It is a function of its own because it works on whole
+arrays: one search for both, whose questions are collected in batches, took four times as long for a command table,
+191 instead of 45 µs for each of 13⁴ nodes.
+
+A function value that is not finite (a step that fails) is worse than any other.
 """
 
 from collections.abc import Callable

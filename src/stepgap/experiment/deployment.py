@@ -89,7 +89,7 @@ class AdaptiveMap(Protocol):
         ...
 
 
-def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: int, calibration: int = 0) -> Steps:
+def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: int, exploration: int = 0) -> Steps:
     """Tracks the reference with the map as it is known at each step, until its end or a fall.
 
     Args:
@@ -97,12 +97,12 @@ def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: 
         plant: Executes the steps.
         reference: What to track, from step 1 on.
         iteration: Number of the deployment.
-        calibration: Steps before that, numbered up to 0, whose commands are chosen for what they teach.
+        exploration: Steps before that, numbered up to 0, whose commands are chosen for what they teach.
     """
     command = None
     with BackgroundThread() as background, plant:
         state = plant.start()
-        for number in range(1 - calibration, len(reference) + 1):
+        for number in range(1 - exploration, len(reference) + 1):
             controller = CautiousController(learner.step_map(), learner.nominal, learner.failures)
             if number < 1:
                 goals = goals_of(reference, controller.step_map)

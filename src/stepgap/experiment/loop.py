@@ -105,7 +105,7 @@ def run_experiment(
             if recording.caught_up:
                 write_summary(folder / "summary.json", summary, names)
             observer.on_deployment(deployments[-1])
-            if iteration == learning.iterations or not _still_improves(deployments, scale, learning.least_gain):
+            if iteration == learning.iterations or not _still_improves(deployments, scale, learning.tolerance):
                 break
         recording.check_finished()
         if measure_noise_floor:
@@ -127,7 +127,7 @@ def _execute(
     """The steps of a deployment on a plant of its own, whose fault is reported at the end."""
     iteration = learner.iteration
     plant = make_plant(deployment_generator(seed, iteration))
-    yield from deploy(learner, plant, reference, iteration, 0 if iteration else learner.settings.calibration)
+    yield from deploy(learner, plant, reference, iteration, 0 if iteration else learner.settings.exploration)
     if plant.fault:
         observer.on_fault(plant.fault)
 
@@ -167,7 +167,7 @@ def _as_past(known: StepLog) -> StepLog:
     return StepLog(known.space, (replace(logged, iteration=logged.iteration - count) for logged in known))
 
 
-def _still_improves(deployments: Sequence[Deployment], scale: Array, least_gain: float) -> bool:
+def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:
     """Whether the last deployment still made the tracking error smaller."""
     errors = [inf if deployment.falls else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments]
-    return len(errors) < 3 or errors[-1] == inf or errors[-1] <= (1 - least_gain) * min(errors[:-1])
+    return len(errors) < 3 or errors[-1] == inf or errors[-1] <= (1 - tolerance) * min(errors[:-1])

@@ -44,7 +44,7 @@ PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": 
 
 SHORT_OPTIONS = {
     "learning.iterations": "iterations",
-    "learning.calibration": "calibrate",
+    "learning.exploration": "explore",
     "learning.online": "online",
     "warm_start": "warm-start",
 }

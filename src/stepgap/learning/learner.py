@@ -217,11 +217,11 @@ def _fitted(
     kind = settings.residual if len(errors) else "none"
     if settings.drift and kind != "none":
         cleaned = without_yaw_dependence(errors, iteration)
-        residual = fit_residual(kind, cleaned, settings.features, settings.memory, start)
+        residual = fit_residual(kind, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
         if residual.kind != "none":
             return residual
         kind = "none"  # without a correction no disturbance is estimated: it is noise
-    return fit_residual(kind, errors, settings.features, settings.memory, start)
+    return fit_residual(kind, errors, settings.lagged_inputs, settings.forgetting_time, start)
 
 
 def _point_of(record: StepRecord) -> Array:

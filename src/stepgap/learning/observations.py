@@ -65,8 +65,10 @@ class Observations:
         n, m = len(self.space.state), len(self.space.command)
         history = self.history
         if history is None:
-            if history_inputs.features != "none":
-                raise ValueError(f"features {history_inputs.features!r} need the history of the steps; observe a log")
+            if history_inputs.lagged_inputs != "none":
+                raise ValueError(
+                    f"lagged inputs {history_inputs.lagged_inputs!r} need the history of the steps; observe a log"
+                )
             history = np.arange(float(len(self)))[:, None] * np.eye(2 * n + m + 1)[-1]
         return np.hstack([self.state, self.applied_command, history_inputs.of(history, n)])
 
@@ -77,8 +79,8 @@ def observe(log: StepLog, nominal: StepMap) -> Observations:
     A step that the nominal map says must fail has no error, and is left out.
     """
     error = log.next_state - nominal.evaluate(log.state, log.applied).next_state
-    features = _features_of(nominal.space, error, log.applied, log.state)
-    before = np.where(log.follows[:, None], np.roll(features, 1, axis=0), 0.0)
+    lagged = _lagged_quantities(nominal.space, error, log.applied, log.state)
+    before = np.where(log.follows[:, None], np.roll(lagged, 1, axis=0), 0.0)
     history = np.hstack([before, np.arange(float(len(log)))[:, None]])
     known = np.isfinite(error).all(axis=1)
     rows = log.state[known], log.applied[known], error[known], history[known], log.yaw[known], log.deployment[known]
@@ -108,7 +110,7 @@ def history_after(record: StepRecord, error: Array, space: StepSpace, steps: int
         space: Of both.
         steps: How many steps were recorded, the one before included.
     """
-    return np.append(_features_of(space, error, record.applied, record.state), steps)
+    return np.append(_lagged_quantities(space, error, record.applied, record.state), steps)
 
 
 def error_of(record: StepRecord, nominal: StepMap) -> Array:
@@ -116,7 +118,7 @@ def error_of(record: StepRecord, nominal: StepMap) -> Array:
     return record.next_state - nominal.evaluate(record.state, record.applied).next_state
 
 
-def _features_of(space: StepSpace, error: Array, applied_command: Array, state: Array) -> Array:
+def _lagged_quantities(space: StepSpace, error: Array, applied_command: Array, state: Array) -> Array:
     """What the history of the next step holds of this one; shape (…, 2n + m). An error that is not known is zero."""
     command = space.point_of(applied_command)
     parts = [np.nan_to_num(error) / space.state_scale, command, (state - space.state_centre) / space.state_scale]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.base.json_data import boolean, number, numbers
-from stepgap.learning.settings import Features
+from stepgap.learning.settings import LaggedInputs
 from stepgap.step import Array
 
 
@@ -52,7 +52,7 @@ class TrainingData:
         centre: Middle of the range of use of each input; shape (d,).
         scale: Half that range; shape (d,).
         value_scale: Half the range of use of the state coordinate.
-        timed: Whether the last input is a time, in units of the memory, which never falls.
+        timed: Whether the last input is a time, in units of the forgetting time, which never falls.
 
     Raises:
         ValueError: A wrong shape, a number that is not finite, or a scale that is not positive.
@@ -227,7 +227,7 @@ class ResidualModel:
         fit: The regression of one state coordinate. Its arguments are the data, at least one value, and None or a
             regression of this model fitted to fewer data, from which a search for hyper-parameters may start.
         from_dict: The regression that `Regression.to_dict` saved; it raises ValueError, which names the wrong key.
-        features: Inputs from the step before that it always has; settings may add others.
+        lagged_inputs: Inputs from the step before that it always has; settings may add others.
         candidate: Whether `auto` may choose it.
         complexity: From simple to complex: 0 none, 1 constant, 2 linear, 3 quadratic, 4 to 6 Gaussian processes.
             Residuals are shown in this order, and of equally good ones the simplest is taken.
@@ -237,6 +237,6 @@ class ResidualModel:
     description: str
     fit: Callable[[TrainingData, Regression | None], Regression]
     from_dict: Callable[[Mapping[str, Any]], Regression]
-    features: Features = "none"
+    lagged_inputs: LaggedInputs = "none"
     candidate: bool = False
     complexity: int = 10

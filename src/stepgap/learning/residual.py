@@ -7,8 +7,9 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stepgap.base.ranges import require
 from stepgap.learning.regression import Regression, ResidualModel
-from stepgap.learning.settings import FEATURES, Features
+from stepgap.learning.settings import LAGGED_INPUTS, LaggedInputs
 from stepgap.learning.zero import NONE, Zero
 from stepgap.step import Array
 
@@ -19,28 +20,29 @@ class HistoryInputs:
     """Inputs of a residual besides state and command: what happened before the step.
 
     Attributes:
-        features: Which quantities of the step before.
-        memory: After how many steps what was learnt counts much less; inf: it counts for ever.
+        lagged_inputs: Quantities of the step before.
+        forgetting_time: Number of steps after which a step's influence has faded; inf: it never fades.
     """
 
-    features: Features = "none"
-    memory: float = inf
+    lagged_inputs: LaggedInputs = "none"
+    forgetting_time: float = inf
 
     def __post_init__(self) -> None:
-        if self.features not in FEATURES:
-            raise ValueError(f"features = {self.features!r}, but it must be one of {', '.join(FEATURES)}")
-        if not self.memory > 0:
-            raise ValueError(f"memory = {self.memory}, but it must be a positive number of steps, or inf")
+        names = ", ".join(LAGGED_INPUTS)
+        require(self.lagged_inputs in LAGGED_INPUTS, "lagged_inputs", self.lagged_inputs, f"be one of {names}")
+        require(
+            self.forgetting_time > 0, "forgetting_time", self.forgetting_time, "be a positive number of steps, or inf"
+        )
 
     @property
     def timed(self) -> bool:
-        """Whether the last input is the time, in memories."""
-        return isfinite(self.memory)
+        """Whether the last input is the time, in forgetting times."""
+        return isfinite(self.forgetting_time)
 
     def of(self, history: Array, state_size: int) -> Array:
         """The inputs that a history, which `observations` defines, gives; (…, 2n + m + 1) to (…, c)."""
-        used = {"none": 0, "previous_error": state_size, "previous_step": history.shape[-1] - 1}[self.features]
-        time = history[..., -1:] / self.memory
+        used = {"none": 0, "previous_error": state_size, "previous_step": history.shape[-1] - 1}[self.lagged_inputs]
+        time = history[..., -1:] / self.forgetting_time
         return np.concatenate([history[..., :used], time if self.timed else time[..., :0]], axis=-1)
 
 
@@ -88,9 +90,9 @@ class Residual:
 
     @property
     def name(self) -> str:
-        """Name of the model and, if there are any, its features, in a few words."""
-        features = self.history_inputs.features.replace("_", " ")
-        return self.kind if features == "none" else f"{self.kind} with {features}"
+        """Name of the model and, if there are any, of its lagged inputs."""
+        lagged = self.history_inputs.lagged_inputs.replace("_", " ")
+        return self.kind if lagged == "none" else f"{self.kind} with {lagged}"
 
     def conditioned_on(self, history: Array) -> "Residual":
         """The residual of the step that has this history (2n + m + 1,), as a function of state and command."""
@@ -147,8 +149,8 @@ class Residual:
         return {
             "kind": self.kind,
             "command_size": self.command_size,
-            "features": self.history_inputs.features,
-            "memory": self.history_inputs.memory if self.history_inputs.timed else None,
+            "lagged_inputs": self.history_inputs.lagged_inputs,
+            "forgetting_time": self.history_inputs.forgetting_time if self.history_inputs.timed else None,
             "regressions": [regression.to_dict() for regression in self.regressions],
         }
 

@@ -13,7 +13,7 @@ from stepgap.learning.entry_points import load_residual_model, residual_models
 from stepgap.learning.observations import Observations
 from stepgap.learning.regression import Regression, ResidualModel, TrainingData
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
-from stepgap.learning.settings import AUTO, FEATURES, Features
+from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs
 from stepgap.learning.zero import NONE
 
 SELECTION_FOLDS = 5
@@ -23,20 +23,20 @@ SELECTION_FOLDS = 5
 def fit_residual(
     residual: str | ResidualModel,
     observations: Observations,
-    features: Features | Literal["auto"] = "none",
-    memory: float = inf,
+    lagged_inputs: LaggedInputs | Literal["auto"] = "none",
+    forgetting_time: float = inf,
     start: Residual | None = None,
 ) -> Residual:
     """Fit a model of the nominal map's error (Eq. 12).
 
     `auto` takes what predicts best by `held_out_score`: first the model, of all installed candidates and the simplest
-    of equally good ones; then the features for that model.
+    of equally good ones; then the lagged inputs for that model.
 
     Args:
         residual: Name of an installed model, `auto`, or a model itself.
         observations: What to learn from.
-        features: Inputs from the step before; those that the model always has are added.
-        memory: After how many steps what was learnt counts much less; inf: it counts for ever.
+        lagged_inputs: Inputs from the step before; those that the model always has are added.
+        forgetting_time: Number of steps after which a step's influence has faded; inf: it never fades.
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
 
     Raises:
@@ -53,12 +53,12 @@ def fit_residual(
             return no_residual(len(space.state), len(space.command))
         raise ValueError(f"residual {models[0].name!r} needs at least one step")
 
-    least: Features = "none" if features == "auto" else features
-    fits = [_fit(model, _history_inputs(model, least, memory), observations, start) for model in models]
+    least: LaggedInputs = "none" if lagged_inputs == "auto" else lagged_inputs
+    fits = [_fit(model, _history_inputs(model, least, forgetting_time), observations, start) for model in models]
     found = _best(fits, observations)
-    if features == "auto":
-        wider = FEATURES[FEATURES.index(found.history_inputs.features) + 1 :]
-        more = [_fit(found.model, HistoryInputs(each, memory), observations, start) for each in wider]
+    if lagged_inputs == "auto":
+        wider = LAGGED_INPUTS[LAGGED_INPUTS.index(found.history_inputs.lagged_inputs) + 1 :]
+        more = [_fit(found.model, HistoryInputs(each, forgetting_time), observations, start) for each in wider]
         found = _best([found, *more], observations)
     return found
 
@@ -100,25 +100,26 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
         raise ValueError("regressions must be a list of one regression per state coordinate")
     model = load_residual_model(kind)
     regressions = tuple(_regression(model, item, f"regressions[{i}]") for i, item in enumerate(saved))
-    memory = inf if data.get("memory", 0) is None else number(data, "memory")
-    history_inputs = HistoryInputs(data.get("features"), memory)  # pyright: ignore[reportArgumentType] it checks them
+    forgetting_time = inf if data.get("forgetting_time", 0) is None else number(data, "forgetting_time")
+    history_inputs = HistoryInputs(data.get("lagged_inputs"), forgetting_time)  # pyright: ignore[reportArgumentType] it checks them
     return Residual(model, regressions, integer(data, "command_size"), history_inputs)
 
 
-def names_without_features() -> tuple[str, ...]:
+def names_without_lagged_inputs() -> tuple[str, ...]:
     """Names of the installed residuals of state and command alone, from simple to complex; then `auto`."""
-    return (*(model.name for model in residual_models() if model.features == "none"), AUTO)
+    return (*(model.name for model in residual_models() if model.lagged_inputs == "none"), AUTO)
 
 
 def _candidates(observations: Observations) -> list[ResidualModel]:
     """Among which `auto` chooses, from simple to complex: those whose inputs are known."""
-    known = FEATURES[:1] if observations.history is None else FEATURES
-    return [model for model in residual_models() if model.candidate and model.features in known]
+    known = LAGGED_INPUTS[:1] if observations.history is None else LAGGED_INPUTS
+    return [model for model in residual_models() if model.candidate and model.lagged_inputs in known]
 
 
-def _history_inputs(model: ResidualModel, features: Features, memory: float) -> HistoryInputs:
-    """The inputs asked for and those that the model always has; each of `FEATURES` includes the one before it."""
-    return HistoryInputs(FEATURES[max(map(FEATURES.index, (features, model.features)))], memory)
+def _history_inputs(model: ResidualModel, lagged_inputs: LaggedInputs, forgetting_time: float) -> HistoryInputs:
+    """The inputs asked for and those that the model always has; each of `LAGGED_INPUTS` includes the one before it."""
+    widest: LaggedInputs = max(lagged_inputs, model.lagged_inputs, key=LAGGED_INPUTS.index)
+    return HistoryInputs(widest, forgetting_time)
 
 
 def _best(fits: Sequence[Residual], observations: Observations) -> Residual:

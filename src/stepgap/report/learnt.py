@@ -59,9 +59,9 @@ def read_learnt(folder: Path, last: int, space: StepSpace) -> Learnt | None:
 def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:
     """Names and units of a residual's inputs; those of the step before are normalised by half their range."""
     before = [Quantity(f"error of {each.name} before", "half ranges", -1, 1) for each in space.state]
-    if history_inputs.features == "previous_step":
+    if history_inputs.lagged_inputs == "previous_step":
         before += [Quantity(f"{each.name} before", "half ranges", -1, 1) for each in (*space.command, *space.state)]
-    elif history_inputs.features == "none":
+    elif history_inputs.lagged_inputs == "none":
         before = []
     time = [Quantity("time", "memories", -1, 1)] if history_inputs.timed else []
     return [*space.state, *space.command, *before, *time]

@@ -70,7 +70,7 @@ def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
 
     return {
         "iteration": ("", "number of the deployment, from 0"),
-        "step": ("", "number of the step in it, from 1; steps that calibrate come before"),
+        "step": ("", "number of the step in it, from 1; exploratory steps come before"),
         **of(space.state, STATE_MEANINGS),
         **of(space.command, COMMAND_MEANINGS),
         "yaw_after": ("rad", "yaw after the step; NaN where it is not measured"),
