@@ -118,8 +118,8 @@ def _candidates(observations: Observations) -> list[ResidualModel]:
 
 def _history_inputs(model: ResidualModel, lagged_inputs: LaggedInputs, forgetting_time: float) -> HistoryInputs:
     """The inputs asked for and those that the model always has; each of `LAGGED_INPUTS` includes the one before it."""
-    widest: LaggedInputs = max(lagged_inputs, model.lagged_inputs, key=LAGGED_INPUTS.index)
-    return HistoryInputs(widest, forgetting_time)
+    widest = max(LAGGED_INPUTS.index(lagged_inputs), LAGGED_INPUTS.index(model.lagged_inputs))
+    return HistoryInputs(LAGGED_INPUTS[widest], forgetting_time)
 
 
 def _best(fits: Sequence[Residual], observations: Observations) -> Residual:
