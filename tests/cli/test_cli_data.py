@@ -90,7 +90,7 @@ def test_a_run_of_another_robot_that_is_not_finished(stepgap: Command) -> None:
     make_run(Path("other"), iterations=1)
     Path("other/summary.json").unlink()
     Path("other/experiment.toml").write_text(f"a-b = 1\nlong = 1{'0' * 400}\n")
-    refused(stepgap("export", "other", "--to", "mat"), "'a-b': MATLAB has no such names; export to csv instead")
+    refused(stepgap("export", "other", "--to", "mat"), "'a-b': not a valid name in MATLAB; export to csv instead")
     Path("other/experiment.toml").write_text(f"[[list]]\nb = 1\n[c]\nlong = 1{'0' * 400}\nyes = true\n")
     assert stepgap("export", "other", "--to", "mat").code == 0
     file = loadmat("other/export/run.mat", simplify_cells=True)
@@ -204,10 +204,10 @@ def cut(count: int) -> Callable[[bytes], bytes]:
     ("spoil", "steps", "fault"),
     [
         (bytes, 6, ""),
-        (cut(9), 5, "the last line breaks off after "),
-        (cut(1), 5, "the last line breaks off after "),
-        (lambda content: content + b"\0" * 4096, 6, "the last line breaks off after 4096 bytes"),
-        (lambda content: content + b"\xff\xfe\n1,2\n", 6, "no text from byte "),
+        (cut(9), 5, "the last line is cut off after "),
+        (cut(1), 5, "the last line is cut off after "),
+        (lambda content: content + b"\0" * 4096, 6, "the last line is cut off after 4096 bytes"),
+        (lambda content: content + b"\xff\xfe\n1,2\n", 6, "not text from byte "),
         (lambda content: content.replace(b"\n1,1,", b"\n1,9,"), 3, "line 5: not the next step"),
         (lambda content: content.replace(b",ok\n", b",okay\n", 3).replace(b",okay\n", b",ok\n", 2), 2, "line 4: not"),
     ],
@@ -220,7 +220,7 @@ def test_the_whole_steps_of_a_broken_record(
     said = stepgap("recover", run / "steps.csv")
     *faults, count, path = said.out.splitlines()
     assert (said.code, said.err, path) == (0, "", "run/steps_recovered.csv")
-    assert count == (f"{steps} steps recovered" if fault else "6 steps copied: nothing is wrong with them")
+    assert count == (f"{steps} steps recovered" if fault else "6 steps copied: the file has no fault")
     assert len(faults) == bool(fault)
     assert fault in "".join(faults)
     recovered = read_step_log(Path(path), SPACE)
@@ -240,9 +240,7 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
     assert said.out.splitlines()[1:] == [f"{len(found)} ticks recovered", "b.mcap"]
     np.testing.assert_array_equal(found, ticks[: len(found)])
     assert len(found) > 1000
-    assert (
-        stepgap("recover", "b.mcap").out == f"{len(found)} ticks copied: nothing is wrong with them\nb_recovered.mcap\n"
-    )
+    assert stepgap("recover", "b.mcap").out == f"{len(found)} ticks copied: the file has no fault\nb_recovered.mcap\n"
 
 
 # Bad input: one line, exit code 2, nothing made or changed
@@ -273,10 +271,10 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
         ("export unsettled --to mjcf", ["unsettled/experiment.toml: not TOML"]),
         ("export nested --to mat", ["nested/experiment.toml: not TOML"]),
         ("recover none", ["none: No such file or directory"]),
-        ("recover run", ["run: this is no file; give a steps.csv or an .mcap file"]),
+        ("recover run", ["run: not a file; give a steps.csv or an .mcap file"]),
         ("recover file", ["file, line 1: not the header of a step log"]),
         ("recover empty.csv", ["empty.csv: no step yet"]),
-        ("recover header.csv", ["header.csv: no whole step in it"]),
+        ("recover header.csv", ["header.csv: it contains no complete step"]),
         ("recover rubbish.mcap", ["rubbish.mcap: this is no MCAP file"]),
         ("recover magic.mcap", ["magic.mcap: nothing in it says what its ticks are"]),
         ("recover run/steps.csv --out file", ["file: exists already; choose another --out"]),

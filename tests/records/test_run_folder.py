@@ -124,7 +124,7 @@ def test_steps_that_are_no_step_log(folder: Path, content: bytes) -> None:
         ("-1,1,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
         ("0,1,0,0,0,0,0,0,0,0,0,0,1,1,inf,ok\n", "RUN/steps.csv, line 2: not the next step"),
         ("0,1,0,0,0,0,0,0,0,0,0,0,1,-1,0,ok\n", "std_… negative"),
-        ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,0,ok\n", "a state is beyond ±1e+09"),
+        ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,0,ok\n", "a state is larger than ±1e+09"),
     ],
 )
 def test_steps_that_are_wrong(folder: Path, row: str, message: str) -> None:
@@ -148,7 +148,7 @@ def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
         (b"", "not JSON"),
         (b'{"schema": 1, "seed": 0, "iterat', "not JSON"),
         (b"[" * 10**6, "not JSON"),
-        (b'{"schema": NaN}', "not JSON (NaN is no JSON number)"),
+        (b'{"schema": NaN}', "not JSON (NaN is not a JSON number)"),
         (b"\xff\xfe\x00", "not a text file"),
         (b"[1]", "but it must be an object"),
         (b"{}", "schema is missing, but it must be 1"),
@@ -173,16 +173,16 @@ def test_summary_that_is_none(folder: Path, content: bytes, message: str) -> Non
         (lambda content: content.pop("repeatability"), "repeatability is missing"),
         (lambda content: content.update(versions=[1]), "versions is [1], but it must be an object"),
         (lambda content: content["iterations"][0].update(residual=3), "iterations[0]: residual is 3"),
-        (lambda content: content["iterations"][0].update(residual="x" * 101), "but it must be a short text"),
+        (lambda content: content["iterations"][0].update(residual="x" * 101), "but it must be a short string"),
         (lambda content: content["iterations"][0].update(steps=True), "steps is True, but it must be an integer"),
         (lambda content: content["iterations"][0].pop("mae"), "iterations[0]: mae is missing"),
-        (lambda content: content["iterations"][1].update(mae={"speed": 1}), "but it must be of speed, tilt"),
+        (lambda content: content["iterations"][1].update(mae={"speed": 1}), "but it must have speed, tilt"),
         (
             lambda content: content["iterations"][1]["mae"].update(tilt="0.1"),
             "mae of tilt is '0.1', but it must be a number",
         ),
         (lambda content: content["iterations"][1]["mae"].update(tilt=10**400), "but it must be a number or null"),
-        (lambda content: content["iterations"].reverse(), "numbered [1, 0], but their numbers must rise"),
+        (lambda content: content["iterations"].reverse(), "numbered [1, 0], but their numbers must increase"),
         (lambda content: content["iterations"][1].update(steps=6), "has 6 steps and 0 falls, in steps.csv 5 and 0"),
         (lambda content: content["iterations"][1].update(falls=1), "has 5 steps and 1 falls, in steps.csv 5 and 0"),
     ],
@@ -237,7 +237,7 @@ def test_too_many_coordinates(tmp_path: Path) -> None:
 
 def test_summary_of_another_robot(folder: Path) -> None:
     write_summary(folder, ("speed", "height"), 5, 2)
-    assert "but it must be of speed, tilt, as in steps.csv" in complaint(folder)
+    assert "but it must have speed, tilt, as in steps.csv" in complaint(folder)
 
 
 def test_every_fall_counts(tmp_path: Path) -> None:

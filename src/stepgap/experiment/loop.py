@@ -109,11 +109,13 @@ def run_experiment(
                 break
         recording.check_finished()
         if measure_noise_floor:
-            noise_floor = recording.measured_repeatability(len(deployments))
+            noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:
                 last_map = reduce(Learner.after, steps.completed(), learner).step_map()
                 noise_floor = measure_noise_floor(last_map, random_stream(seed, iteration, 1))
-            write_summary(folder / "summary.json", replace(summary, repeatability=noise_floor, measured=True), names)
+            write_summary(
+                folder / "summary.json", replace(summary, noise_floor=noise_floor, noise_floor_measured=True), names
+            )
     return deployments
 
 

@@ -81,10 +81,10 @@ class Recording:
         if self._recorded:
             raise RecordError(f"{self._path}: it has steps after the last deployment of this experiment; {SAME_AGAIN}")
 
-    def measured_repeatability(self, deployments: int) -> Array | None:
-        """The repeatability that was measured after this number of deployments; None if it was not."""
+    def measured_noise_floor(self, deployments: int) -> Array | None:
+        """Noise floor that was measured after this number of deployments; None if it was not."""
         known = self._summary
-        return known.repeatability if known.measured and len(known.deployments) == deployments else None
+        return known.noise_floor if known.noise_floor_measured and len(known.deployments) == deployments else None
 
     def _check_same(self, known: LoggedStep, replayed: LoggedStep) -> None:
         """Raises RecordError unless the replayed step is the recorded one to the last bit."""

@@ -107,7 +107,7 @@ def _floor(record: RunRecord) -> list[str]:
         f"is {spreads} (measured by repeating steps with equal command and equal motion at the apex, at other yaw "
         "angles and with other noise). A controller that knows neither cannot do better on average; one that estimates "
         "the yaw-dependent disturbance (learning.drift) can"
-        if record.summary.measured
+        if record.summary.noise_floor_measured
         else f"is at most about {spreads} (the residual error of a linear fit to the steady steps of the last "
         "deployment; the true one may be smaller)"
     )

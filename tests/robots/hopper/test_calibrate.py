@@ -74,13 +74,13 @@ def test_the_pose_reads_right_afterwards(before: RigSettings, pose: Pose, data: 
     reading = reading_of(before, counts)._asdict()
     found_zeros = new_zeros(before, reading, expected_reading(before, ROBOT, pose))
     if max(map(abs, found_zeros.values())) >= 2**31:
-        with pytest.raises(InputError, match="count too far"):
+        with pytest.raises(InputError, match="zeros are out of range"):
             with_zeros(before, found_zeros)
         return
     after = with_zeros(before, found_zeros)
     layout = sensors_of(hopper_on_ethercat(after, ROBOT))
     found = reading_of(after, counts)
-    motion = HopControl(layout, ROBOT, Gains(), after.limits).look(found).motion
+    motion = HopControl(layout, ROBOT, Gains(), after.limits).observe(found).motion
     count = tau / layout.motor_counts
     assert motion.alpha_1 == pytest.approx(pose.alpha_1, abs=count)
     assert motion.leg_length == pytest.approx(pose.leg_length, abs=0.25 * count)
@@ -164,7 +164,7 @@ def test_a_file_that_cannot_be_changed_so_is_refused_and_nothing_is_left(tmp_pat
     text = EXAMPLE.read_text("utf-8").replace('[boom_vertical]\nslave = "pitch encoder"\ncounts_per_turn = 16384\n', "")
     rig_file.write_text(inline + text, encoding="utf-8")
     settings = read_rig_settings(rig_file)
-    with pytest.raises(InputError, match="the zeros cannot be put in"):
+    with pytest.raises(InputError, match="the zeros cannot be inserted"):
         write_calibrated(rig_file, out, with_zeros(settings, dict.fromkeys(SENSORS, 3)))
     assert not out.exists()
     write_calibrated(EXAMPLE, out, with_zeros(SETTINGS, dict.fromkeys(SENSORS, 3)))

@@ -168,7 +168,7 @@ def test_random_sequences_give_what_the_reference_gives(seed):
 @pytest.mark.parametrize("bad", [nan, inf])
 def test_a_reading_that_is_not_finite_gives_no_torque_and_changes_nothing(sensor, bad):
     control = HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
-    before = control.look(HopperReading(100.0, -100.0, 0.0, 0.0, 0.0))
+    before = control.observe(HopperReading(100.0, -100.0, 0.0, 0.0, 0.0))
     reading = HopperReading(100.0, -100.0, 0.0, 0.0, 0.0)._replace(**{sensor: bad})
     torques, flags = control.tick(1.0, reading, Order(Mode.STEP, 1.0, (0.0, 0.0)), (0.0, 0.0))
     assert (torques, flags) == ((0.0, 0.0), TickFlag.UNREADABLE)
@@ -225,7 +225,7 @@ def test_two_controls_do_not_disturb_each_other():
     twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
     with RigPlant(twin, HopperControl(ROBOT, GAINS, BOUNDS)) as plant:
         plant.start()
-        HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).look(HopperReading(0.0, 0.0, 0.0, 0.0, 50.0))
+        HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).observe(HopperReading(0.0, 0.0, 0.0, 0.0, 50.0))
         assert plant.take_step(np.array([-4.0, -3.0])).status == StepStatus.OK
     fresh = HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).state
     assert_allclose(np.array(flat(fresh)), np.array(flat(HopState())))

@@ -1,7 +1,7 @@
 """A tick of hopping as one compiled function: (settings, state, inputs) → (state, torques, flags).
 
 `hop_tick` is pure, allocates no memory, needs no interpreter lock and reads no clock. The state is one named tuple,
-`HopState`. `tick` is its entrance from Python: it keeps the state in a record (`base.compiled_record`), because a call
+`HopState`. `tick` is its interface for Python: it keeps the state in a record (`base.compiled_record`), because a call
 that takes and returns fifty Python numbers costs ten times the tick.
 """
 
@@ -15,11 +15,11 @@ from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, FlightState, Hop
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.reduced import uprightness
 from stepgap.robots.hopper.safety import STOPS, brakes, check_torque
-from stepgap.robots.hopper.sensing import follow_flight, sense
+from stepgap.robots.hopper.sensing import sense, update_flight
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
 
-# Numba compiles no flags, so compiled code has their numbers.
+# Numba does not compile flags, so compiled code uses their numbers.
 _STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
     int(flag)
     for flag in (
@@ -35,16 +35,16 @@ _STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
 
 @as_written
 def hop_tick(settings, state, inputs):
-    """(`HopState`, torques that may be written [N·m], flags) of `TickSettings`, `HopState` and `TickInputs`."""
-    hop = _count_loss(settings.law, state, inputs.applied_1, inputs.applied_2)
+    """Returns (`HopState`, torques that may be written [N·m], flags) for `TickSettings`, `HopState`, `TickInputs`."""
+    hop = _add_lost_force(settings.law, state, inputs.applied_1, inputs.applied_2)
     sampled = state.sampled if inputs.stale else inputs.time - inputs.age
     rates, motion, body = sense(settings, state.rates, sampled, inputs)
-    flight, phase = follow_flight(settings.sensor_model, state, sampled, motion, body, inputs)
+    flight, phase = update_flight(settings.sensor_model, state, sampled, motion, body, inputs)
     hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     wanted = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked
     checked = check_torque(settings.limits, state.watch, motion, inputs, wanted[0], wanted[1])
-    hop = _judge(settings.law.leg, hop, motion, checked.limited)
+    hop = _check_failure(settings.law.leg, hop, motion, checked.limited)
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
         flags, hop, flight, apex = _end_hop(hop, flight, apex, phase, body, inputs.time)
@@ -57,8 +57,8 @@ def hop_tick(settings, state, inputs):
 
 
 @as_written
-def _count_loss(law, state, applied_1, applied_2):
-    """`HopProgress` with the command force that limits took away in the last tick, if the command acted in it."""
+def _add_lost_force(law, state, applied_1, applied_2):
+    """`HopProgress` with the command force lost to limits in the last tick added, if the command acted in it."""
     hop = state.hop
     if state.phase != Phase.THRUST:
         return hop
@@ -82,7 +82,7 @@ def _update_hop(hop, before, phase, mode_before, inputs):
     if before == Phase.THRUST and phase != Phase.THRUST:
         left_ground = 1
     if inputs.mode == Mode.STEP and mode_before != Mode.STEP:
-        # the robot is held in the air, and may be for as long as it takes
+        # the robot is held in the air, for any length of time
         phase = Phase.DESCENT.value
         deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
     if inputs.mode == Mode.STEP and np.isnan(force_x) and _takes_command(phase, left_ground):
@@ -92,19 +92,19 @@ def _update_hop(hop, before, phase, mode_before, inputs):
 
 @as_written
 def _new_hop(deadline, status):
-    """`HopProgress` at its begin."""
+    """`HopProgress` at the start of a hop."""
     return HopProgress(deadline, 0, np.nan, np.nan, 0, 0.0, 0.0, status)
 
 
 @as_written
 def _takes_command(phase, left_ground):
-    """Whether a command can still act in full: mid-stance is ahead."""
+    """Whether a command can still act in full, because mid-stance is ahead."""
     return (phase == Phase.DESCENT or phase == Phase.COMPRESSION) and left_ground == 0
 
 
 @as_written
-def _judge(leg, hop, motion, limited):
-    """`HopProgress` with the status of a step without an apex: the safety function stopped the robot, or it fell."""
+def _check_failure(leg, hop, motion, limited):
+    """`HopProgress` with its status updated: STOPPED by the safety function, or FELL."""
     status = hop.status
     if limited & STOPS:
         status = StepStatus.STOPPED.value
@@ -122,9 +122,9 @@ def _with_status(hop, status):
 
 @as_written
 def _end_hop(hop, flight, apex, phase, body, time):
-    """(flags, `HopProgress`, `FlightState`, `Apex`) where the hop may have ended.
+    """Returns (flags, `HopProgress`, `FlightState`, `Apex`), updated if the hop has ended.
 
-    A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
+    A flight that is too short to be measured does not end the hop: the robot has bounced and continues.
     """
     if hop.status == StepStatus.OK and hop.left_ground and phase == Phase.DESCENT:
         speed = fitted_speed(flight.fit)
@@ -142,14 +142,14 @@ def _end_hop(hop, flight, apex, phase, body, time):
 
 @as_written
 def _mean_loss(hop):
-    """Mean command force that limits took away while the command acted [N]."""
+    """Mean command force lost to limits while the command acted [N]."""
     ticks = max(1, hop.thrust_ticks)
     return hop.lost_x / ticks, hop.lost_y / ticks
 
 
 @as_written
 def _flags(limits, hop, phase, checked):
-    """Sum of the flags, but for the end of a step."""
+    """Sum of the flags, except that for the end of a step."""
     flags = 0
     if hop.status != StepStatus.OK:
         flags |= _FAILED
@@ -167,13 +167,13 @@ def tick(
     settings, memory, row, time, age, motor_1, motor_2, boom_horizontal, boom_vertical, contact_force, frame_lost,
     stale, late, emergency_stop, mode, share, force_x, force_y, applied_1, applied_2,
 ):  # fmt: skip
-    """`hop_tick` on a state in memory; a reading that is not finite changes nothing.
+    """Runs `hop_tick` on a state in memory; a reading that is not finite changes nothing.
 
     Args:
         settings: Record of `TickSettings`.
-        memory: Record of `HopState`; that of the tick before, afterwards that of this tick.
-        row: Takes the fields of `TICK_UNITS`, but for the torques that will be applied; shape (14,).
-        time: As the other arguments, a field of `TickInputs`.
+        memory: Record of `HopState`; before the call that of the previous tick, afterwards that of this tick.
+        row: Is filled with the fields of `TICK_UNITS`, except the torques that will be applied; shape (14,).
+        time: This and the other arguments are the fields of `TickInputs`.
 
     Returns:
         Torques that may be written [N·m], and the sum of the flags.
@@ -200,8 +200,8 @@ def tick(
 
 
 @as_written
-def broken_off(settings, memory, applied_1, applied_2):
-    """(fx, fy, lost fx, lost fy) of the hop so far [N]: what acted, and what limits took away from it.
+def interrupted_hop(settings, memory, applied_1, applied_2):
+    """Returns (fx, fy, lost fx, lost fy) of the hop so far [N]: the command that acted and its part lost to limits.
 
     Args:
         settings: Record of `TickSettings`.
@@ -210,6 +210,6 @@ def broken_off(settings, memory, applied_1, applied_2):
         applied_2: Torque that was applied after the last tick [N·m].
     """
     state = loaded(memory[0], HopState)  # pyright: ignore[reportCallIssue]
-    hop = state.hop if np.isnan(applied_1) else _count_loss(settings[0].law, state, applied_1, applied_2)
+    hop = state.hop if np.isnan(applied_1) else _add_lost_force(settings[0].law, state, applied_1, applied_2)
     lost_x, lost_y = _mean_loss(hop)
     return hop.force_x, hop.force_y, lost_x, lost_y
