@@ -18,7 +18,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.noise_floor import repeated
-from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.plants import plant_on, replay_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import StepLog
@@ -80,7 +80,7 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
     recorded = read_step_log(folder / "steps.csv", nominal.space)
     last = recorded.iterations[-1]
     before = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < last))
-    rig, twin = remade_rig(settings, last)
+    rig, twin = replay_rig(settings, last)
     plant = Repeating(plant_on(settings, rig), twin, random_stream(settings.seed, last, 2))
     with threadpool_limits(limits=1, user_api="blas"):  # as in a run, or last digits differ
         learner = Learner.start(nominal, before, settings.learning, last)

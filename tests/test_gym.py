@@ -14,7 +14,7 @@ from gymnasium.wrappers import RescaleObservation
 
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
-from stepgap.gym import MISSED, STEP_ID, StepEnv, hopper_env
+from stepgap.gym import LARGEST_COST, STEP_ID, StepEnv, hopper_env
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import Gains
@@ -126,7 +126,7 @@ def test_an_action_that_is_no_number_is_a_fall(options: dict[str, Any]) -> None:
     assert info["status"] != "ok"
     assert "predicted" not in info
     np.testing.assert_array_equal(seen, before)
-    assert reward == -MISSED * len(REFERENCE)
+    assert reward == -LARGEST_COST * len(REFERENCE)
     with pytest.raises(ResetNeeded, match=r"call reset\(\)"):
         env.step(np.zeros(2))
 
@@ -147,8 +147,8 @@ def test_falling_is_never_better_than_hopping_on() -> None:
     assert returns[True]
     assert returns[False]
     for rewards in returns[True]:  # the fall costs what the worst that hopping on could have brought
-        assert rewards[-1] == -MISSED * (200 - len(rewards) + 1)
-    assert min(map(min, returns[False])) >= -MISSED
+        assert rewards[-1] == -LARGEST_COST * (200 - len(rewards) + 1)
+    assert min(map(min, returns[False])) >= -LARGEST_COST
 
 
 def test_a_reset_takes_another_reference_once() -> None:
@@ -159,7 +159,7 @@ def test_a_reset_takes_another_reference_once() -> None:
     assert env.step(holding(env))[3]
     seen, _ = env.reset()
     np.testing.assert_array_equal(seen, [*START, *START])
-    with pytest.raises(ValueError, match="unknown option targets of reset; 'reference' is the only one"):
+    with pytest.raises(ValueError, match="unknown option targets of reset; the only option is 'reference'"):
         env.reset(options={"targets": other})
     with pytest.raises(ValueError, match="must be a stepgap Reference, not list"):
         env.reset(options={"reference": [START]})

@@ -164,22 +164,22 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --reference empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height'"]),
         ("run --out file/below", ["file/below: cannot be written: Not a directory; choose another --out"]),
         ("run --out file", ["file: cannot be written"]),
-        ("run --plant ethercat", ["--plant ethercat: say which robot by --rig RIG.toml"]),
+        ("run --plant ethercat", ["--plant ethercat: give the rig's file by --rig RIG.toml"]),
         ("run --plant twn", ["--plant twn: unknown; it must be one of twin, emulated-ring, ethercat, moteus"]),
         (
             "run --out used --reference used/reference.csv",
-            ["used: reference.csv is there already and would be written"],
+            ["used: reference.csv already exists and would be overwritten"],
         ),
         ("run --plant ethercatt --rig none.toml", ["rig 'ethercatt': unknown; did you mean ethercat?"]),
         ("run --plant ethercat --rig none.toml --arm", ["none.toml: No such file or directory"]),
         ("run --plant ethercat --rig rig.toml", ["gives torque only with --arm", "rig dry-run"]),
         ("run --arm", ["plant 'twin' takes neither"]),
         ("run --plant emulated-ring --gap.preset none", ["gap.motor_counts must be finite"]),
-        ("run --resume", ["--resume: say which run by --out RUN"]),
+        ("run --resume", ["--resume: give the run by --out RUN"]),
         ("run --resume --out none", ["none: no experiment.toml there, so there is no run to resume"]),
         ("run --resume --out folder", ["folder: no experiment.toml there"]),
-        ("run --resume --out folder --seed 3", ["--resume: the run goes on with the settings it has"]),
-        ("run --resume --out folder a.toml", ["--resume: the run goes on with the settings it has"]),
+        ("run --resume --out folder --seed 3", ["--resume: the run continues with its own settings"]),
+        ("run --resume --out folder a.toml", ["--resume: the run continues with its own settings"]),
         ("report", ["FOLDER"]),
         ("report none", ["none/steps.csv: no such file"]),
         ("report folder", ["folder/steps.csv: no such file"]),
@@ -231,7 +231,7 @@ def test_bad_settings_are_refused_in_one_line(stepgap: Command, text: str, words
 def test_a_folder_with_a_run_is_not_overwritten(finished: Path, stepgap: Command) -> None:
     before = contents(finished)
     said = stepgap("run", "--out", finished / "run", "--iterations", 0)
-    refused(said, "run: holds a run already; go on with it by --resume, or choose another --out")
+    refused(said, "run: already holds a run; continue it by --resume, or choose another --out")
     assert contents(finished) == before
 
 

@@ -255,7 +255,7 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
         ("export none --to mcap", ["none/steps.csv: no such file"]),
         ("export none --to mjcf", ["none/experiment.toml: No such file"]),
         ("export run --to csv --iteration 2", ["--iteration 2: no step of it in run; there are 0, 1"]),
-        ("export run --to mcap --iteration 2", ["no step of deployment 2; the deployments there are: 0, 1"]),
+        ("export run --to mcap --iteration 2", ["no step of deployment 2; recorded deployments: 0, 1"]),
         ("export run --to mjcf --iteration 1", ["--iteration: the model is the same in all deployments"]),
         ("export run --to csv --iteration -1", ["--iteration"]),
         ("export run --to mat --out file", ["file: exists already; choose another --out"]),

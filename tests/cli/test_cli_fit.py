@@ -56,7 +56,7 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     sentences = dict(line.split(":", 1) for line in lines if line.startswith(("v:", "y:", "all together:")))
     assert "constant is better than none by" in sentences["v"]
     assert "no residual beats the constant: nothing more to learn" in sentences["v"]
-    assert "nothing to learn: no residual is surely better than none" in sentences["y"]
+    assert "nothing to learn: no residual is significantly better than none" in sentences["y"]
     report = json.loads(Path("fit.json").read_text())
     assert report["best"] == {"v": "constant", "y": "none", "all": "constant"}
     assert report["verdict"]["v"] == sentences["v"].strip()
@@ -128,15 +128,15 @@ def test_columns_from_a_file(stepgap: Command) -> None:
         ("fit log.csv --state v, --command fx", ["--state 'v,': a name is empty"]),
         ("fit log.csv --columns none.toml", ["none.toml: No such file or directory"]),
         ("fit log.csv --columns file", ["file: not TOML"]),
-        ("fit log.csv --state v,y --command fx,fy", ["--nominal: the log predicts no next states; name columns by"]),
+        ("fit log.csv --state v,y --command fx,fy", ["--nominal: the log contains no predicted next states; name"]),
         ("fit log.csv --state v,y --command fx --nominal map", ["--nominal map: state and command are v,y,fx; it"]),
         ("fit log.csv --state v,y --command fx --nominal target", ["--nominal target: the log has none; name"]),
         ("fit log.csv --state v,y --command fx --nominal mean", ["--nominal", "mean"]),
         ("fit log.csv --state v --command fx --nominal state --gains.stiffness 3", ["state: it has no settings"]),
         ("fit log.csv --state v --command fx --nominal state --folds 1", ["--folds 1: it must lie between 2 and"]),
         ("fit log.csv --state v --command fx --nominal state --folds x", ["--folds", "x"]),
-        ("fit few.csv --state v --command fx --nominal state", ["few.csv: 4 steps to learn from, it must be 20 to"]),
-        ("fit many.csv --state v --command fx --nominal state", ["many.csv: 2100 steps to learn from, it must be 20"]),
+        ("fit few.csv --state v --command fx --nominal state", ["few.csv: 4 usable steps, but there must be 20 to"]),
+        ("fit many.csv --state v --command fx --nominal state", ["many.csv: 2100 usable steps, but there must be 20"]),
         ("fit log.csv --out file", ["file: exists already; choose another --out"]),
         ("fit log.csv --save file", ["file: exists already; choose another --save"]),
         ("fit log.csv --plot file", ["file: exists already; choose another --plot"]),

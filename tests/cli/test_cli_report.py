@@ -128,7 +128,7 @@ def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap:
     assert said.code == 0
     assert said.err.startswith("stepgap: left out of the report: replay (run/steps.csv: step 1 of")
     text = Path("run/report.html").read_text(encoding="utf-8")
-    assert "There is no replay: run/steps.csv: step 1 of deployment 0 could not be made again" in text
+    assert "There is no replay: run/steps.csv: step 1 of deployment 0 could not be reproduced exactly" in text
     assert "<script" not in text
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.exploration import calibrating_plan, goals_of
+from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
@@ -34,7 +34,7 @@ def test_a_calibrating_step_teaches_more_than_the_middle_of_the_bounds() -> None
     residual = fitted(hops(REALITY, 6, seed=0))
     step_map = CorrectedMap(NOMINAL, residual)
     goals, state = goals_of(REFERENCE, step_map), np.array([0.2, 0.58])
-    plan = calibrating_plan(CautiousController(step_map, NOMINAL, NO_FAILURES), residual, state, goals)
+    plan = exploration_plan(CautiousController(step_map, NOMINAL, NO_FAILURES), residual, state, goals)
     chosen = goals.uncertainty_after(residual, np.append(state, plan.command))
     middle = goals.uncertainty_after(residual, np.append(state, NOMINAL.space.command_centre))
     assert chosen < middle < goals.uncertainty_after(residual)

@@ -10,7 +10,7 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.cli.app import main
-from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.plants import plant_on, replay_rig
 from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.step_log import LoggedStep
@@ -119,7 +119,7 @@ def test_apexes_lie_where_the_steps_say(run_folder: Path, replayed: TickTable) -
 def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
     (tmp_path / "experiment.toml").write_text("seed = 4\n[gap]\nground_friction = 0.05\n")  # ice
     settings, none = read_experiment(tmp_path / "experiment.toml"), np.zeros(2)
-    rig, _ = remade_rig(settings, 0)
+    rig, _ = replay_rig(settings, 0)
     with StepWriter(tmp_path / "steps.csv", settings.command.space()) as writer, plant_on(settings, rig) as plant:
         plant.start()
         reason, step = StepStatus.OK, 0
@@ -212,15 +212,15 @@ def change_number_and_version(run: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "iteration", "words"),
     [
-        (lambda run: None, 2, "no step of deployment 2; the deployments there are: 0, 1"),
+        (lambda run: None, 2, "no step of deployment 2; recorded deployments: 0, 1"),
         (lambda run: (run / "experiment.toml").unlink(), 0, "experiment.toml: No such file"),
         (lambda run: (run / "steps.csv").unlink(), 0, "steps.csv: No such file"),
-        (change_a_number, 1, "step 1 of deployment 1 could not be made again to the last bit; the record was changed"),
+        (change_a_number, 1, "step 1 of deployment 1 could not be reproduced exactly; the record was changed"),
         (change_number_and_version, 1, "to the last bit; it was run with mujoco 0"),
         (
             lambda run: (run / "experiment.toml").write_text('plant = "ethercat"\n[learning]\niterations = 1\n'),
             1,
-            "plant 'ethercat': what a rig did cannot be made again",
+            "plant 'ethercat': a deployment of a rig cannot be simulated again",
         ),
     ],
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.experiment.loop import Observer
-from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.plants import plant_on, replay_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.experiment.tick_recorder import HopCount, TickRecorder
 from stepgap.learning.step_log import LoggedStep
@@ -48,7 +48,7 @@ def test_a_tick_counts_for_the_hop_it_happens_in(tmp_path: Path) -> None:
         count.on_tick(tick)
 
     for iteration in range(2):
-        with plant_on(settings, remade_rig(settings, iteration)[0], on_tick) as plant:
+        with plant_on(settings, replay_rig(settings, iteration)[0], on_tick) as plant:
             plant.start()
             assert seen == {(iteration, 0)}
             for number in (1, 2, 3):

@@ -96,7 +96,7 @@ def test_a_changed_record_is_shown_without_motion(copy: Path) -> None:
     hops = found(source, 0)
     assert hops[-1].duration == STILL
     assert source.missing_motion
-    assert "could not be made again" in source.missing_motion.reason
+    assert "could not be reproduced exactly" in source.missing_motion.reason
 
 
 def test_steps_that_come_are_seen(copy: Path) -> None:

@@ -94,14 +94,14 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
 
 
 def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None:
-    from stepgap.experiment.plants import remade_rig
+    from stepgap.experiment.plants import replay_rig
     from stepgap.experiment.settings import read_experiment
     from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
 
     if iteration is not None:
         raise InputError("--iteration: the model is the same in all deployments; leave this option out")
     settings = read_experiment(folder / "experiment.toml")
-    _, twin = remade_rig(settings, 0)
+    _, twin = replay_rig(settings, 0)
     files = mjcf_files(twin, settings.robot.boom_length)
     target = _target(folder, "mjcf", out)
     with writing(target, "--out"):

@@ -12,8 +12,8 @@ from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, write_new
 from stepgap.cli.options import Integer, Overrides
 
-if TYPE_CHECKING:  # what takes time to import is imported where it is used
-    from stepgap.experiment.fit import Lesson
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.experiment.fit import FitData
     from stepgap.learning.validation import Validation
 
 
@@ -97,36 +97,36 @@ def fit(
     from threadpoolctl import threadpool_limits
 
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.fit import choose_folds, describe_lesson, read_lesson, show_validation, verdicts
+    from stepgap.experiment.fit import choose_folds, describe_fit_data, read_fit_data, show_validation, verdicts
     from stepgap.learning.residual_fit import names_without_lagged_inputs
     from stepgap.learning.validation import validate
     from stepgap.records.columns import read_columns
 
     if not log:
-        raise InputError("LOG: none given; give folders of runs, or CSV files and what their columns hold")
+        raise InputError("LOG: none given; give folders of runs, or CSV files and the names of their columns")
     results.check()
-    lesson = read_lesson(log, read_columns(columns, names.given()), nominal, experiment, overrides or [])
-    parts = choose_folds(lesson.steps, folds)
-    print(describe_lesson(lesson, parts), flush=True)
+    data = read_fit_data(log, read_columns(columns, names.given()), nominal, experiment, overrides or [])
+    parts = choose_folds(data.steps, folds)
+    print(describe_fit_data(data, parts), flush=True)
     with threadpool_limits(limits=1, user_api="blas"), progress_bar("fits") as progress:
-        validation = validate(names_without_lagged_inputs(), lesson.steps, parts, progress)
-    show_validation(lesson.steps.space.state, validation, sys.stdout)
-    print(verdicts(lesson.steps.space.state, validation))
-    _write(results, log, lesson, validation)
+        validation = validate(names_without_lagged_inputs(), data.steps, parts, progress)
+    show_validation(data.steps.space.state, validation, sys.stdout)
+    print(verdicts(data.steps.space.state, validation))
+    _write(results, log, data, validation)
 
 
-def _write(results: Results, log: tuple[Path, ...], lesson: "Lesson", validation: "Validation") -> None:
-    """Writes the files that were asked for."""
+def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation: "Validation") -> None:
+    """Writes the requested files."""
     from stepgap.experiment.fit import best_residual, fit_report
     from stepgap.report.fit import fit_picture
 
     if results.out:
-        write_new(results.out, "--out", json.dumps(fit_report(log, lesson, validation), indent=1))
+        write_new(results.out, "--out", json.dumps(fit_report(log, data, validation), indent=1))
     if results.plot:
-        picture = fit_picture(lesson.steps.space.state, validation, _format_of(results.plot))
+        picture = fit_picture(data.steps.space.state, validation, _format_of(results.plot))
         write_new(results.plot, "--plot", picture)
     if results.save:
-        write_new(results.save, "--save", json.dumps(best_residual(lesson.steps, validation).to_dict()))
+        write_new(results.save, "--save", json.dumps(best_residual(data.steps, validation).to_dict()))
 
 
 def _format_of(picture: Path) -> str:
