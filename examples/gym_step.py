@@ -1,4 +1,4 @@
-"""Our controllers in the Gymnasium environment `stepgap/Step-v0`: the twin is hopped, learnt from, and hopped again."""
+"""StepGap's controllers in the Gymnasium environment `stepgap/Step-v0`: an episode, learning, and an episode again."""
 
 import gymnasium
 import numpy as np

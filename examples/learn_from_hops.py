@@ -1,4 +1,4 @@
-"""The method in one screen: a heavier robot with a softer leg than its model is learnt from 60 hops, then tracks."""
+"""The method in one screen: a heavier robot with a softer leg than its model is learned from 60 hops, then tracks."""
 
 import numpy as np
 

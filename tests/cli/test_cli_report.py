@@ -114,8 +114,8 @@ def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
     assert (said.code, said.out) == (0, "run/report.html\n")
     assert said.err == (
         "stepgap: left out of the report: the last line of steps.csv (it is cut off); errors (no deployment is "
-        "finished according to summary.json); what was learnt (no models/iteration_1.json); settings, gait and replay "
-        "(the folder holds no experiment.toml)\n"
+        "finished according to summary.json); the learned model (no models/iteration_1.json); settings, gait and "
+        "replay (the folder holds no experiment.toml)\n"
     )
 
 

@@ -130,10 +130,10 @@ def test_the_noise_floor_is_the_noise_of_the_plant() -> None:
     assert np.isnan(estimate_noise_floor(in_space([]), reference)).all()
 
 
-# What is learnt
+# What is learned
 
 
-def test_every_model_is_learnt_on_the_nominal_map_from_all_steps(unbroken: Path) -> None:
+def test_every_model_is_learned_on_the_nominal_map_from_all_steps(unbroken: Path) -> None:
     log = read_step_log(unbroken / "steps.csv", NOMINAL.space)
     for iteration in (1, 2):
         before = StepLog(log.space, [logged for logged in log if logged.iteration < iteration])
@@ -151,7 +151,7 @@ def test_learning_closes_the_gap(tmp_path: Path) -> None:
     assert (last.rmse < 0.3 * first.rmse).all()
 
 
-def test_nothing_learnt_leaves_the_nominal_map() -> None:
+def test_nothing_learned_leaves_the_nominal_map() -> None:
     assert Learner.start(NOMINAL, in_space([]), ALWAYS, 1).residual.kind == "none"
     failing = in_space([logged(1, (0.1, 0.5), (0.1, 0.5))])
     assert Learner.start(NeverWorks(), failing, ALWAYS, 1).residual.kind == "none"

@@ -51,7 +51,7 @@ def test_runs_of_another_state_are_refused(folders: list[Path], tmp_path: Path) 
     other = write_run(tmp_path / "other", ("x",))
     with pytest.raises(ValueError, match=r"^[^\n]*only runs of the same state can be compared$"):
         comparison_html([read_run_folder(folders[0]), read_run_folder(other)])
-    with pytest.raises(ValueError, match="1 runs to compare; it must be 2 to 12"):
+    with pytest.raises(ValueError, match="1 runs to compare, but there must be 2 to 12"):
         comparison_html([read_run_folder(folders[0])])
 
 

@@ -78,5 +78,5 @@ def test_a_sensed_motion_is_read_from_counts() -> None:
 
 @pytest.mark.parametrize("bad", [np.array([1.0, np.nan]), np.zeros(3), np.zeros((2, 1))])
 def test_a_motion_is_equally_long_rows_of_numbers(bad: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"must be (equally long|finite)"):
+    with pytest.raises(ValueError, match=r"must be (rows of equal length|finite)"):
         DeploymentMotion(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), bad)

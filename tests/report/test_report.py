@@ -162,7 +162,7 @@ def test_falls(tmp_path: Path) -> None:
     page = Page(report_of(make_run(tmp_path / "run", iterations=1, lasts=(15, 0))))
     check_alone(page)
     assert "It did not track to the end: deployment 1 fell at step 1." in page.text
-    assert "Deployment 0 fell at step 16; its errors are of the steps before only." in page.text
+    assert "Deployment 0 fell at step 16; its errors include only the steps before." in page.text
     assert "17 hops recorded in 2 deployments on the simulated twin, 2 falls." in page.text
 
 

@@ -56,12 +56,12 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     watched_page.wait_for_change(robot, held)  # the robot has moved
     watched_page.keep_screenshot("view_tracking")
 
-    page.get_by_text("What was learnt").click()
-    expect(body).to_contain_text("as deployment 1 began (gp_on_linear)")
+    page.get_by_text("What was learned").click()
+    expect(body).to_contain_text("with which deployment 1 began (gp_on_linear)")
     choose(watched_page, "Along", "fx")
     expect(page.locator(".uplot:visible").first).to_be_visible()
     page.wait_for_timeout(500)
-    watched_page.keep_screenshot("view_learnt")
+    watched_page.keep_screenshot("view_learned")
 
     choose(watched_page, "Deployment", "0: uncorrected map")
     expect(body).to_contain_text("The robot is released.")

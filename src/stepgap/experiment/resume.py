@@ -12,7 +12,7 @@ from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.records.summary import Summary, WarmStart, read_summary
 from stepgap.step import Array, StepSpace
 
-REMEDY = "resume with the record, settings, versions and machine that it was started with"
+_REMEDY = "resume with the record, settings, versions and machine that it was started with"
 """Remedy when a replay does not give the recorded steps."""
 
 
@@ -79,7 +79,7 @@ class Recording:
     def check_finished(self) -> None:
         """Raises RecordError if there are recorded steps after the last deployment."""
         if self._recorded:
-            raise RecordError(f"{self._path}: it has steps after the last deployment of this experiment; {REMEDY}")
+            raise RecordError(f"{self._path}: it has steps after the last deployment of this experiment; {_REMEDY}")
 
     def measured_noise_floor(self, deployments: int) -> Array | None:
         """Noise floor that was measured after this number of deployments; None if it was not."""
@@ -91,7 +91,7 @@ class Recording:
         if row_of(known) != row_of(replayed):
             raise RecordError(
                 f"{self._path}: the replay of deployment {replayed.iteration} differs from the record at step "
-                f"{replayed.step}; {REMEDY}"
+                f"{replayed.step}; {_REMEDY}"
             )
 
 

@@ -9,7 +9,7 @@ import pytest
 from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.view.learnt import curve_along
+from stepgap.view.learned import curve_along
 
 
 @pytest.mark.parametrize("index", range(4))
