@@ -1,4 +1,4 @@
-"""`stepgap bench learning`: that it measures what it says; which method wins, no test says."""
+"""`stepgap bench learning`: its measures are correct; no test checks which method is best."""
 
 import json
 import os
@@ -29,7 +29,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
 
 
-def test_the_family_lies_is_drawn_anew() -> None:
+def test_every_twin_of_the_family_is_drawn_independently() -> None:
     rng = np.random.default_rng(0)
     gaps = [random_gap(rng) for _ in range(20)]
     assert all(len({getattr(gap, name) for gap in gaps}) == 20 for name in DRAWN)
@@ -108,7 +108,7 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
     refused(stepgap("bench", "learning", "--out", "x.json"), ".jsonl")
     for content in ("my notes", "my notes\n", "[1]\n", '[{"twin": 0\n', "\xff"):
         Path("mine.jsonl").write_text(content, encoding="latin-1")
-        refused(stepgap("bench", "learning", "--out", "mine.jsonl"), "--out mine.jsonl: it holds something else")
+        refused(stepgap("bench", "learning", "--out", "mine.jsonl"), "--out mine.jsonl: not a record of this benchmark")
         assert Path("mine.jsonl").read_text(encoding="latin-1") == content
     Path("other.png").write_text("mine")
     refused(stepgap("bench", "learning", "--out", "other.jsonl"), "other.png: exists already; choose another --out")

@@ -135,9 +135,9 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("walk", ['"walk"']),
         ("run --frobnicate", ["--frobnicate"]),
         ("run --sed 3", ["--sed", "--seed"]),
-        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting, name its table", "--robot.body_mass"]),
-        ("run --port 8080", ["--host, --port: ", "give --view, too"]),
-        ("run --host ::1", ["--host, --port: ", "give --view, too"]),
+        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting", "--robot.body_mass"]),
+        ("run --port 8080", ["--host, --port: valid only with --view"]),
+        ("run --host ::1", ["--host, --port: valid only with --view"]),
         ("run --view --port 65536", ["65536", "--port"]),
         ("run a.toml b.toml", ["b.toml"]),
         ("run none.toml", ["none.toml: No such file or directory; give an existing TOML file"]),
@@ -187,7 +187,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("gait --speed nan", ["--speed nan --height 0.58: both must be finite numbers"]),
         ("gait --height inf", ["--speed 0.2 --height inf: both must be finite numbers"]),
         ("gait --speed fast", ["--speed", "fast"]),
-        ("gait --height -1", ["--speed 0.2 --height -1: no command makes a step from there"]),
+        ("gait --height -1", ["--speed 0.2 --height -1: no command makes a step from this state"]),
         ("gait --out file", ["file: exists already; choose another --out"]),
         ("gait --out file/below.png", ["file/below.png: cannot be written: Not a directory; choose another --out"]),
         ("gait --out none/gait.png", ["none/gait.png: cannot be written: No such file or directory"]),
@@ -243,7 +243,7 @@ def drop_row(text: str) -> str:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda text: text.replace("0.1,0.56", "0.1,0.57", 1), ["steps.csv: replaying deployment 0"]),
+        (lambda text: text.replace("0.1,0.56", "0.1,0.57", 1), ["steps.csv: the replay of deployment 0 differs"]),
         (drop_row, ["steps.csv, line 3: not the next step"]),
         (lambda text: text + "rubbish\n", ["steps.csv, line 8: not the next step"]),
         (lambda text: "rubbish\n", ["steps.csv, line 1: the columns must be iteration,"]),
@@ -315,7 +315,7 @@ def test_a_verb_says_once_that_it_compiles(capfd: pytest.CaptureFixture[str], mo
 
     monkeypatch.setattr(ApexMap, "evaluate", compiling)
     main(["map"])
-    assert capfd.readouterr().err == "stepgap: compiling for this machine; takes about half a minute, once\n"
+    assert capfd.readouterr().err == "stepgap: compiling for this machine; this takes about half a minute, once\n"
 
 
 def raising(error: Exception) -> Callable[[], None]:

@@ -174,7 +174,7 @@ def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -
     refused(stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: logs of a rig do not name")
     refused(stepgap("export", run, "--to", "mjcf"), "plant 'ethercat'")
     shutil.rmtree(run / "ticks")
-    refused(stepgap("export", run, "--to", "mcap"), "run/ticks: no .mcap file there")
+    refused(stepgap("export", run, "--to", "mcap"), "run/ticks: contains no .mcap file")
 
 
 # Model

@@ -89,7 +89,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     settings = Path("run/experiment.toml")
     settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))
     said = stepgap("report", "run")
-    assert said.err == "stepgap: left out of the report: replay (.: Is a directory; give an existing TOML file)\n"
+    assert said.err == "stepgap: missing in the report: replay (.: Is a directory; give an existing TOML file)\n"
     monkeypatch.setattr("stepgap.cli.run_report.sensor_model_of", lambda settings: layout)
     assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
     for iteration in (0, 1):
@@ -102,7 +102,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     shutil.rmtree("run/replay")
     said = stepgap("report", "run")
     assert said.code == 0
-    assert "left out of the report: replay (run/ticks/ticks-0.mcap: No such file" in said.err
+    assert "missing in the report: replay (run/ticks/ticks-0.mcap: No such file" in said.err
 
 
 @pytest.mark.usefixtures("svg_only")
@@ -113,9 +113,9 @@ def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
     said = stepgap("report", "run")
     assert (said.code, said.out) == (0, "run/report.html\n")
     assert said.err == (
-        "stepgap: left out of the report: the last line of steps.csv (it is cut off); errors (no deployment is "
+        "stepgap: missing in the report: the last line of steps.csv (it is cut off); errors (no deployment is "
         "finished according to summary.json); the learned model (no models/iteration_1.json); settings, gait and "
-        "replay (the folder holds no experiment.toml)\n"
+        "replay (the folder contains no experiment.toml)\n"
     )
 
 
@@ -126,7 +126,7 @@ def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap:
     settings.write_text(settings.read_text().replace("body_mass = 1.466", "body_mass = 1.5"))
     said = stepgap("report", "run")
     assert said.code == 0
-    assert said.err.startswith("stepgap: left out of the report: replay (run/steps.csv: step 1 of")
+    assert said.err.startswith("stepgap: missing in the report: replay (run/steps.csv: step 1 of")
     text = Path("run/report.html").read_text(encoding="utf-8")
     assert "There is no replay: run/steps.csv: step 1 of deployment 0 could not be reproduced exactly" in text
     assert "<script" not in text
@@ -138,10 +138,12 @@ def test_settings_that_are_not_understood_are_named(finished: Path, stepgap: Com
     Path("run/experiment.toml").write_text("unheard_of = 1\n")
     said = stepgap("report", "run")
     assert said.code == 0
-    assert said.err.startswith("stepgap: left out of the report: settings, gait and replay (the settings are not")
+    assert said.err.startswith("stepgap: missing in the report: settings, gait and replay (the settings are not")
     text = Path("run/report.html").read_text(encoding="utf-8")
     for part in ("comparison with the default settings", "gait", "replay"):
-        assert f"There is no {part}: the settings are not understood here: run/experiment.toml: unheard_of" in text
+        assert (
+            f"There is no {part}: the settings are not valid in this version: run/experiment.toml: unheard_of" in text
+        )
 
 
 def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
@@ -156,7 +158,7 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     assert Path("comparison.html").read_text() == "precious"
     refused(stepgap("report", "a", "b", "--out", "page.html"), "page.html: exists already; choose another --out")
     refused(stepgap("report", "a", "b", "--out", "none/page.html"), "none/page.html: cannot be written")
-    refused(stepgap("report", "a", "a"), "a run is named twice")
+    refused(stepgap("report", "a", "a"), "a run is given twice")
     refused(stepgap("report", "a", "none"), "none/steps.csv: no such file")
     refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
 

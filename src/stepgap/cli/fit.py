@@ -24,7 +24,7 @@ class ColumnNames:
 
     Attributes:
         state: Columns of the state before the step, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN.
-        next: Columns of the state after it. [default: those of the state in the following row]
+        next: Columns of the state after the step. [default: those of the state in the following row]
         command: Columns of the command.
         target: Columns of the target; without --command they are used as the command.
         predicted: Columns of the nominal next state.
@@ -52,7 +52,7 @@ class Results:
 
     Attributes:
         out: New JSON file for all numbers.
-        plot: New file for a picture of predicted against actual errors.
+        plot: New file for a figure of predicted against actual errors.
         save: New JSON file for the best residual, fitted to all steps.
     """
 
@@ -61,7 +61,7 @@ class Results:
     save: Path | None = None
 
     def check(self) -> None:
-        """Raises InputError where one of them cannot be written."""
+        """Raises InputError if one of the files cannot be written."""
         from stepgap.report.fit import PICTURE_FORMATS
 
         for option, file in (("--out", self.out), ("--plot", self.plot), ("--save", self.save)):
@@ -84,7 +84,7 @@ def fit(
     results: Results = NO_RESULTS,
     overrides: Overrides = None,
 ) -> None:
-    """Fit every residual to recorded steps, score it on steps held out, and summarise what can be learned.
+    """Fit every residual to recorded steps, score it on held-out steps, and summarise how much can be learned.
 
     Args:
         log: Folders of runs or their steps.csv; or CSV files of any origin, if their columns are named.

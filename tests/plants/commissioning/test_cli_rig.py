@@ -115,7 +115,7 @@ def test_table_exit_code_and_file_of_a_check_agree(stepgap: Command, rig_file: P
 def test_without_a_bus_the_machine_is_measured_and_nothing_written(stepgap: Command) -> None:
     said = stepgap("rig", "check", "--seconds", 0.3)
     assert said.code == ("not passed" in said.out)
-    assert said.out.startswith("no rig.toml given: this is the machine alone")
+    assert said.out.startswith("no rig.toml given: timing of this machine alone")
     assert "frames lost           no bus was measured\n" in said.out
     assert not list(Path.cwd().iterdir())
 
@@ -191,7 +191,7 @@ WRONG = [
     (["emulate", "mine.toml", "sh", "-c", "a b"], "type `stepgap rig emulate mine.toml -- sh -c 'a b'`"),
     (["emulate", "mine.toml", "--intreface", "x"], "--intreface: not an option of rig emulate"),
     (["emulate", "--hold", "inf"], "--hold inf: it must lie between"),
-    (["emulate", "--robot.boom_length", "0.05"], "make no twin"),
+    (["emulate", "--robot.boom_length", "0.05"], "no twin can be made"),
     (["emulate", "--settings", "broken.toml"], "broken.toml: exists and describes another rig"),
     (["emulate", "--settings", "none/e.toml"], "cannot be written"),
 ]
