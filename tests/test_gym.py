@@ -42,7 +42,7 @@ def holding(env: StepEnv) -> Array:
 
 
 def episode(env: StepEnv, seed: int) -> list[Array]:
-    """Observations, rewards and what was applied, with actions drawn from the same seed."""
+    """Observations, rewards and applied commands, with actions drawn from the same seed."""
     rng, over = np.random.default_rng(seed), False
     told = [env.reset(seed=seed)[0]]
     while not over:
@@ -53,7 +53,7 @@ def episode(env: StepEnv, seed: int) -> list[Array]:
 
 
 @pytest.mark.parametrize("options", PLANTS)
-def test_gymnasium_finds_nothing_to_say(options: dict[str, Any]) -> None:
+def test_gymnasiums_checker_finds_no_fault(options: dict[str, Any]) -> None:
     check_env(made(**options))  # warnings are errors
 
 
@@ -67,12 +67,12 @@ def test_same_seed_same_episode(options: dict[str, Any]) -> None:
     assert not np.array_equal(first[-1], other[-1])
 
 
-def test_a_name_is_enough_in_a_fresh_process() -> None:
+def test_the_name_suffices_in_a_new_process() -> None:
     code = "import gymnasium; gymnasium.make('stepgap.gym:stepgap/Step-v0', plant='model').reset(seed=0)"
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
-def test_without_gymnasium_it_says_what_to_install() -> None:
+def test_without_gymnasium_the_message_names_the_package() -> None:
     code = "import sys; sys.modules['gymnasium'] = None\nimport stepgap.gym"
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert outcome.stderr.endswith("stepgap.gym needs Gymnasium: pip install 'stepgap[gym]'\n")
@@ -93,7 +93,7 @@ def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
     assert (fell, at_end, info["status"]) == (False, False, "ok")
 
 
-def test_our_controller_tracks_through_it() -> None:
+def test_the_step_controller_tracks_in_the_environment() -> None:
     env, total, over = model_env(reference=None), 0.0, False
     seen, _ = env.reset(seed=0)
     controller, steps = StepController(env.nominal), 0
@@ -103,10 +103,10 @@ def test_our_controller_tracks_through_it() -> None:
         assert not fell
         total, steps = total + float(reward), steps + 1
     assert steps == 227
-    assert -10 < total < 0  # only the steps at which the stair goes down further than one step can
+    assert -10 < total < 0  # only at stairs that are lower than one step can reach
 
 
-def test_actions_beyond_the_bounds_are_cut() -> None:
+def test_actions_beyond_the_bounds_are_clipped() -> None:
     env = model_env()
     env.reset(seed=0)
     info = env.step(np.array([-5.0, 0.1]))[-1]
@@ -131,7 +131,7 @@ def test_an_action_that_is_no_number_is_a_fall(options: dict[str, Any]) -> None:
         env.step(np.zeros(2))
 
 
-def test_falling_is_never_better_than_hopping_on() -> None:
+def test_falling_is_never_better_than_continuing() -> None:
     env = model_env(reference=Reference(("speed", "height"), np.array([START] * 200)))
     returns = {True: [], False: []}
     for seed in range(12):
@@ -146,7 +146,7 @@ def test_falling_is_never_better_than_hopping_on() -> None:
         returns[fell].append(rewards)
     assert returns[True]
     assert returns[False]
-    for rewards in returns[True]:  # the fall costs what the worst that hopping on could have brought
+    for rewards in returns[True]:  # the fall costs as much as the worst case of continuing
         assert rewards[-1] == -LARGEST_COST * (200 - len(rewards) + 1)
     assert min(map(min, returns[False])) >= -LARGEST_COST
 
@@ -168,7 +168,7 @@ def test_a_reset_takes_another_reference_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "message"),
     [
         ({"plant": "tiwn"}, "plant = 'tiwn', but it must be 'twin' or 'model'; did you mean 'twin'?"),
         ({"gap": "papers"}, "gap = 'papers', but it must be a RealityGap, or 'paper' or 'none'; did you mean 'paper'?"),
@@ -177,10 +177,10 @@ def test_a_reset_takes_another_reference_once() -> None:
         ({"reference": Reference(("height", "speed"), np.zeros((1, 2)))}, "the reference is for height,speed"),
     ],
 )
-def test_wrong_arguments_are_named(wrong: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError) as error:  # noqa: PT011  (what it says is compared below)
+def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError) as error:  # noqa: PT011  (its message is compared below)
         hopper_env(**wrong)
-    assert says in str(error.value)
+    assert message in str(error.value)
 
 
 def test_gaps_make_a_difference() -> None:
@@ -197,7 +197,7 @@ def test_gaps_make_a_difference() -> None:
     assert not np.array_equal(none, first_state())
 
 
-def test_it_goes_into_gymnasiums_wrappers_and_vectors() -> None:
+def test_it_works_with_gymnasiums_wrappers_and_vectors() -> None:
     rescaled = RescaleObservation(gymnasium.make(STEP_ID, plant="model"), np.float64(-1), np.float64(1))
     assert np.abs(rescaled.reset(seed=0)[0]).max() <= 1
     envs = gymnasium.make_vec(STEP_ID, num_envs=3, plant="model", vectorization_mode="sync")
@@ -212,7 +212,7 @@ def test_the_steps_of_the_twin_have_a_yaw() -> None:
     assert np.isfinite(env.step(np.zeros(2))[4]["yaw"])
 
 
-def test_any_robot_goes_in() -> None:
+def test_it_works_with_any_robot() -> None:
     real = ApexMap(gains=Gains(stiffness=2300))
     env = StepEnv(lambda rng: ModelPlant(real, np.array(START), np.zeros(2), rng), ApexMap(), REFERENCE)
     env.reset(seed=0)

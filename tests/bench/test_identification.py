@@ -90,7 +90,7 @@ def test_with_the_true_parameters_the_model_moves_as_recorded(recorded: tuple[li
 def test_mass_and_friction_are_recovered(
     recorded: tuple[list[Tick], list[TrueState]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sysid, "HIP_ERROR_SCALE", 0.002)  # the model of this twin errs less
+    monkeypatch.setattr(sysid, "HIP_ERROR_SCALE", 0.002)  # this twin has smaller model errors
     values = identify_values(ROBOT, recorded[0], LAYOUT)
     found, true = physical_error(NOMINAL, values), PhysicalError(HEAVIER, 0, 0, 0, 0, 0, 0, 0)
     np.testing.assert_allclose(
@@ -110,11 +110,11 @@ def test_offsets_of_the_motors_become_postures() -> None:
     found = physical_error(
         NOMINAL, dict.fromkeys(PRIOR_STDS, 0.0) | {"motor_offset_1": offset, "motor_offset_2": offset}
     )
-    # both motors read too much: the leg leans back by as much, as if it were to stand upright at a higher speed
+    # both readings are too large: the leg leans back as much, as if it landed vertically at a higher speed
     assert found == PhysicalError(0, 0, 0, 0, 0, offset / NOMINAL.gains.speed_gain, 0, 0)
     found = physical_error(
         NOMINAL, dict.fromkeys(PRIOR_STDS, 0.0) | {"motor_offset_1": offset, "motor_offset_2": -offset}
     )
-    # the knees read too bent: the leg is longer
+    # the knees appear too bent: the leg is longer
     assert found.landing_length == found.rest_length == pytest.approx(0.0011, abs=1e-4)
     assert found.landing_speed == 0

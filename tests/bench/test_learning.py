@@ -36,7 +36,7 @@ def test_every_twin_of_the_family_is_drawn_independently() -> None:
     assert random_gap(np.random.default_rng(3)) == random_gap(np.random.default_rng(3))
 
 
-def test_every_method_meets_the_same_twin_and_the_same_seed_gives_the_same_numbers() -> None:
+def test_every_method_has_the_same_twin_and_the_same_seed_gives_the_same_numbers() -> None:
     rows = measure_twin(SHORT, 0, 1, ["linear", "auto", "online"])
     assert [row["method"] for row in rows] == ["none", "linear", "auto", "online"]
     for row in rows:
@@ -83,18 +83,18 @@ def test_coverage_counts_steps_within_the_interval() -> None:
 
 
 def test_a_second_call_adds_what_is_missing(tiny: None, stepgap: Command) -> None:
-    said = stepgap("bench", "learning", "--twins", 1, "--seeds", 1, "--methods", "constant")
-    assert said.code == 0, said.err
-    assert said.out.endswith("\nbench_learning.jsonl\nbench_learning.json\nbench_learning.png\n")
+    result = stepgap("bench", "learning", "--twins", 1, "--seeds", 1, "--methods", "constant")
+    assert result.code == 0, result.err
+    assert result.out.endswith("\nbench_learning.jsonl\nbench_learning.json\nbench_learning.png\n")
     before = Path("bench_learning.jsonl").read_text()
-    Path("bench_learning.jsonl").write_text(before + '[{"twin": 0, "se')  # broken off here
-    said = stepgap("bench", "learning", "--twins", 1, "--seeds", 2, "--methods", "constant")
-    assert "1 of 1 done" in said.err
+    Path("bench_learning.jsonl").write_text(before + '[{"twin": 0, "se')  # cut off here
+    result = stepgap("bench", "learning", "--twins", 1, "--seeds", 2, "--methods", "constant")
+    assert "1 of 1 done" in result.err
     record = Path("bench_learning.jsonl").read_text()
     assert record.startswith(before)
     assert len(record.splitlines()) == 2
     again = stepgap("bench", "learning", "--twins", 1, "--seeds", 2, "--methods", "constant")
-    assert (again.out, again.err) == (said.out, "")
+    assert (again.out, again.err) == (result.out, "")
     assert Path("bench_learning.jsonl").read_text() == record
     summary = json.loads(Path("bench_learning.json").read_text())
     assert (summary["pairs"], [row["method"] for row in summary["methods"]]) == (2, ["none", "constant"])

@@ -1,4 +1,4 @@
-"""The command line as the shell sees it, for tests."""
+"""Results of commands, as seen by the shell, for tests."""
 
 from collections.abc import Callable
 from typing import NamedTuple

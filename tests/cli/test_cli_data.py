@@ -1,4 +1,4 @@
-"""`stepgap export`, `recover` and `doctor`: what they write is what was recorded, and bad input does no harm."""
+"""`stepgap export`, `recover` and `doctor`: their output agrees with the record, and bad input does no harm."""
 
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
@@ -27,7 +27,7 @@ from stepgap.plants.ticks.tick_log import TickLog, read_ticks
 from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.tick import TICK_UNITS
-from tests.cli.command_line import Command, Said, refused
+from tests.cli.command_line import Command, CommandResult, refused
 from tests.quick_runs import leave_out_report
 from tests.report.runs import make_run
 
@@ -65,7 +65,7 @@ def contents(folder: Path = Path()) -> dict[str, bytes]:
 
 
 def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: StepLog) -> None:
-    assert stepgap("export", run, "--to", "mat") == Said(0, "run/export/run.mat\n", "")
+    assert stepgap("export", run, "--to", "mat") == CommandResult(0, "run/export/run.mat\n", "")
     file = loadmat("run/export/run.mat", simplify_cells=True)
     steps, summary = file["steps"], file["summary"]
     assert list(steps) == (run / "steps.csv").read_text().splitlines()[0].split(",")
@@ -83,7 +83,7 @@ def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: StepLo
     assert summary["residual"].tolist() == ["none", "gp_on_linear"]
     assert (summary["repeatability"]["speed"], math.isnan(summary["repeatability"]["height"])) == (0.01, True)
     columns = loadmat("run/export/run.mat")["steps"]["speed"][0, 0]
-    assert columns.shape == (6, 1), "columns, as MATLAB has them"
+    assert columns.shape == (6, 1), "columns, as in MATLAB"
 
 
 def test_a_run_of_another_robot_that_is_not_finished(stepgap: Command) -> None:
@@ -104,8 +104,8 @@ def test_a_run_of_another_robot_that_is_not_finished(stepgap: Command) -> None:
 
 
 def test_csv_has_a_second_table_of_units(run: Path, stepgap: Command) -> None:
-    said = stepgap("export", run, "--to", "csv")
-    assert said == Said(0, "run/export/steps.csv\nrun/export/steps_columns.csv\n", "")
+    result = stepgap("export", run, "--to", "csv")
+    assert result == CommandResult(0, "run/export/steps.csv\nrun/export/steps_columns.csv\n", "")
     assert Path("run/export/steps.csv").read_bytes() == (run / "steps.csv").read_bytes()
     legend = list(csv.DictReader(Path("run/export/steps_columns.csv").read_text("utf-8").splitlines()))
     assert [row["column"] for row in legend] == (run / "steps.csv").read_text().splitlines()[0].split(",")
@@ -129,7 +129,9 @@ def test_parquet_keeps_numbers_and_units(run: Path, stepgap: Command, log: StepL
     assert table["status"].to_pylist() == 6 * ["ok"]
 
 
-def test_without_pyarrow_it_says_what_to_install(run: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyarrow_the_message_names_the_package(
+    run: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     refused(stepgap("export", run, "--to", "parquet"), "pip install 'stepgap[parquet]'")
     assert not Path("run/export").exists()
@@ -139,7 +141,7 @@ def test_without_pyarrow_it_says_what_to_install(run: Path, stepgap: Command, mo
 
 
 def test_every_tick_of_a_deployment(run: Path, stepgap: Command) -> None:
-    assert stepgap("export", run, "--to", "mcap") == Said(0, "run/export/ticks_1.mcap\n", "")
+    assert stepgap("export", run, "--to", "mcap") == CommandResult(0, "run/export/ticks_1.mcap\n", "")
     units, ticks = read_ticks(Path("run/export/ticks_1.mcap"))
     assert units == REPLAY_UNITS
     np.testing.assert_array_equal(ticks, replay(run, 1).rows)
@@ -188,12 +190,12 @@ def test_the_model_is_opened_by_mujoco_and_falls(run: Path, stepgap: Command) ->
         mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
         height = data.qpos[1]
         mujoco.mj_step(model, data, 200)
-        assert data.qpos[1] < height, "it falls, its hip free"
+        assert data.qpos[1] < height, "it falls, because its hip is free"
         assert np.isfinite(data.qpos).all()
     assert model.camera("side").id == 0
 
 
-# Broken records
+# Damaged records
 
 
 def cut(count: int) -> Callable[[bytes], bytes]:
@@ -212,14 +214,14 @@ def cut(count: int) -> Callable[[bytes], bytes]:
         (lambda content: content.replace(b",ok\n", b",okay\n", 3).replace(b",okay\n", b",ok\n", 2), 2, "line 4: not"),
     ],
 )
-def test_the_whole_steps_of_a_broken_record(
+def test_the_intact_steps_of_a_damaged_record(
     run: Path, stepgap: Command, log: StepLog, spoil: Callable[[bytes], bytes], steps: int, fault: str
 ) -> None:
     broken = spoil((run / "steps.csv").read_bytes())
     (run / "steps.csv").write_bytes(broken)
-    said = stepgap("recover", run / "steps.csv")
-    *faults, count, path = said.out.splitlines()
-    assert (said.code, said.err, path) == (0, "", "run/steps_recovered.csv")
+    result = stepgap("recover", run / "steps.csv")
+    *faults, count, path = result.out.splitlines()
+    assert (result.code, result.err, path) == (0, "", "run/steps_recovered.csv")
     assert count == (f"{steps} steps recovered" if fault else "6 steps copied: the file has no fault")
     assert len(faults) == bool(fault)
     assert fault in "".join(faults)
@@ -228,26 +230,26 @@ def test_the_whole_steps_of_a_broken_record(
     assert (run / "steps.csv").read_bytes() == broken
 
 
-def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
+def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
     ticks = np.arange(28000.0).reshape(2000, 14) * 1e-3
     with TickLog(Path("a.mcap"), TICK_UNITS) as rows:
         rows.append(ticks)
     whole = Path("a.mcap").read_bytes()
     Path("a.mcap").write_bytes(whole[:200_000])
-    said = stepgap("recover", "a.mcap", "--out", "b.mcap")
-    assert said.out.splitlines()[0].startswith("a.mcap: it breaks off")
+    result = stepgap("recover", "a.mcap", "--out", "b.mcap")
+    assert result.out.splitlines()[0].startswith("a.mcap: it breaks off")
     _, found = read_ticks(Path("b.mcap"))
-    assert said.out.splitlines()[1:] == [f"{len(found)} ticks recovered", "b.mcap"]
+    assert result.out.splitlines()[1:] == [f"{len(found)} ticks recovered", "b.mcap"]
     np.testing.assert_array_equal(found, ticks[: len(found)])
     assert len(found) > 1000
     assert stepgap("recover", "b.mcap").out == f"{len(found)} ticks copied: the file has no fault\nb_recovered.mcap\n"
 
 
-# Bad input: one line, exit code 2, nothing made or changed
+# Bad input: one line, exit code 2, no file written or changed
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "parts"),
     [
         ("export run", ["--to"]),
         ("export run --to xls", ["--to", "xls"]),
@@ -281,7 +283,7 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
         ("doctor now", ["now"]),
     ],
 )
-def test_bad_input_is_refused_in_one_line(run: Path, stepgap: Command, arguments: str, words: list[str]) -> None:
+def test_bad_input_is_refused_in_one_line(run: Path, stepgap: Command, arguments: str, parts: list[str]) -> None:
     text = (run / "steps.csv").read_text()
     for name in ("cut", "changed", "foreign", "binary", "unsettled", "nested"):
         shutil.copytree(run, name)
@@ -298,11 +300,11 @@ def test_bad_input_is_refused_in_one_line(run: Path, stepgap: Command, arguments
     Path("rubbish.mcap").write_bytes(b"rubbish")
     Path("magic.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(1000))
     before = contents()
-    refused(stepgap(*arguments.split()), *words)
+    refused(stepgap(*arguments.split()), *parts)
     assert contents() == before
 
 
-def test_nothing_is_written_over(run: Path, stepgap: Command) -> None:
+def test_no_file_is_overwritten(run: Path, stepgap: Command) -> None:
     for name in ("run.mat", "run_2.mat"):
         assert stepgap("export", run, "--to", "mat").out == f"run/export/{name}\n"
     for name in ("mjcf", "mjcf_2"):
@@ -314,14 +316,14 @@ def test_nothing_is_written_over(run: Path, stepgap: Command) -> None:
 # The machine
 
 
-def test_doctor_says_what_there_is(stepgap: Command) -> None:
-    said = stepgap("doctor")
-    assert (said.code, said.err) == (0, "")
-    table = dict(line.split(maxsplit=1) for line in said.out.splitlines() if not line.startswith("extra"))
+def test_doctor_lists_the_components(stepgap: Command) -> None:
+    result = stepgap("doctor")
+    assert (result.code, result.err) == (0, "")
+    table = dict(line.split(maxsplit=1) for line in result.out.splitlines() if not line.startswith("extra"))
     assert table["python"] == ".".join(map(str, sys.version_info[:3]))
     assert {"numpy", "mujoco", "cores", "display", "OpenGL", "raw", "real", "cache"} <= set(table)
     for extra in metadata("stepgap").get_all("Provides-Extra") or []:
-        assert f"extra {extra} " in said.out, "doctor.PURPOSES says what it is for"
+        assert f"extra {extra} " in result.out, "doctor.PURPOSES names its purpose"
 
 
 def test_doctor_knows_a_machine_that_has_nothing(
@@ -338,7 +340,7 @@ def test_doctor_knows_a_machine_that_has_nothing(
         monkeypatch.delenv(name, raising=False)
     doctor()
     found = capsys.readouterr().out
-    for words in (
+    for parts in (
         "none; only MuJoCo's own pictures need it",
         "apt install libegl1",
         "EtherCAT needs",
@@ -346,4 +348,4 @@ def test_doctor_knows_a_machine_that_has_nothing(
         "no folder can be written",
         "to install it: ./go uv pip install 'stepgap[parquet]'",
     ):
-        assert words in found
+        assert parts in found

@@ -38,7 +38,7 @@ def written(names: Sequence[str], rows: Sequence[Sequence[object]], delimiter: s
     st.permutations(["v", "y", "v2", "y2", "f", "other"]),
     st.sampled_from(",;\t"),
 )
-def test_every_number_arrives(rows: list[tuple[float, ...]], names: list[str], delimiter: str) -> None:
+def test_every_number_is_read(rows: list[tuple[float, ...]], names: list[str], delimiter: str) -> None:
     table = np.array(rows)
     used = [names.index(name) for name in ("v", "y", "v2", "y2", "f")]
     whole = np.isfinite(table[:, used]).all(axis=1)
@@ -117,7 +117,7 @@ def test_units_factors_names_and_targets() -> None:
     np.testing.assert_array_equal(steps.target, steps.command)
     assert steps.predicted is None
     for quantity in steps.space.command:
-        assert quantity.lower < quantity.upper, "though its values are all alike"
+        assert quantity.lower < quantity.upper, "although its values are all equal"
 
 
 def test_each_file_is_a_deployment(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_each_file_is_a_deployment(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("", "log.csv: empty"),
         ("v,y,v2,y2\n", "log.csv, line 1: command 'f': no column 'f'; there is v, y, v2, y2"),
@@ -145,8 +145,8 @@ def test_each_file_is_a_deployment(tmp_path: Path) -> None:
         (b"\xff\xfe\x00", "log.csv: not a text file"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_named(text: str | bytes, words: str) -> None:
-    with pytest.raises(RecordError, match=re.escape(words)):
+def test_faults_of_a_file_are_named(text: str | bytes, message: str) -> None:
+    with pytest.raises(RecordError, match=re.escape(message)):
         read(text, WHOLE)
 
 
@@ -157,7 +157,7 @@ def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.Monkey
         read_foreign_logs([tmp_path / "log.csv"], WHOLE)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=r"none\.csv: No such file"):
         read_foreign_logs([tmp_path / "none.csv"], WHOLE)
 
@@ -198,7 +198,7 @@ def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         (b"sate = ['v']", "sate: unknown key; did you mean state?"),
         (b"state = 'v'", "state = 'v', but it must be a list of names of columns"),
@@ -212,10 +212,10 @@ def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> 
         (b"#" * 2**21, "larger than"),
     ],
 )
-def test_what_is_wrong_with_a_file_of_columns_is_named(tmp_path: Path, text: bytes, words: str) -> None:
+def test_faults_of_a_file_of_columns_are_named(tmp_path: Path, text: bytes, message: str) -> None:
     file = tmp_path / "columns.toml"
     file.write_bytes(text)
-    with pytest.raises(RecordError, match=re.escape(words)) as caught:
+    with pytest.raises(RecordError, match=re.escape(message)) as caught:
         read_columns(file, {})
     assert str(caught.value).startswith(f"{file}: ")
 

@@ -22,7 +22,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def complaint(folder: Path) -> str:
-    """What is said of a bad run folder: one line, with no path but those of the folder."""
+    """The error message for a bad run folder: one line, with no path except those of the folder."""
     with pytest.raises((ValueError, OSError)) as caught:
         read_run_folder(folder)
     text = str(caught.value)
@@ -52,7 +52,7 @@ def test_record_is_what_was_written(folder: Path) -> None:
     assert record.unfinished == {}
 
 
-def test_deployment_under_way_is_no_error(folder: Path) -> None:
+def test_an_unfinished_deployment_is_no_error(folder: Path) -> None:
     edit_summary(folder, lambda content: content["iterations"].pop())
     record = read_run_folder(folder)
     assert (record.shown_iterations, record.unfinished) == ([0], {1: 5})
@@ -90,7 +90,7 @@ def test_space_may_be_given(folder: Path) -> None:
         read_run_folder(folder, other)
 
 
-def test_folder_that_is_none(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     for wrong in (tmp_path, tmp_path / "missing", tmp_path / "file"):
         (tmp_path / "file").touch()
         assert "no such file; " in complaint(wrong)
@@ -106,7 +106,7 @@ NO_STEP_LOGS = {
 
 
 @pytest.mark.parametrize("content", NO_STEP_LOGS.values(), ids=NO_STEP_LOGS.keys())
-def test_steps_that_are_no_step_log(folder: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_step_log_is_refused(folder: Path, content: bytes) -> None:
     (folder / "steps.csv").write_bytes(content)
     assert complaint(folder).startswith(
         "RUN/steps.csv, line 1: not the header of a step log; it must be iteration, step"
@@ -127,7 +127,7 @@ def test_steps_that_are_no_step_log(folder: Path, content: bytes) -> None:
         ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,0,ok\n", "a state is larger than ±1e+09"),
     ],
 )
-def test_steps_that_are_wrong(folder: Path, row: str, message: str) -> None:
+def test_wrong_steps_are_refused(folder: Path, row: str, message: str) -> None:
     (folder / "summary.json").unlink()
     header = (folder / "steps.csv").read_text().splitlines(keepends=True)[0]
     (folder / "steps.csv").write_text(header + row)
@@ -158,7 +158,7 @@ def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
         (b'{"schema": 1, "iterations": ["x"]}', "iterations[0] is 'x', but it must be an object"),
     ],
 )
-def test_summary_that_is_none(folder: Path, content: bytes, message: str) -> None:
+def test_a_file_that_is_not_a_summary_is_refused(folder: Path, content: bytes, message: str) -> None:
     (folder / "summary.json").write_bytes(content)
     text = complaint(folder)
     assert text.startswith("RUN/summary.json: ")
@@ -187,7 +187,7 @@ def test_summary_that_is_none(folder: Path, content: bytes, message: str) -> Non
         (lambda content: content["iterations"][1].update(falls=1), "has 5 steps and 1 falls, in steps.csv 5 and 0"),
     ],
 )
-def test_summary_that_is_wrong(folder: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
+def test_a_wrong_summary_is_refused(folder: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
     edit_summary(folder, change)
     text = complaint(folder)
     assert text.startswith("RUN/summary.json: ")
@@ -198,7 +198,7 @@ def test_summary_that_is_wrong(folder: Path, change: Callable[[dict[str, Any]], 
 @pytest.mark.parametrize(
     ("content", "message"), [(b"seed 3", "not TOML"), (b"\xff", "this is not text"), (b"#" * 2**21, "larger than")]
 )
-def test_settings_that_are_none(folder: Path, content: bytes, message: str) -> None:
+def test_a_file_without_settings_is_refused(folder: Path, content: bytes, message: str) -> None:
     (folder / "experiment.toml").write_bytes(content)
     text = complaint(folder)
     assert text.startswith("RUN/experiment.toml: ")
@@ -210,13 +210,13 @@ def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
     assert read_run_folder(folder).settings == SettingsFile("seed = 3\n", {"seed": 3})
 
 
-def test_directories_in_place_of_files(folder: Path) -> None:
+def test_directories_instead_of_files_are_refused(folder: Path) -> None:
     (folder / "experiment.toml").mkdir()
     assert "RUN/experiment.toml: not a file" in complaint(folder)
 
 
 @pytest.mark.parametrize("content", ["", "\n", "\r\n\r\n"])
-def test_steps_that_are_none_yet(folder: Path, content: str) -> None:
+def test_a_step_log_without_steps_is_refused(folder: Path, content: str) -> None:
     (folder / "steps.csv").write_text(content)
     assert complaint(folder).startswith("RUN/steps.csv: no step yet; it must have a header and at least one row")
 

@@ -1,4 +1,4 @@
-"""The page as people see it, in a headless Chromium: it talks to nobody else, complains of nothing, its buttons act."""
+"""The page in a headless Chromium: it contacts no other machine, has no error, and its buttons work."""
 
 import re
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ SMALL: ViewportSize = {"width": 800, "height": 500}
 
 
 ROBOT: FloatRect = {"x": 100, "y": 190, "width": 250, "height": 110}
-"""Where only the scene is seen of the small window, the leg in the middle."""
+"""Part of the small window that shows only the scene, with the leg in the middle."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A curve is the residual at points that differ in one input only."""
+"""A curve is the residual at points that differ only in one input."""
 
 import json
 from pathlib import Path
