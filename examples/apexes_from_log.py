@@ -52,7 +52,7 @@ def first_number(cell):
 
 
 def steps_of(options):
-    """Names of columns, and a row for every hop except the first."""
+    """Returns the names of the columns, and a row for every hop except the first."""
     log = read_columns(options.log)
     time, height, forward = (np.array(log[name], float) for name in (options.time, options.height, options.forward))
     if options.boom:

@@ -44,12 +44,12 @@ def holding(env: StepEnv) -> Array:
 def episode(env: StepEnv, seed: int) -> list[Array]:
     """Observations, rewards and applied commands, with actions drawn from the same seed."""
     rng, over = np.random.default_rng(seed), False
-    told = [env.reset(seed=seed)[0]]
+    rows = [env.reset(seed=seed)[0]]
     while not over:
-        seen, reward, fell, at_end, info = env.step(rng.uniform(-0.3, 0.3, 2))
-        told.append(np.concatenate([seen, [reward], info["applied"]]))
+        observation, reward, fell, at_end, info = env.step(rng.uniform(-0.3, 0.3, 2))
+        rows.append(np.concatenate([observation, [reward], info["applied"]]))
         over = fell or at_end
-    return told
+    return rows
 
 
 @pytest.mark.parametrize("options", PLANTS)
@@ -80,13 +80,13 @@ def test_without_gymnasium_the_message_names_the_package() -> None:
 
 def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
     env = model_env(reference=Reference(("speed", "height"), np.array([START, (0.3, 0.6), (0.1, 0.55)])))
-    seen, info = env.reset(seed=0)
-    np.testing.assert_array_equal(seen, [*START, *START])
+    observation, info = env.reset(seed=0)
+    np.testing.assert_array_equal(observation, [*START, *START])
     assert info == {}
     action = np.array([-0.2, 0.1])
-    seen, reward, fell, at_end, info = env.step(action)
+    observation, reward, fell, at_end, info = env.step(action)
     expected = ApexMap()(START, [-0.2 * 30, 0.1 * 20])
-    np.testing.assert_allclose(seen, [*expected, 0.3, 0.6], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(observation, [*expected, 0.3, 0.6], rtol=0, atol=1e-12)
     np.testing.assert_allclose(info["predicted"], expected, atol=1e-12)
     assert "yaw" not in info  # a map has none
     assert reward == pytest.approx(-(((expected[0] - 0.2) / 0.2) ** 2) - ((expected[1] - 0.58) / 0.06) ** 2)
@@ -95,11 +95,11 @@ def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
 
 def test_the_step_controller_tracks_in_the_environment() -> None:
     env, total, over = model_env(reference=None), 0.0, False
-    seen, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     controller, steps = StepController(env.nominal), 0
     while not over:
-        plan = controller(seen[:2], seen[2:])
-        seen, reward, fell, over, _ = env.step(env.space.point_of(plan.command))
+        plan = controller(observation[:2], observation[2:])
+        observation, reward, fell, over, _ = env.step(env.space.point_of(plan.command))
         assert not fell
         total, steps = total + float(reward), steps + 1
     assert steps == 227
@@ -120,12 +120,12 @@ def test_actions_beyond_the_bounds_are_clipped() -> None:
 def test_an_action_that_is_no_number_is_a_fall(options: dict[str, Any]) -> None:
     env = made(**{**options, "reference": REFERENCE})
     before, _ = env.reset(seed=0)
-    seen, reward, fell, at_end, info = env.step(np.array([np.nan, 0.0]))
+    observation, reward, fell, at_end, info = env.step(np.array([np.nan, 0.0]))
     assert fell
     assert not at_end
     assert info["status"] != "ok"
     assert "predicted" not in info
-    np.testing.assert_array_equal(seen, before)
+    np.testing.assert_array_equal(observation, before)
     assert reward == -LARGEST_COST * len(REFERENCE)
     with pytest.raises(ResetNeeded, match=r"call reset\(\)"):
         env.step(np.zeros(2))
@@ -139,8 +139,8 @@ def test_falling_is_never_better_than_continuing() -> None:
         env.action_space.seed(seed)
         rewards, fell, over = [], False, False
         while not over:
-            seen, reward, fell, at_end, _ = env.step(env.action_space.sample())
-            assert env.observation_space.contains(seen)
+            observation, reward, fell, at_end, _ = env.step(env.action_space.sample())
+            assert env.observation_space.contains(observation)
             rewards.append(float(reward))
             over = fell or at_end
         returns[fell].append(rewards)
@@ -154,11 +154,11 @@ def test_falling_is_never_better_than_continuing() -> None:
 def test_a_reset_takes_another_reference_once() -> None:
     env = model_env()
     other = Reference(("speed", "height"), np.array([(0.25, 0.6)]))
-    seen, _ = env.reset(seed=0, options={"reference": other})
-    np.testing.assert_array_equal(seen, [*START, 0.25, 0.6])
+    observation, _ = env.reset(seed=0, options={"reference": other})
+    np.testing.assert_array_equal(observation, [*START, 0.25, 0.6])
     assert env.step(holding(env))[3]
-    seen, _ = env.reset()
-    np.testing.assert_array_equal(seen, [*START, *START])
+    observation, _ = env.reset()
+    np.testing.assert_array_equal(observation, [*START, *START])
     with pytest.raises(ValueError, match="unknown option targets of reset; the only option is 'reference'"):
         env.reset(options={"targets": other})
     with pytest.raises(ValueError, match="must be a stepgap Reference, not list"):
@@ -216,6 +216,6 @@ def test_it_works_with_any_robot() -> None:
     real = ApexMap(gains=Gains(stiffness=2300))
     env = StepEnv(lambda rng: ModelPlant(real, np.array(START), np.zeros(2), rng), ApexMap(), REFERENCE)
     env.reset(seed=0)
-    seen, _, _, _, info = env.step(np.zeros(2))
-    np.testing.assert_allclose(seen[:2], real(START, [0, 0]))
-    assert np.abs(info["predicted"] - seen[:2]).max() > 1e-3
+    observation, _, _, _, info = env.step(np.zeros(2))
+    np.testing.assert_allclose(observation[:2], real(START, [0, 0]))
+    assert np.abs(info["predicted"] - observation[:2]).max() > 1e-3

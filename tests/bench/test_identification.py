@@ -33,7 +33,7 @@ HEAVIER, FRICTION = 0.15, 0.4
 TRUE_VALUES = dict.fromkeys(PRIOR_STDS, 0.0) | {"body_mass": HEAVIER, "boom_friction": FRICTION, "torque_lag": 1e-5}
 needs_the_toolbox = pytest.mark.skipif(not hasattr(mujoco.sysid, "optimize"), reason="needs stepgap[sysid]")
 
-LAYOUT = Twin(ROBOT, RealityGap.none(), np.random.default_rng(0)).sensor_model
+SENSORS = Twin(ROBOT, RealityGap.none(), np.random.default_rng(0)).sensor_model
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def recorded() -> tuple[list[Tick], list[TrueState]]:
 
 def test_windows_start_as_the_robot_really_moved(recorded: tuple[list[Tick], list[TrueState]]) -> None:
     ticks, truth = recorded
-    windows = record_windows(ticks, LAYOUT, 60)
+    windows = record_windows(ticks, SENSORS, 60)
     forces = np.array([tick.reading.contact_force for tick in ticks])
     landings = [k for k in range(HIP_FIT, len(ticks)) if forces[k] > 0 and not forces[k - HIP_FIT : k].any()]
     assert len(windows.start) == len(landings) == 1 + len(COMMANDS)
@@ -78,7 +78,7 @@ def masses(robot: RobotParameters, torque: float) -> np.ndarray:
 
 @needs_the_toolbox
 def test_with_the_true_parameters_the_model_moves_as_recorded(recorded: tuple[list[Tick], list[TrueState]]) -> None:
-    windows = record_windows(recorded[0], LAYOUT, 250)
+    windows = record_windows(recorded[0], SENSORS, 250)
     found = errors(ROBOT, windows, TRUE_VALUES)
     assert found.shape == (windows.hip.size,)
     assert HIP_ERROR_SCALE * np.sqrt(np.mean(found**2)) < 1.5e-3
@@ -91,7 +91,7 @@ def test_mass_and_friction_are_recovered(
     recorded: tuple[list[Tick], list[TrueState]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sysid, "HIP_ERROR_SCALE", 0.002)  # this twin has smaller model errors
-    values = identify_values(ROBOT, recorded[0], LAYOUT)
+    values = identify_values(ROBOT, recorded[0], SENSORS)
     found, true = physical_error(NOMINAL, values), PhysicalError(HEAVIER, 0, 0, 0, 0, 0, 0, 0)
     np.testing.assert_allclose(
         masses(erring_robot(ROBOT, found), 1 + found.torque), masses(erring_robot(ROBOT, true), 1.0), rtol=0.02

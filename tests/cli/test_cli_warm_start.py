@@ -101,13 +101,13 @@ def test_events_are_printed_as_json_lines(stepgap: Command) -> None:
     Path("short.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
     result = stepgap("run", "--reference", "short.csv", "--iterations", 1, "--out", "run", "--json")
     assert result.code == 0
-    told = [json.loads(line) for line in result.out.splitlines()]
-    kinds = [each.pop("event") for each in told]
+    events = [json.loads(line) for line in result.out.splitlines()]
+    kinds = [each.pop("event") for each in events]
     assert kinds == ["step", "step", "deployment", "step", "step", "deployment", "report"]
-    assert told[-1] == {"path": "run/report.html"}
-    assert [told[2], told[5]] == entries(Path("run"))
+    assert events[-1] == {"path": "run/report.html"}
+    assert [events[2], events[5]] == entries(Path("run"))
     header, *rows = Path("run/steps.csv").read_text().splitlines()
-    steps = [each for kind, each in zip(kinds, told, strict=True) if kind == "step"]
+    steps = [each for kind, each in zip(kinds, events, strict=True) if kind == "step"]
     assert [",".join(map(str, step.values())) for step in steps] == rows
     assert ",".join(steps[0]) == header
     assert [line.split(" (")[0] for line in result.err.splitlines()] == ["deployment 0 of 1", "deployment 1 of 1"]

@@ -264,10 +264,10 @@ def test_same_seed_same_bytes_other_seed_others(unbroken: Path, tmp_path: Path) 
 
 
 def test_a_measured_noise_floor_is_recorded_and_measured_once(tmp_path: Path) -> None:
-    told: list[tuple[StepMap, float]] = []
+    calls: list[tuple[StepMap, float]] = []
 
     def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
-        told.append((step_map, rng.random()))
+        calls.append((step_map, rng.random()))
         return np.array([0.003, np.nan])
 
     for _ in range(2):
@@ -275,7 +275,7 @@ def test_a_measured_noise_floor_is_recorded_and_measured_once(tmp_path: Path) ->
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert summary["repeatability"] == {"speed": 0.003, "height": None}
         assert summary["repeatability_measured"] is True
-    ((step_map, drawn),) = told
+    ((step_map, drawn),) = calls
     assert isinstance(step_map, CorrectedMap)
     assert drawn == random_stream(3, 2, 1).random()
     learned = json.loads((tmp_path / "models" / "iteration_2.json").read_text())
@@ -307,14 +307,14 @@ def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tm
 
 
 def test_every_step_is_on_disk_before_it_is_reported(tmp_path: Path) -> None:
-    told = []
+    reported = []
 
     def on_step(logged: LoggedStep) -> None:
-        told.append(logged)
-        assert len(read_step_log(tmp_path / "steps.csv", NOMINAL.space)) == len(told)
+        reported.append(logged)
+        assert len(read_step_log(tmp_path / "steps.csv", NOMINAL.space)) == len(reported)
 
     run_in(tmp_path, observer=Observer(on_step=on_step))
-    assert len(told) == 48
+    assert len(reported) == 48
 
 
 def test_a_file_is_written_whole(tmp_path: Path) -> None:

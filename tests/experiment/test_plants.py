@@ -97,8 +97,8 @@ def test_the_plant_and_its_rig_are_settings_of_a_run(tmp_path: Path) -> None:
 def test_without_an_answer_at_the_keyboard_there_is_no_torque(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    with Path(os.devnull).open() as nobody:
-        monkeypatch.setattr(sys, "stdin", nobody)
+    with Path(os.devnull).open() as no_keyboard:
+        monkeypatch.setattr(sys, "stdin", no_keyboard)
         with pytest.raises(RigFault, match="Enter was not pressed"):
             run_plants.ask_to_hold()
     assert "Hold the robot up" in capsys.readouterr().err

@@ -76,9 +76,9 @@ def test_every_tick_equals_the_original_one(replayed: TickTable, watched: tuple[
 
 
 def test_a_thinned_or_hop_by_hop_replay_is_the_same(run_folder: Path, replayed: TickTable) -> None:
-    told: list[tuple[int, int]] = []
-    np.testing.assert_array_equal(replay(run_folder, 1, 7, lambda *of: told.append(of)).rows, replayed.rows[::7])
-    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    progress: list[tuple[int, int]] = []
+    np.testing.assert_array_equal(replay(run_folder, 1, 7, lambda *of: progress.append(of)).rows, replayed.rows[::7])
+    assert progress == [(0, 3), (1, 3), (2, 3), (3, 3)]
     hops = list(replayed_hops(run_folder, 1))
     assert [set(hop["step"]) for hop in hops] == [{0}, {1}, {2}, {3}]
     np.testing.assert_array_equal(np.concatenate([hop.rows for hop in hops]), replayed.rows)

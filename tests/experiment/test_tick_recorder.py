@@ -61,16 +61,16 @@ def test_a_tick_is_assigned_to_its_hop(tmp_path: Path) -> None:
 
 
 def test_the_first_and_the_latest_deployment_are_kept() -> None:
-    told: list[object] = []
+    reported: list[object] = []
     recorder = TickRecorder(every=5)
-    observer = recorder.observing(Observer(told.append, told.append))
+    observer = recorder.observing(Observer(reported.append, reported.append))
     for iteration in range(3):
         for number in (0, 1, 2):
             hop(recorder, 10 + iteration)
             if number:
                 observer.on_step(step(iteration, number))
         observer.on_deployment(deployment(iteration))
-    assert len(told) == 3 * (2 + 1)
+    assert len(reported) == 3 * (2 + 1)
     assert set(recorder.kept) == {0, 2}
     first = recorder.kept[0]
     assert list(first.units) == [*TICK_UNITS, "step"]

@@ -35,7 +35,7 @@ def test_only_this_machine_can_open_it(page: Page) -> None:
         if line.split()[3] == "0A" and line.split()[1].endswith(f":{port:04X}")
     ]
     if not listening:
-        pytest.skip("this system does not tell who listens where")
+        pytest.skip("this system does not list listening sockets")
     assert listening == [f"0100007F:{port:04X}"]
 
 

@@ -33,7 +33,7 @@ from stepgap.step import Array
 
 HORIZONS = (60, 120, 250)
 """Numbers of ticks after touchdown that are compared, in successive fits. If a whole stance (100 to 150 ticks) and the
-flight after it were compared at once, inaccurate parameters would move the leg through its singular stretched pose."""
+flight after it were one window, inaccurate parameters would move the leg through its singular stretched pose."""
 
 BEFORE = 10
 """Number of ticks before touchdown that are compared; in a longer simulation, torques that hold a leg would move it."""

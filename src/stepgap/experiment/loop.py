@@ -135,7 +135,7 @@ def _execute(
 
 
 def _observed(steps: Steps, space: StepSpace, observer: Observer) -> StepLog:
-    """All steps of a deployment, each reported when it happens; an error stops the plant at once."""
+    """All steps of a deployment, each reported when it happens; an error stops the plant immediately."""
 
     def reported() -> Steps:
         for logged in steps:

@@ -51,7 +51,7 @@ class WrittenReport(NamedTuple):
 def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> WrittenReport:
     """Writes `figures/*.png`, `figures/*.pdf` and `report.html` of a run, whether or not it is finished.
 
-    Each file is replaced at once, so that readers see the old or the new content, never a part.
+    Each file is replaced atomically: readers see the old or the new content, never a part.
 
     Args:
         record: The run; the files are written into its folder.

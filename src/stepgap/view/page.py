@@ -85,7 +85,7 @@ class Page:
         self.player.playing = self.player.follow = True
 
     def update(self, elapsed: float) -> None:
-        """Executes the users' actions, reads new data, and advances the shown moment by a time [s]."""
+        """Executes the users' actions, reads new data, and advances the displayed time [s]."""
         while True:
             try:
                 self._actions.get_nowait()()

@@ -1,4 +1,4 @@
-"""The shown moment of a deployment; independent of the clock and of the page."""
+"""The displayed time of a deployment; independent of the clock and of the page."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -210,7 +210,7 @@ def brakes(limits: SafetyLimits, watch: Watch) -> bool:
 
 
 def _brake(limits: SafetyLimits, watch: Watch, motion: Motion) -> tuple[float, float]:
-    """Torques against the motors' rotation, within limits [N·m]; driving torque ends at once, braking torque grows."""
+    """Torques against the rotation, within limits [N·m]; driving torque stops immediately; braking torque grows."""
     speed_1, speed_2 = motion.rate_1 + motion.rate_2, motion.rate_1 - motion.rate_2
     return _brake_motor(limits, watch.torque_1, speed_1), _brake_motor(limits, watch.torque_2, speed_2)
 
@@ -393,7 +393,7 @@ class ReferenceControl:
         """
         sensors = self._sensors
         if not isfinite(sum(reading)):
-            raise RigFault(f"the sensors tell what is no number: {reading}")
+            raise RigFault(f"a sensor value is not a number: {reading}")
         self._sampled = self._sampled if stale else self._time - age
         phi_1 = reading.motor_1 * tau / sensors.motor_counts
         phi_2 = reading.motor_2 * tau / sensors.motor_counts

@@ -1,8 +1,8 @@
 """Independent computation of one hop: the paper's full systems, SciPy's DOP853 and a separate search for events.
 
-Equations 4, 5 and 8 are assembled from the SymPy oracle and solved as they stand; the torque laws are
-written from Sec. 4.1 and the table of notation. Shared with `stepgap.robots.hopper` are the numbers alone: the
-robot's, the gains' and the limits in `hop` and `reduced` that say what counts as a failure.
+Equations 4, 5 and 8 are assembled from the SymPy oracle and solved in that form; the torque laws are
+written from Sec. 4.1 and the table of notation. Only numbers are shared with `stepgap.robots.hopper`: those of the
+robot and of the gains, and the limits in `hop` and `reduced` that define a failure.
 """
 
 from collections.abc import Callable

@@ -130,7 +130,7 @@ def test_a_failure_has_the_expected_status(point, status) -> None:
 
 
 def test_a_leg_that_lands_longer_than_its_spring_is_pulled_off_the_ground() -> None:
-    """The spring pulls at touchdown; the ground cannot pull, so the stance ends at once."""
+    """The spring pulls at touchdown; the ground cannot pull, so the stance ends immediately."""
     case = CASES["pulling spring"]
     assert set(evaluate(ApexMap(gains=case.gains), case.points).status) == {StepStatus.NO_TAKE_OFF}
     assert_reference_agrees("pulling spring", 1e-6)

@@ -29,7 +29,7 @@ from stepgap.step import StepStatus
 from tests.robots.hopper.reference_control import ReferenceControl
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
-LAYOUT = HopperSensorModel(
+SENSORS = HopperSensorModel(
     tick=1e-3,
     boom_length=1.854,
     pivot_height=0.4,
@@ -152,7 +152,7 @@ def random_reading(rng, number):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_random_sequences_give_the_results_of_the_reference(seed):
-    rng, both = np.random.default_rng(seed), Both(LAYOUT, TIGHT if seed % 2 else LOOSE)
+    rng, both = np.random.default_rng(seed), Both(SENSORS, TIGHT if seed % 2 else LOOSE)
     mode = Mode.STEP
     for number in range(4000):
         if rng.random() < 0.002:
@@ -167,7 +167,7 @@ def test_random_sequences_give_the_results_of_the_reference(seed):
 @pytest.mark.parametrize("sensor", HopperReading._fields)
 @pytest.mark.parametrize("bad", [nan, inf])
 def test_a_reading_that_is_not_finite_gives_no_torque_and_changes_nothing(sensor, bad):
-    control = HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
+    control = HopControl(SENSORS, ROBOT, GAINS, LOOSE)
     before = control.observe(HopperReading(100.0, -100.0, 0.0, 0.0, 0.0))
     reading = HopperReading(100.0, -100.0, 0.0, 0.0, 0.0)._replace(**{sensor: bad})
     torques, flags = control.tick(1.0, reading, Order(Mode.STEP, 1.0, (0.0, 0.0)), (0.0, 0.0))
@@ -181,7 +181,7 @@ def flat(state):
 
 
 def test_a_torque_that_is_no_number_stops_the_robot():
-    control = HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
+    control = HopControl(SENSORS, ROBOT, GAINS, LOOSE)
     order = Order(Mode.STEP, nan, (0.0, 0.0))._replace(mode=Mode.POSTURE)
     torques, flags = control.tick(0.0, HopperReading(1000.0, -1000.0, 0.0, 100.0, 0.0), order, (0.0, 0.0))
     assert torques == (0.0, 0.0)
@@ -191,7 +191,7 @@ def test_a_torque_that_is_no_number_stops_the_robot():
 
 
 def test_sums_of_powers_fit_as_well_as_all_samples():
-    """Up to a flight of a second, three times the longest of the reference."""
+    """The fits agree up to a flight of 1 s, three times the longest one of the reference."""
     rng = np.random.default_rng(2)
     for _ in range(300):
         count, duration = int(rng.integers(10, 1000)), 0.0
@@ -208,7 +208,7 @@ def test_sums_of_powers_fit_as_well_as_all_samples():
 
 
 def test_the_tick_allocates_no_memory_and_needs_no_interpreter_lock():
-    HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
+    HopControl(SENSORS, ROBOT, GAINS, LOOSE)
     compiled: Any = tick
     fresh = njit(**AS_WRITTEN)(compiled.py_func)  # code from the cache cannot be inspected
     fresh.compile(compiled.signatures[0])
@@ -246,6 +246,6 @@ with ThreadPoolExecutor(8) as threads:
 
 
 def test_threads_may_make_the_first_controls_at_the_same_time():
-    """As in the page of a run, which simulates several deployments at the same time."""
+    """The page of a run simulates several deployments at the same time."""
     made = subprocess.run([sys.executable, "-c", AT_THE_SAME_TIME], capture_output=True, text=True, check=False)
     assert (made.stdout, made.stderr) == ("8\n", "")

@@ -137,7 +137,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
             return FELL, event, time, state
         if guards[STRETCHING] <= 0.0:
             return FULL_STRETCH, event, time, state
-        if guards[CONTACT] <= 0.0:  # the ground cannot pull: a stance that starts without load ends at once
+        if guards[CONTACT] <= 0.0:  # the ground cannot pull: a stance that starts without load ends immediately
             return OK, CONTACT, time, state
     for _ in range(MOST_PIECES):
         if retracing:

@@ -124,11 +124,11 @@ class RingRig(Rig):
         self._running.enter_context(self._rig)
 
     def read(self) -> Reading:
-        """As `EthercatRig.read`."""
+        """Reads the sensors as `EthercatRig.read` does."""
         return self._rig.read()
 
     def write(self, torques: Torques) -> Torques:
-        """As `EthercatRig.write`."""
+        """Writes the torques as `EthercatRig.write` does."""
         return self._rig.write(torques)
 
     def close(self) -> None:

@@ -159,7 +159,7 @@ def _brakes(limits, stopped, braked):
 
 @as_written
 def _brake(limits, before, speed):
-    """Torque against a motor's rotation, within limits [N·m]; driving torque ends at once, braking torque grows."""
+    """Torque against a motor's rotation, within limits [N·m]; driving torque ends immediately, braking torque grows."""
     brake = _within(limits.torque, -limits.brake_damping * speed, 0.0)
     start = before if before * brake > 0 else 0.0
     return _within(abs(brake), _within(limits.torque_step, brake, start), 0.0)

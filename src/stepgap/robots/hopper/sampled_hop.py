@@ -1,8 +1,8 @@
 """One hop of the model with torques held from tick to tick, as by the control loop of a robot.
 
 The controller samples the robot at the apex and then once per tick. An event between two ticks (touchdown, mid-stance,
-take-off) changes the motion at once, but the torques only at the next tick. So for up to one tick after touchdown the
-leg is still servoed as in flight, and the command starts to act up to one tick after mid-stance.
+take-off) changes the motion immediately, but the torques only at the next tick. So for up to one tick after touchdown
+the leg is still servoed as in flight, and the command starts to act up to one tick after mid-stance.
 """
 
 from typing import NamedTuple
