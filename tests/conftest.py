@@ -31,7 +31,7 @@ MOST_WORKERS = 8
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One process more than cores, because some tests wait; this one alone on a single core, or where files are named."""
+    """One more than there are cores, because some tests wait; none on a single core, or where files are named."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     names_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
     return 0 if cores == 1 or names_files else min(cores + 1, MOST_WORKERS)
