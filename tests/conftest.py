@@ -2,6 +2,7 @@ import fcntl
 import os
 import re
 import signal
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,10 @@ from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats, leav
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
 settings.load_profile("no deadline")
+
+# Hundreds of processes import the package; without bytecode on disk each would compile all of it first.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # A shell that starts tests in the background has them ignore Ctrl-C, and so would every process that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
