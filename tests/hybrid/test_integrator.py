@@ -109,7 +109,7 @@ def test_so_does_that_of_stiff_motion_in_few_steps(relative) -> None:
     exact = (poles[1] * np.exp(-poles[0] * limit) - poles[0] * np.exp(-poles[1] * limit)) / (poles[1] - poles[0])
     assert event == TIME_OUT
     assert abs(position - exact) < 30 * relative
-    assert trace.place[0] < 400
+    assert trace.cursor[0] < 400
 
 
 def test_both_methods_are_of_order_five() -> None:
