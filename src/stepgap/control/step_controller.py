@@ -1,7 +1,7 @@
-"""What to command so that the next apex is the target (Sec. 4.3, Eqs. 11 and 13).
+"""The step controller: it finds the command whose next apex is the target (Sec. 4.3, Eqs. 11 and 13).
 
-`StepController` asks any `StepMap`, nominal or corrected. A few Gauss–Newton steps within the command bounds answer
-nearly every time; where they do not reach the target, a grid over the bounds looks for a better start.
+`StepController` works with any `StepMap`, nominal or corrected. A few Gauss–Newton steps within the command bounds
+suffice nearly always; where they do not reach the target, a better start is searched on a grid over the bounds.
 All points here are scaled: the command bounds are -1 and 1, and errors are divided by half ranges of the state.
 """
 
@@ -17,13 +17,13 @@ from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """A command and what the map predicts of it.
+    """A command and the prediction of its step.
 
     Attributes:
         command: Within the bounds; shape (m,).
         predicted: Next state; shape (n,).
         reached: Whether `predicted` is the target.
-        distance: From `predicted` to the target: Euclidean, each coordinate divided by half its range of use.
+        distance: Distance from `predicted` to the target: Euclidean, each coordinate divided by half its range of use.
     """
 
     command: Array
@@ -86,7 +86,7 @@ class StepController:
 
 
 def as_vector(name: str, values: ArrayLike, size: int) -> Array:
-    """The values as an array of shape (size,); ValueError if they are not."""
+    """Converts the values to an array of shape (size,); ValueError if they have another shape."""
     vector = np.asarray(values, float)
     if vector.shape != (size,):
         raise ValueError(f"{name} has shape {vector.shape}; it must be ({size},)")
