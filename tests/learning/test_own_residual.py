@@ -157,7 +157,7 @@ def test_a_file_cannot_have_code_imported(packages: Path, path: str) -> None:
         ("MODEL = 3", "residual 'own': broken:MODEL of broken must be a ResidualModel"),
         (
             "from stepgap.learning.zero import NONE as MODEL",
-            "residual 'own': its model calls itself 'none'; both names",
+            "residual 'own': its model has the name 'none'; both names",
         ),
     ],
 )

@@ -1,6 +1,6 @@
 """Gaussian process of one output: constant, slopes, stationary kernel, independent noise; one joint model.
 
-The model: value = β + slopes · point + f(point) + noise. β may be anything, as in the paper's `fitrgp` call
+The model: value = β + slopes · point + f(point) + noise. β has a flat prior, as in the paper's `fitrgp` call
 (Sec. 6). A priori each slope, per `input_scale`, is N(0, slope_std²); with slope_std = 0 the model is that of
 the paper. f has the covariance signal_std² k(r), where r is the distance of two points measured in
 `input_scale · length_scale`, one length scale per input, and k a `Kernel`. Equations marked RW are those of Rasmussen
@@ -25,13 +25,13 @@ from stepgap.step import Array
 @final
 @dataclass(frozen=True, eq=False)
 class HyperParameters:
-    """What a fit chooses; see `gaussian_process_fit`.
+    """Hyper-parameters, which a fit chooses; see `gaussian_process_fit`.
 
     Attributes:
         length_scale: Distance over which f changes, in input scales; shape (d,).
         signal_std: Standard deviation of f [unit of the values].
         noise_std: Standard deviation of the noise of one value [unit of the values].
-        slope_std: Standard deviation of each slope a priori [unit of the values per input scale].
+        slope_std: Prior standard deviation of each slope [unit of the values per input scale].
     """
 
     length_scale: Array
@@ -47,7 +47,7 @@ class HyperParameters:
             ensure(std == 0 or _positive(std), name, "non-negative and finite")
 
     def covariance(self, kernel: Kernel, centres: Array, input_scale: Array) -> Covariance:
-        """Covariance with fixed centres (M, d); slopes turn about the first, with a free β any other would do."""
+        """Covariance with fixed centres (M, d); the linear features are zero at the first one, an arbitrary choice."""
         slope_scale = self.slope_std / self.signal_std / input_scale
         return Covariance(kernel, centres, centres[0], input_scale * self.length_scale, slope_scale)
 
@@ -67,8 +67,8 @@ class HyperParameters:
 class GaussianProcess(ABC):
     """A Gaussian process conditioned on data.
 
-    Immutable: `append` gives another one. Queries have shape (…, d) and the units of `points`; one that is not finite
-    gives NaN.
+    Immutable: `append` returns a new one. Queries have shape (…, d) and the units of `points`; a query that is not
+    finite gives NaN.
 
     Attributes:
         points: Inputs; shape (N, d).
@@ -91,23 +91,23 @@ class GaussianProcess(ABC):
 
     @abstractmethod
     def append(self, point: ArrayLike, value: float) -> "GaussianProcess":
-        """The process given one more point (d,) and value, at the same hyper-parameters."""
+        """Conditions the process on one more point (d,) and value, at the same hyper-parameters."""
 
     @abstractmethod
     def leave_one_out(self) -> tuple[Array, Array]:
-        """What the process would predict of each value, had it not seen that value, at the same hyper-parameters.
+        """Leave-one-out predictions: each value predicted from all others, at the same hyper-parameters.
 
         Returns:
-            Means and standard deviations of the noisy values, which `kriging_std(…, include_noise=True)` would give;
+            Means and standard deviations of the noisy values, as those of `kriging_std(…, include_noise=True)`;
             shapes (N,) and (N,) [unit of the values].
         """
 
     @abstractmethod
     def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
-        """As `leave_one_out`, but each value is predicted from those outside its block.
+        """Leave-block-out predictions: as `leave_one_out`, but each value is predicted from those outside its block.
 
         Args:
-            blocks: Consecutive parts of the values; one that contains all of them leaves nothing to predict from.
+            blocks: Consecutive parts of the values; a block of all values leaves no data for its prediction.
         """
 
     def mean(self, point: ArrayLike) -> Array:
@@ -130,16 +130,16 @@ class GaussianProcess(ABC):
         return covariance.blockwise(lambda query: covariance.cross_covariance_gradient(query, weights) + slope, point)
 
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """Plug-in standard deviation, which takes β for exact (RW Eq. 2.26); shape (…) [unit of the values].
+        """Plug-in standard deviation, which treats β as exact (RW Eq. 2.26); shape (…) [unit of the values].
 
         Args:
             point: Shape (…, d).
-            include_noise: False: of β + slopes · point + f. True: of a new noisy value, as MATLAB's `predict` gives it.
+            include_noise: False: of β + slopes · point + f. True: of a new noisy value, as in MATLAB's `predict`.
         """
         return self.hyper_parameters.std(self._covariance.blockwise(self._variance, point), include_noise)
 
     def kriging_std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """Universal-kriging standard deviation: as `std`, with β only estimated (RW Eq. 2.42); shape (…).
+        """Universal-kriging standard deviation: as `std`, with an uncertain β (RW Eq. 2.42); shape (…).
 
         Args:
             point: Shape (…, d).
@@ -155,7 +155,7 @@ class GaussianProcess(ABC):
     def kriging_std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """∂kriging_std/∂point; shape (…, d) [unit of the values per unit of each input].
 
-        Zero where the standard deviation is, at points known exactly, where it has a kink.
+        Zero where the standard deviation is zero: it has a kink there, at points whose value is known exactly.
 
         Args:
             point: Shape (…, d).
@@ -165,7 +165,7 @@ class GaussianProcess(ABC):
         return self.hyper_parameters.std_gradient(half, self.kriging_std(point, include_noise=include_noise))
 
     def to_dict(self) -> dict[str, Any]:
-        """Data and hyper-parameters as JSON-ready numbers; everything else but the kernel follows from them."""
+        """Converts data and hyper-parameters to JSON-ready numbers; the rest, except the kernel, follows from them."""
         return {
             "input_scale": self.input_scale.tolist(),
             "points": self.points.tolist(),
@@ -183,7 +183,7 @@ class GaussianProcess(ABC):
 
     @cached_property
     def _covariance(self) -> Covariance:
-        """Of queries and the centres."""
+        """Covariance of queries and the centres."""
         return self.hyper_parameters.covariance(self.kernel, self._centres, self.input_scale)
 
     @cached_property
@@ -192,7 +192,7 @@ class GaussianProcess(ABC):
 
     @abstractmethod
     def _solve_weights(self) -> tuple[Array, Array]:
-        """Of the covariances with the centres (M,), and of the linear features (d,) [unit of the values]."""
+        """Weights of the covariances with the centres (M,) and of the linear features (d,) [unit of the values]."""
 
     @abstractmethod
     def _variance(self, query: Array) -> Array:
@@ -212,7 +212,7 @@ class GaussianProcess(ABC):
 
 
 def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
-    """Own copies of the data, once their shapes and numbers are sound."""
+    """Checks shapes and values of the data and returns copies."""
     points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
     ensure(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
     ensure(_positive(input_scale), "input_scale", "positive and finite")
@@ -225,18 +225,18 @@ def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -
 
 
 def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
-    """Raises ValueError unless there is a length scale for each input."""
+    """Raises ValueError unless there is one length scale for each input."""
     same = hyper_parameters.length_scale.shape == input_scale.shape
     ensure(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
 
 
 def saved_data(data: Mapping[str, Any]) -> tuple[Array, Array, Array]:
-    """Points, values and input scales of a process that was saved; raises ValueError, which names the wrong key."""
+    """Reads points, values and input scales of a saved process; a ValueError names the wrong key."""
     return numbers(data, "points", 2), numbers(data, "values", 1), numbers(data, "input_scale", 1)
 
 
 def saved_hyper_parameters(data: Mapping[str, Any]) -> HyperParameters:
-    """Those of a process that was saved; raises ValueError, which names the wrong key."""
+    """Reads the hyper-parameters of a saved process; a ValueError names the wrong key."""
     length_scale = numbers(data, "length_scale", 1)
     return HyperParameters(length_scale, *(number(data, name) for name in ("signal_std", "noise_std", "slope_std")))
 
@@ -245,7 +245,7 @@ def _positive(array: ArrayLike) -> bool:
     return bool(np.all(np.isfinite(array) & (np.asarray(array) > 0)))
 
 
-def ensure(holds: object, name: str, what: str) -> None:
-    """Raises ValueError, which says what `name` must be, unless it holds."""
-    if not holds:
-        raise ValueError(f"{name} must be {what}")
+def ensure(condition: object, name: str, rule: str) -> None:
+    """Raises ValueError `NAME must be RULE` unless the condition holds."""
+    if not condition:
+        raise ValueError(f"{name} must be {rule}")
