@@ -113,7 +113,7 @@ def test_it_can_be_connected_again() -> None:
 
 def test_a_second_master_is_refused_and_the_first_one_goes_on() -> None:
     with live_ring() as ring, rig_of() as first:
-        with pytest.raises(RigFault, match=f"another process is the master of {INTERFACE} already"):
+        with pytest.raises(RigFault, match=f"another process is already the master of {INTERFACE}"):
             rig_of().connect()
         assert ticks_until_fault(first, 20) == (20, "")
         assert ring.look().enabled == [True, True]
@@ -144,8 +144,8 @@ def test_a_drive_that_no_longer_tells_its_error_does_not_hide_the_fault(monkeypa
     with live_ring(DriveFault(cycles_to_connect() + 3, "drive_2")), rig_of() as rig:
         monkeypatch.setattr(rig._bus, "read_object", refused)
         _, message = ticks_until_fault(rig, 20)
-    assert message.startswith("slave 2 'drive_2' takes no torque any more: slave 1 'drive_1' is ")
-    assert "slave 2 'drive_2' is fault, mode 10, its error is not known" in message
+    assert message.startswith("slave 2 'drive_2' no longer accepts torque commands: slave 1 'drive_1' is ")
+    assert "slave 2 'drive_2' is in state fault, mode 10, its error is unknown" in message
 
 
 def changed(name: str, **changes: object) -> RigSettings:
@@ -246,8 +246,8 @@ def test_a_drives_error_is_told() -> None:
         rig.connect()
         _, message = ticks_until_fault(rig, 20)
         rig.close()
-    assert "slave 2 'drive_2' takes no torque any more" in message
-    assert "is fault, mode 10, error 0x2310" in message
+    assert "slave 2 'drive_2' no longer accepts torque commands" in message
+    assert "is in state fault, mode 10, error 0x2310" in message
     assert "slave 1 'drive_1' sent emergency 0x4210; slave 2 'drive_2' sent emergency 0x2310" in message
 
 
@@ -274,7 +274,7 @@ def test_a_counter_that_wraps_is_followed(count: int, bits: int, data: st.DataOb
     ("answers", "says"),
     [
         ([None, None, True, None, None, True], ""),
-        ([None, None, None], "slaves did not tell their states, asked 3 times in a row"),
+        ([None, None, None], "slaves did not report their states to 3 requests in a row"),
         ([None, False], "a slave has left OP"),
     ],
 )

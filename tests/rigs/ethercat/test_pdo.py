@@ -50,7 +50,7 @@ def test_what_is_packed_is_what_is_unpacked(pdos: tuple[Pdo, ...], data: st.Data
         return
     packing, values = Packing(pdos), {}
     for name in names:
-        bits = packing.places[name][0].bits
+        bits = packing.mapping[name][0].bits
         low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if SIGNED_VALUES[name] else (0, 2**bits - 1)
         values[name] = data.draw(st.integers(low, high))
     packed = packing.pack(values)
@@ -58,7 +58,7 @@ def test_what_is_packed_is_what_is_unpacked(pdos: tuple[Pdo, ...], data: st.Data
     assert packing.unpack(packed) == values
     with pytest.raises(struct.error):
         packing.unpack(packed + b"\0")
-    for name, (entry, bit) in packing.places.items():
+    for name, (entry, bit) in packing.mapping.items():
         lone = packing.pack({other: 0 if other != name else values[name] for other in names})
         rest = lone[: bit // 8] + lone[(bit + entry.bits) // 8 :]
         assert not any(rest), "a value touches its own bytes only"

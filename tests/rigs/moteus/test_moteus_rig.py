@@ -200,10 +200,10 @@ def test_a_controller_at_its_limit_goes_on(bench: tuple[Controllers, MoteusRig])
     ("override", "says"),
     [
         ({VALIDITY: 0x03}, "encoder 1 of controller 1 does not work"),
-        ({ENCODER_1: 4711.0}, "encoder 1 of controller 1 tells 4711"),
-        ({ENCODER_1: nan}, "encoder 1 of controller 1 tells nan"),
-        ({POSITION: nan}, "the position of controller 1 is no number"),
-        ({ANALOG[1] + 2: nan}, "the contact force is no number"),
+        ({ENCODER_1: 4711.0}, "encoder 1 of controller 1 reports 4711"),
+        ({ENCODER_1: nan}, "encoder 1 of controller 1 reports nan"),
+        ({POSITION: nan}, "the position of controller 1 is not finite"),
+        ({ANALOG[1] + 2: nan}, "the contact force is not finite"),
     ],
     ids=["invalid", "counts", "no share", "no position", "no force"],
 )

@@ -239,7 +239,7 @@ def test_nothing_is_left_behind():
 
 
 def test_a_ring_that_is_there_already_is_said():
-    said = pytest.raises(NoNetwork, match=f"{INTERFACE}.*exists; end the emulator that has it")
+    said = pytest.raises(NoNetwork, match=f"{INTERFACE}.*exists; end the emulator that uses it")
     with wire(INTERFACE), said, emulated(INTERFACE, Flywheels, RingSettings()):
         pass
 
