@@ -56,9 +56,9 @@ def test_timing_counts_what_it_says(late: list[float]) -> None:
     [
         ({}, "", ""),
         ({"missed": 9, "missed_in_a_row": 2}, "", ""),
-        ({"missed": 9, "missed_in_a_row": 3}, "", "3 ticks in a row were missed, 2 may be"),
+        ({"missed": 9, "missed_in_a_row": 3}, "", "3 ticks in a row were missed, at most 2 are allowed"),
         ({"punctual": 0.999}, "", ""),
-        ({"punctual": 0.998}, "", "99.80 % of the ticks began within half a tick, 99.9 % must"),
+        ({"punctual": 0.998}, "", "99.80 % of the ticks began within half a tick, at least 99.9 % are required"),
         ({}, "3 frames in a row were lost", "3 frames in a row were lost"),
     ],
 )
@@ -78,7 +78,7 @@ def test_a_check_holds_for_these_settings_on_this_machine_alone(
     with pytest.raises(InputError, match="No such file"):
         checked(rig_file)
     rig_file.write_text("tick = 0.001\n")
-    with pytest.raises(InputError, match=f"no result of a check there; do `stepgap rig check {rig_file}` first"):
+    with pytest.raises(InputError, match=f"there is no result of a check; run `stepgap rig check {rig_file}` first"):
         checked(rig_file)
     file = write_check(rig_file, fingerprint(rig_file), GOOD)
     assert file == check_file(rig_file) == tmp_path / "my.rig.check.json"

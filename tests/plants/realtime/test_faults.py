@@ -108,7 +108,7 @@ STOPPED = {
     "three lost frames": (LostFrames(0, cycles=3), "3 frames in a row"),
     "a slave gone and back": (Unplugged(0, "coupler", cycles=20), "3 frames in a row"),
     "a drive that loses power": (PowerLost(0, "drive_1", cycles=2), "drive_1"),
-    "a drive's fault": (DriveFault(0, "drive_2"), "slave 2 'drive_2' takes no torque any more"),
+    "a drive's fault": (DriveFault(0, "drive_2"), "slave 2 'drive_2' no longer accepts torque commands"),
     "a mapping error": (WrongMapping(0, "drive_1"), "drive_1"),
     "a master that stalls past the watchdog": (Silence(0, 60), "drive_1"),
 }
@@ -129,7 +129,7 @@ def test_torque_goes_off_for_good_after(name):
     with deployment(at(fault)) as (ring, hopping):
         assert not hopping.run(HOPPING + 1500)
         assert hopping.loop.state == RigState.FAULT
-        assert says in hopping.board.words
+        assert says in hopping.board.message
         assert len(hopping.rows) >= HOPPING - 5, "every tick before is kept"
         assert hopping.rows[-1][COLUMN["state"]] == RigState.FAULT
         check_torques(ring, hopping)
@@ -138,7 +138,7 @@ def test_torque_goes_off_for_good_after(name):
         assert behind.enabled == [False, False]
         ticks = len(behind.torques)
         assert not any(any(torques) for torques in ring.wait(200).torques[ticks - 1 :]), "nor does it come back"
-        with pytest.raises(RigFault, match="start anew"):
+        with pytest.raises(RigFault, match="start again"):
             hopping.rig.connect()
 
 
@@ -167,7 +167,7 @@ def test_the_software_stop_goes_all_the_way():
         assert not hopping.run(2)
         hopping.rig.close()
         assert ring.look().now == [0.0, 0.0]
-        assert "emergency stop" in hopping.board.words
+        assert "emergency stop" in hopping.board.message
 
 
 def test_between_two_ticks_a_fast_bus_repeats_the_torques():

@@ -46,7 +46,7 @@ class Deployment:
                 return False
             if until():
                 return True
-        pytest.fail(f"nothing came of it; it is in {self.loop.state.name}: {self.board.words}")
+        pytest.fail(f"nothing came of it; it is in {self.loop.state.name}: {self.board.message}")
 
     def hop(self, number):
         """Ticks until a hop has ended, its command posted."""
@@ -117,7 +117,7 @@ def test_a_hop_without_a_command_has_none_and_two_in_a_row_land_the_robot():
         np.testing.assert_allclose((missed.applied_fx, missed.applied_fy), 0, atol=0.5)
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.OFF
-        assert "no command" in deployment.board.words
+        assert "no command" in deployment.board.message
 
 
 def test_a_command_that_comes_after_mid_stance_is_not_taken_for_one_that_acted():
@@ -148,7 +148,7 @@ def test_a_command_that_is_no_number_is_a_fault_without_torque(command):
         deployment.board.post_command(1, *command)
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.FAULT
-        assert "must be finite" in deployment.board.words
+        assert "must be finite" in deployment.board.message
         hop = deployment.ended(1)
         assert hop.status == StepStatus.STOPPED
 
@@ -170,7 +170,7 @@ def test_the_software_stop_takes_torque_off_at_the_next_tick_for_good():
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.FAULT
         assert not deployment.torques[-1].any()
-        assert "emergency stop" in deployment.board.words
+        assert "emergency stop" in deployment.board.message
         hop = deployment.ended(1)
         assert hop.status == StepStatus.STOPPED
 
@@ -183,7 +183,7 @@ def test_a_stalled_loop_brakes_and_then_is_off():
         assert not deployment.run(lambda: False)
         assert len(deployment.rows) - before == LIMITS.brake_ticks + 1
         assert deployment.loop.state == RigState.FAULT
-        assert "late" in deployment.board.words
+        assert "late" in deployment.board.message
         assert not deployment.torques[-1].any()
         assert deployment.board.missed_ticks == 3
 
@@ -201,7 +201,7 @@ def test_a_faulty_rig_is_told_with_its_words():
         deployment.hopping()
         deployment.twin._trip("a drive has tripped")  # what the twin does by itself when a motor runs away
         assert not deployment.loop.tick()
-        assert deployment.board.words == "a drive has tripped"
+        assert deployment.board.message == "a drive has tripped"
         assert deployment.board.state == RigState.FAULT
 
 

@@ -119,7 +119,7 @@ def test_a_sink_that_fails_in_whatever_way_ends_the_deployment(error):
     finally:
         session.close()
     assert sink.closed
-    assert str(error) in session.words()
+    assert str(error) in session.message()
 
 
 def test_ticks_that_are_lost_are_told_and_end_the_deployment(monkeypatch):
@@ -154,7 +154,7 @@ def test_ctrl_c_while_it_lands_takes_the_torque_off_and_keeps_every_tick(made):
     with pytest.raises(KeyboardInterrupt):
         session.close()
     assert session.over()
-    assert "emergency stop" in session.words()
+    assert "emergency stop" in session.message()
     assert sink.closed
     rows = np.array(sink.rows)
     assert rows[-1, list(LOG_UNITS).index("state")] in (RigState.READY, RigState.FAULT)

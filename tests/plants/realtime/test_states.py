@@ -28,7 +28,7 @@ def test_torque_is_given_only_after_somebody_asked_and_only_until_somebody_asks_
     for state, signals in EVERY:
         after = next_state(state, signals)
         if after in MOVING and state not in MOVING:
-            assert signals.hop_asked
-            assert not signals.stop_asked
-        if signals.stop_asked:
+            assert signals.hop_requested
+            assert not signals.stop_requested
+        if signals.stop_requested:
             assert after in (RigState.STOP, RigState.OFF, RigState.FAULT)

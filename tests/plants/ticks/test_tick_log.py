@@ -150,13 +150,13 @@ def test_a_full_chunk_is_in_the_file_at_once_and_every_tick_after_a_flush(tmp_pa
         assert found is not None
         assert 2500 - 64 * 2**10 / 416 <= len(found) < 2500
         assert same(found, rows[: len(found)])
-        assert faults == [f"it breaks off after {path.stat().st_size} bytes, before its index is complete"]
+        assert faults == [f"it is truncated after {path.stat().st_size} bytes, before its index is complete"]
         log.append(rows[2500:])
         synced.clear()
         log.flush()
         assert len(synced) == 1
         assert same(recovered(path.read_bytes()), rows)
-        with pytest.raises(TickLogError, match=r"log\.mcap: it breaks off .* `recover_ticks` saves"):
+        with pytest.raises(TickLogError, match=r"log\.mcap: it is truncated .* `recover_ticks` recovers"):
             read_ticks(path)
     assert same(read_ticks(path)[1], rows)
 
@@ -244,7 +244,7 @@ def test_zeros_that_a_power_cut_left_are_no_records(small):
     cut = content.index(b"\x06", chunks[0][0])
     found = recovered(content[:cut] + bytes(1000), lambda outcome: faults.extend(outcome.faults))
     assert same(found, rows[:2])
-    assert faults == [f"it breaks off, or is damaged, in the record at byte {cut} of {cut + 1000}"]
+    assert faults == [f"it is truncated or damaged in the record at byte {cut} of {cut + 1000}"]
 
 
 def test_faults_are_named(small):
@@ -371,13 +371,13 @@ def test_what_is_no_tick_log_is_refused(tmp_path):
     foreign_log(tmp_path / "json", {})
     foreign_log(tmp_path / "pretender", {"names": "time,x", "units": "s,m"})
     refusals = {
-        "text": "this is no MCAP file",
-        "empty": "this is no MCAP file",
-        "pipe": "this is no file",
-        ".": "this is no file",
+        "text": "this is not an MCAP file",
+        "empty": "this is not an MCAP file",
+        "pipe": "this is not a file",
+        ".": "this is not a file",
         "missing": "No such file or directory",
-        "json": "nothing in it says what its ticks are",
-        "pretender": "nothing in it says what its ticks are",
+        "json": "it has no description of ticks",
+        "pretender": "it has no description of ticks",
     }
     for name, refusal in refusals.items():
         for use in (read_ticks, lambda path: recover_ticks(path, tmp_path / "out")):

@@ -148,7 +148,7 @@ def test_the_memory_is_free_when_its_creator_leaves():
 def test_only_a_ring_can_be_attached():
     memory = SharedMemory(create=True, size=4096)
     try:
-        with pytest.raises(ValueError, match="is no tick ring"):
+        with pytest.raises(ValueError, match="is not a tick ring"):
             TickRing.attach(memory.name)
     finally:
         memory.close()
