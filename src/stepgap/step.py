@@ -25,7 +25,7 @@ Codes = NDArray[np.int64]
 
 
 class StepStatus(IntEnum):
-    """How a step ended; the name in lower case is the `status` of a recorded step."""
+    """Result of a step; its name in lower case is the `status` of a recorded step."""
 
     OK = 0
     FELL = 1
@@ -43,19 +43,19 @@ class StepStatus(IntEnum):
 
 
 ADVICE = {
-    StepStatus.FELL: "the body came too low or the leg too far over; "
-    "ask for a slower or higher apex, or a smaller horizontal force",
+    StepStatus.FELL: "the body came too low or the leg tilted too far; "
+    "choose a slower or higher apex, or a smaller horizontal force",
     StepStatus.NO_TAKE_OFF: "the leg did not push the body off the ground; "
     "raise the vertical force or the leg stiffness",
     StepStatus.FULL_STRETCH: "the leg reached full stretch, where the foot force is undefined; "
     "lower the vertical force or shorten the spring's rest length",
     StepStatus.FOOT_SCUFFED: "the foot touched the ground outside stance; "
-    "ask for a higher apex or land with a shorter leg",
+    "choose a higher apex or land with a shorter leg",
     StepStatus.NO_APEX: "no next apex within the time limit; check gains and forces",
     StepStatus.INVALID: "state and command must be finite numbers",
-    StepStatus.STOPPED: "a safety limit of the joints was met; check gains, forces and the limits themselves",
+    StepStatus.STOPPED: "a safety limit of the joints was exceeded; check gains, forces and the limits themselves",
 }
-"""What to try when a step ends with a `StepStatus` other than OK."""
+"""Advice for each `StepStatus` other than OK."""
 
 
 class StepFailed(StepGapError):

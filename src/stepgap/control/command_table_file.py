@@ -65,7 +65,7 @@ def read_table(path: str | Path) -> CommandTable:
 def _table_of(arrays: Mapping[str, NDArray[np.generic]]) -> CommandTable:
     """Converts the arrays of a file to a table; ValueError if they are not those of one."""
     if arrays.keys() != KINDS.keys():
-        raise ValueError(f"it holds {', '.join(arrays) or 'nothing'} in place of {', '.join(KINDS)}")
+        raise ValueError(f"it contains {', '.join(arrays) or 'nothing'} instead of {', '.join(KINDS)}")
     for name, kind in KINDS.items():
         if arrays[name].dtype.kind != kind:
             raise ValueError(f"{name} has entries of type {arrays[name].dtype}")

@@ -51,7 +51,7 @@ ManyFunctions = Callable[[NDArray[np.intp], Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a search ended.
+    """Result of a search.
 
     Attributes:
         point: Shape (k,).

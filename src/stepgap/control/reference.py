@@ -96,8 +96,8 @@ class Reference:
     def steady(self) -> Indices:
         """Steps at least `SETTLING_STEPS` after the latest change.
 
-        Those before the first change are left out with the start of the deployment, so a reference that never
-        changes has none.
+        Steps before the first change do not count, since they include the start of the deployment, so a reference that
+        never changes has none.
         """
         return np.flatnonzero(self._age() >= SETTLING_STEPS)
 

@@ -128,11 +128,7 @@ def _dip(first, middle, last):
     slope = 4.0 * middle - 3.0 * first - last
     if not (curvature > 0.0 and -2.0 * curvature < slope < 0.0):
         return 0.0
-    return (
-        -0.5 * slope / curvature
-        if first - 0.25 * slope * slope / curvature < DIP_MARGIN * max(first, last)
-        else 0.0
-    )
+    return -0.5 * slope / curvature if first - 0.25 * slope * slope / curvature < DIP_MARGIN * max(first, last) else 0.0
 
 
 @generic

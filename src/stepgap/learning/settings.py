@@ -23,7 +23,7 @@ LAGGED_INPUTS: tuple[LaggedInputs, ...] = get_args(LaggedInputs)
 
 @dataclass(frozen=True)
 class LearningSettings:
-    """Which residual model is learned, when, and from which inputs.
+    """Settings of the residual model: its kind, its inputs, and when it is learned.
 
     Attributes:
         residual: Name of the installed residual model of the map's error from the first redeployment on, or `auto`.

@@ -37,10 +37,10 @@ SIGNIFICANCE_LEVEL: Final = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """Which steps are held out together.
+    """Assignment of the steps to folds.
 
     Attributes:
-        whole_deployments: Whether a fold consists of whole deployments; otherwise it is a contiguous block.
+        whole_deployments: Whether a fold consists of complete deployments; otherwise it is a contiguous block.
         fold: Number of the fold in which each step is held out; shape (N,).
         block: Number of the contiguous block, within a fold, that it counts with in standard errors; shape (N,).
     """

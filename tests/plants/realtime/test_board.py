@@ -19,7 +19,7 @@ def boards():
     here.unlink()
 
 
-def test_a_new_board_asks_for_nothing_and_has_no_command():
+def test_a_new_board_has_no_request_and_no_command():
     board = Board.create()
     try:
         assert (board.request, board.state, board.emergency_stop) == (Request.NOTHING, RigState.OFF, False)
@@ -31,7 +31,7 @@ def test_a_new_board_asks_for_nothing_and_has_no_command():
 
 
 @given(st.integers(0, 2**31), st.floats(), st.floats(), st.floats())
-def test_what_one_posts_the_other_reads_under_its_number_alone(boards, number, fx, fy, yaw):
+def test_a_posted_message_is_read_under_its_number_only(boards, number, fx, fy, yaw):
     here, there = boards
     here.post_command(number, fx, fy)
     np.testing.assert_array_equal(there.command(number), (fx, fy))
@@ -43,7 +43,7 @@ def test_what_one_posts_the_other_reads_under_its_number_alone(boards, number, f
 
 
 @given(st.text(st.characters()))
-def test_words_arrive_however_long(boards, text):
+def test_messages_of_any_length_arrive(boards, text):
     here, there = boards
     there.message = text
     encoded = text.encode("utf-8", "replace")

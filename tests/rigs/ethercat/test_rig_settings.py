@@ -1,4 +1,4 @@
-"""rig.toml: read strictly, refused with what would be right."""
+"""rig.toml: read strictly, with errors that state what is valid."""
 
 from dataclasses import replace
 from functools import partial
@@ -96,15 +96,15 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("good", "bad", "says"), WRONG, ids=lambda text: text[:30])
-def test_a_wrong_file_is_refused_with_what_would_be_right(tmp_path: Path, good: str, bad: str, says: str) -> None:
+@pytest.mark.parametrize(("good", "bad", "expected"), WRONG, ids=lambda text: text[:30])
+def test_the_error_of_a_wrong_file_states_what_is_valid(tmp_path: Path, good: str, bad: str, expected: str) -> None:
     at = "\n" + good if f"\n{good}" in TEXT else good
     assert at in TEXT
     with pytest.raises(InputError) as caught:
         read(tmp_path, TEXT.replace(at, at.replace(good, bad), 1))
     message = str(caught.value)
     assert message.startswith(f"{tmp_path / 'rig.toml'}: ")
-    assert says in message
+    assert expected in message
     assert "\n" not in message
 
 
@@ -118,7 +118,7 @@ def lines_with_numbers() -> list[int]:
         st.floats().map(str), st.integers().map(str), st.booleans().map(lambda yes: str(yes).lower()), st.just("[]")
     ),
 )
-def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
+def test_any_number_is_accepted_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
     lines = TEXT.splitlines()
     key = lines[at].partition(" = ")[0]
     lines[at] = f"{key} = {value}"
@@ -140,6 +140,6 @@ def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.Tem
     assert "\n" not in message
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+def test_written_settings_are_read_back(tmp_path: Path) -> None:
     for settings in (read_rig_settings(EXAMPLE), replace(read_rig_settings(EXAMPLE), pivot_height=1.0)):
         assert read(tmp_path, tomli_w.dumps(to_table(settings))) == settings

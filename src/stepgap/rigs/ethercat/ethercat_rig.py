@@ -153,7 +153,7 @@ class EthercatRig(Rig):
             if rated != round(motor.rated_torque * 1000):
                 raise RigFault(
                     f"{self._bus.label(drive)} has a rated torque of {rated / 1000:g} N·m (0x6076), "
-                    f"but the settings say {motor.rated_torque:g}"
+                    f"but the settings have {motor.rated_torque:g}"
                 )
             self._bus.write_object(drive, _LARGEST_TORQUE, _U16, motor.most_units)
 
