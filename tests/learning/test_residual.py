@@ -273,7 +273,7 @@ class TestHistoryInputs:
         assert fit_residual("linear", bare, forgetting_time=10.0).history_inputs == HistoryInputs(forgetting_time=10.0)
 
 
-class TestMemory:
+class TestForgettingTime:
     """A level that drifts: a finite forgetting time tracks it, an infinite one averages."""
 
     @staticmethod
