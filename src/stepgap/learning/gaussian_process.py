@@ -237,7 +237,7 @@ def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -
 
 
 def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
-    """Raises ValueError unless there is a length scale for each input."""
+    """Raises ValueError unless there is one length scale for each input."""
     same = hyper_parameters.length_scale.shape == input_scale.shape
     ensure(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
 
