@@ -2,6 +2,7 @@ import fcntl
 import os
 import re
 import signal
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,10 @@ from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats, leav
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
 settings.load_profile("no deadline")
 
+# Hundreds of processes import the package; without bytecode on disk each would compile all of it first.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # A shell that starts tests in the background has them ignore Ctrl-C, and so would every process that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -31,10 +36,10 @@ MOST_WORKERS = 8
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One process for each core that may be used; this one alone on a single core, or where files are named."""
+    """One more than there are cores, because some tests wait; none on a single core, or where files are named."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     names_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
-    return 0 if cores == 1 or names_files else min(cores, MOST_WORKERS)
+    return 0 if cores == 1 or names_files else min(cores + 1, MOST_WORKERS)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -11,14 +11,14 @@ SPACE = StepSpace(
 )
 
 
-def test_points_and_commands_are_each_other_s_inverse() -> None:
+def test_points_and_commands_are_inverse_to_each_other() -> None:
     commands = np.random.default_rng(0).uniform(SPACE.command_lower, SPACE.command_upper, (50, 2))
     points = SPACE.point_of(commands)
     assert (np.abs(points) <= 1).all()
     np.testing.assert_allclose(SPACE.command_at(points), commands, rtol=1e-12, atol=1e-12)
 
 
-def test_no_point_leads_out_of_the_bounds() -> None:
+def test_commands_of_all_points_are_within_the_bounds() -> None:
     np.testing.assert_array_equal(SPACE.command_at(np.array([-3.0, 3.0])), [-15.0, 0.7])
     grid = SPACE.command_grid(7)
     assert grid.shape == (7, 7, 2)

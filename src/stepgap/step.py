@@ -1,7 +1,7 @@
-"""The vocabulary: what a step is, what predicts one, and what is recorded of one.
+"""The basic types of a step: its coordinates, the map that predicts it, and the record of an executed one.
 
-A *step* runs from one apex to the next. Everything above this module speaks of steps through
-`StepSpace` (names, units, ranges), `StepMap` (predicts) and `StepRecord` (happened).
+A *step* runs from one apex to the next. All other modules describe steps by `StepSpace` (names, units, ranges),
+`StepMap` (prediction) and `StepRecord` (what happened).
 """
 
 from abc import ABC, abstractmethod
@@ -25,7 +25,7 @@ Codes = NDArray[np.int64]
 
 
 class StepStatus(IntEnum):
-    """How a step ended; the name in lower case is the `status` of a recorded step."""
+    """Result of a step; its name in lower case is the `status` of a recorded step."""
 
     OK = 0
     FELL = 1
@@ -43,19 +43,19 @@ class StepStatus(IntEnum):
 
 
 ADVICE = {
-    StepStatus.FELL: "the body came too low or the leg too far over; "
-    "ask for a slower or higher apex, or a smaller horizontal force",
+    StepStatus.FELL: "the body came too low or the leg tilted too far; "
+    "choose a slower or higher apex, or a smaller horizontal force",
     StepStatus.NO_TAKE_OFF: "the leg did not push the body off the ground; "
     "raise the vertical force or the leg stiffness",
     StepStatus.FULL_STRETCH: "the leg reached full stretch, where the foot force is undefined; "
     "lower the vertical force or shorten the spring's rest length",
     StepStatus.FOOT_SCUFFED: "the foot touched the ground outside stance; "
-    "ask for a higher apex or land with a shorter leg",
+    "choose a higher apex or land with a shorter leg",
     StepStatus.NO_APEX: "no next apex within the time limit; check gains and forces",
     StepStatus.INVALID: "state and command must be finite numbers",
-    StepStatus.STOPPED: "a safety limit of the joints was met; check gains, forces and the limits themselves",
+    StepStatus.STOPPED: "a safety limit of the joints was exceeded; check gains, forces and the limits themselves",
 }
-"""What to try when a step ends with a `StepStatus` other than OK."""
+"""Advice for each `StepStatus` other than OK."""
 
 
 class StepFailed(StepGapError):
@@ -97,7 +97,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class StepSpace:
-    """Names, units and ranges of the state and the command of a step; its arrays are made once and read-only.
+    """Names, units and ranges of the state and the command of a step; its arrays are computed once and read-only.
 
     Attributes:
         state: The n coordinates of the apex state.
@@ -148,7 +148,7 @@ class StepSpace:
         return _read_only((quantity.lower + quantity.upper) / 2 for quantity in self.command)
 
     def command_at(self, point: Array) -> Array:
-        """Commands at scaled points, of which −1 and 1 are the bounds, where those beyond them end; shape (…, m)."""
+        """Commands at scaled points, clipped to the command bounds, which are at −1 and 1; shape (…, m)."""
         command = self.command_centre + self.command_scale * point
         return np.minimum(np.maximum(command, self.command_lower), self.command_upper)
 
@@ -167,14 +167,14 @@ def box_grid(samples: int, k: int) -> Array:
 
 
 def _read_only(numbers: Iterable[float]) -> Array:
-    """The numbers as an array that many may share."""
+    """Returns the numbers as a read-only array."""
     array = np.array(list(numbers), float)
     array.flags.writeable = False
     return array
 
 
 class Outcome(NamedTuple):
-    """What a `StepMap` says of one or many steps.
+    """Prediction of a `StepMap` for one or many steps.
 
     Attributes:
         next_state: State at the next apex, NaN where the step fails; shape (…, n).
@@ -188,7 +188,7 @@ class Outcome(NamedTuple):
 class StepMap(ABC):
     """Predicts the next apex state from the state and the command (Eq. 9).
 
-    A subclass gives `space`, `evaluate` and `jacobian`; state (…, n) and command (…, m) broadcast
+    A subclass defines `space`, `evaluate` and `jacobian`; state (…, n) and command (…, m) broadcast
     over their leading axes.
     """
 
@@ -207,13 +207,13 @@ class StepMap(ABC):
 
     @property
     def noise_std(self) -> Array:
-        """Standard deviation of one measured step about the next state; zero where it is not known; shape (n,)."""
+        """Standard deviation of a measured next state about its expected value; zero if unknown; shape (n,)."""
         return np.zeros(len(self.space.state))
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """Standard deviation of the next state; zero for a map that is sure of itself; shape (…, n) [state units].
+        """Standard deviation of the next state; zero for a map without uncertainty; shape (…, n) [state units].
 
-        That of a measured step is √(std² + `noise_std`²).
+        The standard deviation of a measured step is √(std² + `noise_std`²).
         """
         leading = np.broadcast_shapes(np.shape(state)[:-1], np.shape(command)[:-1])
         return np.zeros((*leading, len(self.space.state)))
@@ -257,12 +257,12 @@ def difference_jacobian(step_map: StepMap, state: ArrayLike, command: ArrayLike,
 
 @dataclass(frozen=True, eq=False)
 class StepRecord:
-    """One step that was executed.
+    """Record of one executed step.
 
     Attributes:
         state: State at the apex it started from, as measured; shape (n,).
-        command: Command asked for; shape (m,).
-        applied: Command the joints received after every limit; shape (m,). Learning uses this one.
+        command: Command given by the controller; shape (m,).
+        applied: Command that the joints received, after all limits; shape (m,). Learning uses this one.
         next_state: State at the next apex, as measured; NaN if there was none; shape (n,).
         status: How it ended.
         yaw_after: Yaw at the next apex [rad], such as that of a boom; NaN if the plant does not measure it, or if there

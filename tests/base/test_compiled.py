@@ -1,4 +1,4 @@
-"""The disk cache: it notices what changed, survives having no folder, and works for every program that reads it."""
+"""The disk cache: it detects changes, works without a folder, and can be read by every program."""
 
 import os
 import subprocess
@@ -95,18 +95,18 @@ def test_a_second_process_compiles_only_what_changed_in_a_called_file(package) -
     assert run(CALL, package.parent) == "6.0 0"
 
 
-def test_only_a_process_that_compiles_tells(package) -> None:
-    told = """
+def test_only_a_process_that_compiles_reports_it(package) -> None:
+    code = """
 from stepgap.base.compiling import on_first_compilation
 from robot.outer import doubled
 with on_first_compilation(lambda: print("compiling")):
     print(doubled(1.0), doubled(2))
 """
-    assert run(told, package.parent) == "compiling\n4.0 6.0"
-    assert run(told, package.parent) == "4.0 6.0"
+    assert run(code, package.parent) == "compiling\n4.0 6.0"
+    assert run(code, package.parent) == "4.0 6.0"
 
 
-def test_a_change_of_a_constant_from_a_file_without_compiled_functions_is_noticed(package) -> None:
+def test_a_change_of_a_constant_from_a_file_without_compiled_functions_is_detected(package) -> None:
     assert run(CALL, package.parent) == "4.0 0"
     (package / "numbers.py").write_text("FACTOR = 3.0\n")
     assert run(CALL, package.parent) == "6.0 0"
@@ -128,19 +128,19 @@ def test_a_chosen_folder_that_cannot_be_written_breaks_nothing(package, chosen) 
     assert run(CALL, package.parent, NUMBA_CACHE_DIR=chosen) == "4.0 0"
 
 
-def test_without_a_writable_home_the_temporary_folder_serves(package) -> None:
-    places = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": "/dev/null/no", "TMPDIR": str(package.parent)}
-    assert run(CALL, package.parent, **places) == "4.0 0"
+def test_without_a_writable_home_the_temporary_folder_is_used(package) -> None:
+    folders = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": "/dev/null/no", "TMPDIR": str(package.parent)}
+    assert run(CALL, package.parent, **folders) == "4.0 0"
     assert any((package.parent / "stepgap-cache").iterdir())
 
 
-def test_no_home_at_all_breaks_nothing(package) -> None:
+def test_without_a_home_it_works(package) -> None:
     """A user without an entry in the password file, as in a container."""
     nobody = "import pathlib\ndef home(*_): raise RuntimeError('no home')\npathlib.Path.home = home\n"
-    places = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": None, "TMPDIR": str(package.parent)}
-    assert run(nobody + CALL, package.parent, **places) == "4.0 0"
+    folders = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": None, "TMPDIR": str(package.parent)}
+    assert run(nobody + CALL, package.parent, **folders) == "4.0 0"
 
 
-def test_a_function_that_lies_in_no_file_is_compiled_without_cache(tmp_path) -> None:
+def test_a_function_without_a_file_is_compiled_without_cache(tmp_path) -> None:
     code = "from stepgap.base.compiled import compiled\n@compiled\ndef twice(x):\n    return 2 * x\nprint(twice(2.0))"
     assert run(code, tmp_path) == "4.0"

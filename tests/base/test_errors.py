@@ -1,4 +1,4 @@
-"""One root for all errors that StepGap raises on purpose."""
+"""All error types of StepGap have one root."""
 
 import ast
 import builtins

@@ -1,4 +1,4 @@
-"""A file is the old one or the new one, and an error of writing names it."""
+"""A file has the old or the new content, and an error of writing names it."""
 
 import errno
 from pathlib import Path
@@ -9,7 +9,7 @@ from stepgap.base.files import append_text, naming, write_whole
 from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 
-def test_a_full_disk_leaves_the_old_file_and_is_said_with_its_name(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_the_old_file_and_the_error_names_it(tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     write_whole(path, "old")
     with largest_file(1000), pytest.raises(OSError, match=FILE_TOO_LARGE) as caught:
@@ -19,7 +19,7 @@ def test_a_full_disk_leaves_the_old_file_and_is_said_with_its_name(tmp_path: Pat
     assert path.read_text() == "old"
 
 
-def test_a_text_that_cannot_be_added_is_said_with_its_name(tmp_path: Path) -> None:
+def test_an_error_of_appending_names_the_file(tmp_path: Path) -> None:
     path = tmp_path / "rows.jsonl"
     append_text(path, "one\n")
     append_text(path, "two\n")
@@ -29,7 +29,7 @@ def test_a_text_that_cannot_be_added_is_said_with_its_name(tmp_path: Path) -> No
     assert caught.value.filename == str(path)
 
 
-def test_only_what_the_system_says_without_a_name_gets_one(tmp_path: Path) -> None:
+def test_only_errors_without_a_file_name_get_one(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"No space left on device: 'here'"), naming(Path("here")):
         raise OSError(errno.ENOSPC, "No space left on device")
     with pytest.raises(OSError, match="nowhere") as caught, naming(Path("here")):

@@ -1,4 +1,4 @@
-"""Streams that must not meet."""
+"""Random streams with different keys are independent."""
 
 from itertools import combinations
 

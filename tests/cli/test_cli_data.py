@@ -166,8 +166,8 @@ def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -
     lines = stepgap("export", run, "--to", "mcap").out.splitlines()
     assert lines[0] == "run/export/ticks/ticks-0.mcap"
     assert lines[1].startswith("run/export/ticks/ticks-1.mcap (")
-    assert "ticks recovered: it breaks off" in lines[1]
-    assert lines[2] == "left out: run/ticks/ticks-2.mcap: this is no MCAP file; give a tick log"
+    assert "ticks recovered: it is truncated" in lines[1]
+    assert lines[2] == "left out: run/ticks/ticks-2.mcap: this is not an MCAP file; give a tick log"
     assert Path("run/export/ticks/ticks-0.mcap").read_bytes() == whole
     _, found = read_ticks(Path("run/export/ticks/ticks-1.mcap"))
     np.testing.assert_array_equal(found, ticks[: len(found)])
@@ -277,8 +277,8 @@ def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
         ("recover file", ["file, line 1: not the header of a step log"]),
         ("recover empty.csv", ["empty.csv: no step yet"]),
         ("recover header.csv", ["header.csv: it contains no complete step"]),
-        ("recover rubbish.mcap", ["rubbish.mcap: this is no MCAP file"]),
-        ("recover magic.mcap", ["magic.mcap: nothing in it says what its ticks are"]),
+        ("recover rubbish.mcap", ["rubbish.mcap: this is not an MCAP file"]),
+        ("recover magic.mcap", ["magic.mcap: it has no description of ticks"]),
         ("recover run/steps.csv --out file", ["file: exists already; choose another --out"]),
         ("doctor now", ["now"]),
     ],

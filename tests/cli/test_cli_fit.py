@@ -19,7 +19,7 @@ FOREIGN = ("--state", "v,y", "--next", "v2,y2", "--command", "fx,fy", "--nominal
 
 @pytest.fixture(autouse=True)
 def _few_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stepgap.learning.residual_fit.names_without_features", lambda: ("none", "constant", "gp"))
+    monkeypatch.setattr("stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: ("none", "constant", "gp"))
 
 
 def write_log(path: Path, offset: float, count: int = 40, seed: int = 0) -> None:

@@ -53,7 +53,7 @@ def test_settings_change_the_map(stepgap: Command) -> None:
 
 def test_a_failed_step_has_a_reason(stepgap: Command) -> None:
     result = stepgap("map", "--height", 0.2)
-    refused(result, "--speed 0.2 --height 0.2 --fx 0 --fy 0: ", "(foot_scuffed: ", "ask for a higher apex")
+    refused(result, "--speed 0.2 --height 0.2 --fx 0 --fy 0: ", "(foot_scuffed: ", "choose a higher apex")
 
 
 ROWS = "fy, speed,height,fx\n0,0.2,0.58,0\n\n2,0.1,0.2,1\n-1e1,0.3,0.6,0.5\n"

@@ -1,4 +1,4 @@
-"""Small step maps whose answers have a closed form; the tests of `control` share them."""
+"""Small step maps with closed-form solutions; the tests of `control` share them."""
 
 from dataclasses import dataclass
 
@@ -12,14 +12,14 @@ FX, FY = Quantity("fx", "N", -15.0, 15.0), Quantity("fy", "N", -20.0, 20.0)
 
 
 class ClosedFormMap(StepMap):
-    """A map given by a formula and by where it fails."""
+    """A map given by a formula and by the region where it fails."""
 
     def next_state(self, state: Array, command: Array) -> Array:
         """The formula."""
         raise NotImplementedError
 
     def status(self, state: Array, command: Array) -> Codes:
-        """Where it fails; nowhere unless a subclass says so."""
+        """Where it fails; nowhere unless a subclass defines it."""
         return np.full(np.broadcast_shapes(state.shape[:-1], command.shape[:-1]), StepStatus.OK)
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
@@ -79,7 +79,7 @@ class LossyHopper(ClosedFormMap):
 
 @dataclass(frozen=True)
 class StumblingHopper(LossyHopper):
-    """The same, coupled and bent, but it falls beyond an oblique line and fails to take off beyond a low force."""
+    """The same, coupled and nonlinear; it falls beyond an oblique line and does not take off below a force."""
 
     fall_line: float = 0.8
     least_force: float = -12.0
@@ -124,7 +124,7 @@ class ScalarMap(ClosedFormMap):
 
 
 class FoldedMap(ClosedFormMap):
-    """One command, one coordinate, three valleys of unlike depth: a descent from the middle ends in a wrong one."""
+    """One command, one coordinate, three minima of different depth: a descent from the middle ends in a wrong one."""
 
     @property
     def space(self) -> StepSpace:
@@ -135,7 +135,7 @@ class FoldedMap(ClosedFormMap):
 
 
 class NeverWorks(LossyHopper):
-    """Falls whatever the command."""
+    """Falls with every command."""
 
     def status(self, state: Array, command: Array) -> Codes:
         return np.full(np.broadcast_shapes(state.shape[:-1], command.shape[:-1]), StepStatus.FELL)
@@ -153,7 +153,7 @@ class RoughMap(LossyHopper):
 
 @dataclass
 class CountingMap(StepMap):
-    """Counts what another map is asked; a Jacobian costs as much as central differences."""
+    """Counts the evaluations of another map; a Jacobian costs as much as central differences."""
 
     inner: StepMap
     evaluations: int = 0
@@ -165,7 +165,7 @@ class CountingMap(StepMap):
 
     @property
     def cost(self) -> int:
-        """In evaluations."""
+        """Cost in evaluations."""
         return self.evaluations + 2 * (len(self.space.state) + len(self.space.command)) * self.jacobians
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:

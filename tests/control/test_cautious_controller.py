@@ -1,4 +1,4 @@
-"""Against a fine grid over the commands: least expected squared distance, and no step that may fail."""
+"""Cautious control against a fine grid of commands: least expected squared distance, and no step that may fail."""
 
 from dataclasses import dataclass
 
@@ -60,14 +60,14 @@ def commands_on_a_grid(step_map: StepMap, count: int) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def test_a_map_that_is_sure_gets_the_exact_command() -> None:
+def test_a_certain_map_gets_the_exact_command() -> None:
     sure = LossyHopper()
     cautious = CautiousController(sure, sure, NONE)(STATE, TARGET)
     np.testing.assert_array_equal(cautious.command, StepController(sure)(STATE, TARGET).command)
     np.testing.assert_allclose(cautious.predicted, TARGET, atol=1e-6)
 
 
-def test_the_gradient_of_the_tests_own_map() -> None:
+def test_the_gradient_of_the_test_map() -> None:
     guessed, command, d = Guessed(), np.array([3.0, -7.0]), 1e-6
     numeric = [(guessed.std(STATE, command + e) - guessed.std(STATE, command - e)) / (2 * d) for e in d * np.eye(2)]
     np.testing.assert_allclose(guessed.std_gradient(STATE, command)[:, 2:], np.transpose(numeric), rtol=1e-6)
@@ -75,7 +75,7 @@ def test_the_gradient_of_the_tests_own_map() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_an_unsure_map_gets_the_least_expected_squared_distance(seed: int) -> None:
+def test_an_uncertain_map_gets_the_least_expected_squared_distance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     guessed = Guessed(tried=tuple(rng.uniform([-10, -15], [10, 15])), growth=tuple(rng.uniform(0.001, 0.02, 2)))
     state, target = rng.uniform([0.0, 0.54], [0.4, 0.62]), rng.uniform([0.0, 0.54], [0.4, 0.62])
@@ -108,7 +108,7 @@ def test_a_step_like_one_that_failed_is_not_taken_again() -> None:
 
 @dataclass(frozen=True)
 class Cliff(LossyHopper):
-    """From above a height no command leads on."""
+    """States above a height are not viable."""
 
     edge: float = 0.62
 
@@ -119,7 +119,7 @@ class Cliff(LossyHopper):
 
 @dataclass(frozen=True)
 class GuessedCliff(Guessed):
-    """The same, unsure."""
+    """The same map with uncertainty."""
 
     truth: LossyHopper = Cliff()
 
@@ -127,7 +127,7 @@ class GuessedCliff(Guessed):
         return self.truth.status(state, command)
 
 
-def test_it_keeps_clear_of_states_from_which_nothing_leads_on() -> None:
+def test_it_avoids_states_that_are_not_viable() -> None:
     cliff, target = GuessedCliff(growth=(0.0, 0.0), least=0.002), np.array([0.2, 0.618])
     plan = CautiousController(cliff, cliff.truth, NONE)(STATE, target)
     np.testing.assert_allclose(plan.std, np.hypot(cliff.std(STATE, plan.command), cliff.noise), rtol=1e-12)
@@ -136,7 +136,7 @@ def test_it_keeps_clear_of_states_from_which_nothing_leads_on() -> None:
     assert StepController(cliff)(STATE, target).predicted[1] + spread > Cliff().edge
 
 
-def test_where_no_command_is_safe_the_one_that_is_best_is_taken() -> None:
+def test_if_no_command_is_safe_the_best_one_is_taken() -> None:
     cliff = GuessedCliff(growth=(0.0, 0.0), least=0.5)
     plan = CautiousController(cliff, cliff.truth, NONE)(STATE, TARGET)
     assert np.isfinite(plan.command).all()

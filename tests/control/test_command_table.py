@@ -21,7 +21,7 @@ def table() -> CommandTable:
     return build_table(LossyHopper(), POINTS)
 
 
-def place(fractions: Array) -> Array:
+def state_at(fractions: Array) -> Array:
     """State at fractions of the range of use; outside of it beyond 0 and 1."""
     return np.array([0.0, 0.52]) + np.array([0.4, 0.12]) * fractions
 
@@ -31,10 +31,10 @@ anywhere = arrays(float, 2, elements=st.floats(-0.5, 1.5))
 quick = settings(max_examples=60, deadline=None, derandomize=True)
 
 
-def test_at_its_nodes_it_says_what_the_controller_says(table):
+def test_at_its_nodes_it_equals_the_controller(table):
     controller = StepController(LossyHopper())
     for fraction in np.random.default_rng(0).integers(0, POINTS, (60, 4)) / (POINTS - 1):
-        state, target = place(fraction[:2]), place(fraction[2:])
+        state, target = state_at(fraction[:2]), state_at(fraction[2:])
         plan, solved = table(state, target), controller(state, target)
         assert plan.reached == solved.reached
         np.testing.assert_allclose(plan.predicted, solved.predicted, atol=1e-6)
@@ -46,22 +46,22 @@ def test_at_its_nodes_it_says_what_the_controller_says(table):
 @given(state=fractions, target=fractions)
 def test_between_nodes_it_is_off_by_no_more_than_measured(table, state, target):
     error = measure_table(table, LossyHopper(), np.random.default_rng(1), 500)
-    plan = table(place(state), place(target))
+    plan = table(state_at(state), state_at(target))
     if plan.reached:
-        off = np.abs(LossyHopper()(place(state), plan.command) - place(target))
+        off = np.abs(LossyHopper()(state_at(state), plan.command) - state_at(target))
         assert (off <= 1.5 * error.worst_state + 1e-9).all()
 
 
 @quick
 @given(state=anywhere, target=anywhere)
 def test_commands_never_leave_their_bounds(table, state, target):
-    plan = table(place(state), place(target), guess=[0.0, 0.0])
+    plan = table(state_at(state), state_at(target), guess=[0.0, 0.0])
     assert (np.abs(plan.command) <= [15, 20]).all()
     assert np.isfinite(plan.predicted).all()
     inside = np.array([state, target])
     if (inside < -1e-6).any() or (inside > 1 + 1e-6).any():
         assert not plan.reached
-        nearest = table(place(np.clip(state, 0, 1)), place(np.clip(target, 0, 1)))
+        nearest = table(state_at(np.clip(state, 0, 1)), state_at(np.clip(target, 0, 1)))
         np.testing.assert_allclose(plan.command, nearest.command, atol=1e-9)
 
 
@@ -74,12 +74,12 @@ def test_the_error_falls_with_the_square_of_the_spacing():
     assert (error[1].median_state <= error[0].median_state / 3 + 1e-12).all()
     assert (error[1].median_state <= error[1].worst_state).all()
     assert 600 < error[1].samples < 2000
-    assert (error[1].border_state >= error[1].worst_state).all(), "at the border of reach commands have a kink"
+    assert (error[1].border_state >= error[1].worst_state).all(), "commands have a kink at this border"
     assert 0 < error[1].border_samples < error[0].border_samples
 
 
-def test_many_answers_are_those_of_one_by_one(table):
-    states, targets = place(np.random.default_rng(3).uniform(0, 1, (2, 20, 2)))
+def test_interpolation_of_many_equals_that_of_single_ones(table):
+    states, targets = state_at(np.random.default_rng(3).uniform(0, 1, (2, 20, 2)))
     many = table.interpolate(states, targets)
     for i in range(20):
         plan = table(states[i], targets[i])
@@ -94,7 +94,7 @@ def test_any_number_of_coordinates_and_commands():
         assert len(table(middle, middle).command) == len(step_map.space.command)
 
 
-def test_where_the_map_fails_the_table_says_so():
+def test_where_the_map_fails_the_table_fails():
     table = build_table(NeverWorks(), 2)
     with pytest.raises(StepFailed) as failure:
         table([0.2, 0.58], [0.2, 0.58])
@@ -104,20 +104,20 @@ def test_where_the_map_fails_the_table_says_so():
         measure_table(table, NeverWorks(), np.random.default_rng(0), 100)
 
 
-def test_nodes_out_of_reach_are_marked():
+def test_nodes_with_unreachable_targets_are_marked():
     table = build_table(StumblingHopper(), 3)
     assert 0 < table.reached.mean() < 1
     assert (table.statuses == StepStatus.OK).all()
-    distance = np.linalg.norm(table.predicted[0, 0] - place((box_grid(3, 2) + 1) / 2), axis=-1)
+    distance = np.linalg.norm(table.predicted[0, 0] - state_at((box_grid(3, 2) + 1) / 2), axis=-1)
     np.testing.assert_array_equal(table.reached[0, 0], distance < 1e-6)
 
 
 def test_progress_counts_every_node():
-    told = []
-    build_table(LossyHopper(), 10, lambda done, total: told.append((done, total)))
-    assert told[-1] == (10**4, 10**4)
-    assert len(told) > 1
-    assert told == sorted(told)
+    calls = []
+    build_table(LossyHopper(), 10, lambda done, total: calls.append((done, total)))
+    assert calls[-1] == (10**4, 10**4)
+    assert len(calls) > 1
+    assert calls == sorted(calls)
 
 
 def test_bad_arguments_are_refused(table):
@@ -146,7 +146,7 @@ def file(table: CommandTable, tmp_path: Path) -> Path:
     return tmp_path / "table.npz"
 
 
-def test_a_file_holds_all_of_a_table(table, file):
+def test_a_file_contains_all_of_a_table(table, file):
     again = read_table(file)
     assert again.space == table.space
     for name in ("commands", "predicted", "reached", "statuses"):
@@ -160,7 +160,7 @@ def contents(file: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"schema": np.array(2)}, "its schema is 2, but this version reads 1"),
         ({"commands": np.array([1.0])}, "commands has shape"),
@@ -173,9 +173,9 @@ def contents(file: Path) -> dict[str, np.ndarray]:
         ({"more": np.zeros(1)}, "more"),
     ],
 )
-def test_a_file_that_is_no_table_is_refused(file, change, words):
+def test_a_file_that_is_not_a_table_is_refused(file, change, message):
     np.savez(file, **(contents(file) | change))  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match=words) as failure:
+    with pytest.raises(ValueError, match=message) as failure:
         read_table(file)
     assert str(failure.value).startswith(f"{file}: ")
     assert "\n" not in str(failure.value)
@@ -190,13 +190,13 @@ def test_a_number_that_is_not_finite_is_refused(file):
 
 
 @pytest.mark.parametrize("content", [b"", b"speed,height\n", b"PK\x03\x04 cut off"])
-def test_rubbish_is_refused(tmp_path, content):
+def test_other_files_are_refused(tmp_path, content):
     (tmp_path / "rubbish.npz").write_bytes(content)
     with pytest.raises(ValueError, match=r"rubbish\.npz: .*command table"):
         read_table(tmp_path / "rubbish.npz")
 
 
-def test_a_file_cut_short_is_refused(file):
+def test_a_truncated_file_is_refused(file):
     whole = file.read_bytes()
     for length in range(0, len(whole), len(whole) // 20):
         file.write_bytes(whole[:length])

@@ -52,7 +52,7 @@ def test_unstable_fixed_point_is_held_all_the_same():
     assert cycle.floquet_multipliers[0] == pytest.approx(1.2)
 
 
-def test_state_that_cannot_be_held_says_where_it_goes():
+def test_state_that_cannot_be_held_has_the_closest_next_state():
     step_map = LossyHopper(loss=0.9)
     cycle = fixed_point(step_map, [0.2, 0.64])
     assert not cycle.held
@@ -91,13 +91,13 @@ def test_map_without_fixed_point_gives_the_least_drift():
     assert cycle.next_state[1] == pytest.approx(cycle.state[1], abs=1e-6)
 
 
-def test_nothing_works_is_a_failed_step():
+def test_without_a_working_command_the_step_fails():
     for search in (lambda: fixed_point(NeverWorks(), [0.2, 0.58]), lambda: free_fixed_point(NeverWorks(), [0, 0])):
         with pytest.raises(StepFailed):
             search()
 
 
-def test_multipliers_beside_failing_steps_are_nan():
+def test_multipliers_next_to_failing_steps_are_nan():
     class OnEdge(LossyHopper):
         def status(self, state: Array, command: Array) -> Codes:
             return np.where(state[..., 0] > 0.2, StepStatus.FELL, super().status(state, command))
@@ -105,7 +105,7 @@ def test_multipliers_beside_failing_steps_are_nan():
     assert np.isnan(floquet_multipliers(OnEdge(), [0.2, 0.58], [0, 0])).all()
 
 
-def test_reachable_set_holds_the_grid_and_marks_failures():
+def test_reachable_set_contains_the_grid_and_marks_failures():
     step_map, state = StumblingHopper(), np.array([0.2, 0.58])
     reachable = reachable_set(step_map, state, samples=9)
     assert reachable.commands.shape == reachable.next_states.shape == (9, 9, 2)
@@ -119,7 +119,7 @@ def test_reachable_set_holds_the_grid_and_marks_failures():
     assert reachable.statuses[0, 0] == StepStatus.NO_TAKE_OFF
 
 
-def test_boundary_walks_around_the_command_bounds_once():
+def test_boundary_goes_around_the_command_bounds_once():
     step_map, state = LossyHopper(), np.array([0.2, 0.58])
     reachable = reachable_set(step_map, state, samples=6)
     walk = reachable.boundary_commands
@@ -132,7 +132,7 @@ def test_boundary_walks_around_the_command_bounds_once():
     np.testing.assert_array_equal(reachable.boundary, step_map(state, walk))
 
 
-def test_boundary_encloses_what_a_map_without_folds_reaches():
+def test_boundary_encloses_the_reachable_set_of_a_map_without_folds():
     step_map, state = LossyHopper(), np.array([0.2, 0.58])
     reachable = reachable_set(step_map, state, samples=11)
     polygon, inside = reachable.boundary, reachable.next_states[1:-1, 1:-1].reshape(-1, 2)

@@ -116,7 +116,7 @@ def test_csv_columns_come_in_any_order_with_blanks_and_a_byte_order_mark(tmp_pat
         ("speed,height\n0,inf\n", "plan.csv, line 2, column 'height': 'inf'"),
     ],
 )
-def test_bad_csv_is_refused_by_place_and_remedy(text, message):
+def test_bad_csv_is_refused_with_line_and_remedy(text, message):
     with pytest.raises(ValueError, match=message):
         parse_reference(text, SPACE, "plan.csv")
 

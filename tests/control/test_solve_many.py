@@ -31,7 +31,7 @@ def grid(step_map: StepMap, points: int) -> Array:
 
 
 @every_map
-def test_it_comes_as_close_as_the_controller(step_map):
+def test_it_gets_as_close_as_the_controller(step_map):
     states = grid(step_map, 4)
     answers = solve_many(step_map, states, states)
     controller = StepController(step_map)
@@ -82,7 +82,7 @@ def test_one_command_for_two_coordinates():
     assert answers.command[0, 0] == pytest.approx([7.0], abs=1e-3)
 
 
-def test_a_state_without_any_step_says_why():
+def test_a_state_without_any_step_has_a_status():
     answers = solve_many(NeverWorks(), grid(NeverWorks(), 2), grid(NeverWorks(), 3))
     assert (answers.status == StepStatus.FELL).all()
     assert np.isnan(answers.command).all()
@@ -95,11 +95,11 @@ def test_a_node_costs_few_evaluations():
     states = grid(counting, 7)
     solve_many(counting, states, states)
     assert counting.evaluations <= 5 * len(states) ** 2
-    assert counting.jacobians <= 3, "a Jacobian is asked for once for all nodes that start at the same sample"
+    assert counting.jacobians <= 3, "a Jacobian is evaluated once for all nodes that start at the same sample"
 
 
 @pytest.mark.parametrize(
-    ("states", "targets", "words"),
+    ("states", "targets", "message"),
     [
         ([0.2, 0.58], [[0.2, 0.58]], "must be"),
         ([[0.2, 0.58]], [[0.2]], "must be"),
@@ -107,8 +107,8 @@ def test_a_node_costs_few_evaluations():
         ([[0.2, 0.58]], [[0.2, np.inf]], "finite"),
     ],
 )
-def test_arguments_that_fit_no_map_are_refused(states, targets, words):
-    with pytest.raises(ValueError, match=words):
+def test_arguments_that_do_not_fit_the_map_are_refused(states, targets, message):
+    with pytest.raises(ValueError, match=message):
         solve_many(LossyHopper(), states, targets)
 
 

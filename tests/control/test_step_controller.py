@@ -89,7 +89,7 @@ def test_finds_the_closed_form_inverse(begin, chosen):
     assert plan.distance <= 1e-9
 
 
-def test_out_of_reach_answer_satisfies_the_conditions_of_an_optimum():
+def test_the_solution_for_an_unreachable_target_satisfies_the_conditions_of_an_optimum():
     step_map, generator = LossyHopper(), np.random.default_rng(3)
     unreached = 0
     for _ in range(100):
@@ -107,7 +107,7 @@ def test_out_of_reach_answer_satisfies_the_conditions_of_an_optimum():
     assert unreached > 20
 
 
-def test_says_by_how_much_a_target_is_out_of_reach():
+def test_reports_the_distance_to_an_unreachable_target():
     step_map = LossyHopper()
     state = np.array([0.1, 0.56])
     target = np.add(step_map(state, [15, 5]), [0.1, 0])
@@ -117,13 +117,13 @@ def test_says_by_how_much_a_target_is_out_of_reach():
     assert plan.distance == pytest.approx(0.1 / 0.2)
 
 
-def test_a_wrong_valley_is_left():
+def test_a_wrong_local_minimum_is_left():
     plan = StepController(FoldedMap())([1.0], [0.0], guess=[0.0])
     assert plan.distance == pytest.approx(closest_on_grid(FoldedMap(), np.array([1.0]), np.array([0.0])), abs=1e-5)
     assert plan.command[0] > 0.9
 
 
-def test_out_of_reach_the_cost_stays_bounded():
+def test_for_unreachable_targets_the_cost_is_bounded():
     counted = CountingMap(LossyHopper())
     plan = StepController(counted)([0.2, 0.58], [2.0, 0.58])
     assert not plan.reached
@@ -180,7 +180,7 @@ def test_bad_arguments_are_refused(arguments, message):
         StepController(LossyHopper())(*arguments)
 
 
-def test_the_same_question_has_the_same_answer():
+def test_the_same_arguments_give_the_same_result():
     controller = StepController(StumblingHopper())
     for target in ([0.2, 0.58], [0.4, 0.7]):
         first, second = (controller([0.1, 0.56], target) for _ in range(2))

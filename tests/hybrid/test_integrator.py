@@ -1,4 +1,4 @@
-"""The integrator on motions with closed forms, reached as a robot reaches it: through `implements`."""
+"""The integrator on motions with closed forms, implemented as those of a robot: through `implements`."""
 
 from math import asin, pi, sqrt
 from typing import NamedTuple
@@ -101,7 +101,7 @@ def test_error_follows_the_tolerance(relative) -> None:
 
 
 @pytest.mark.parametrize("relative", [1e-4, 1e-6, 1e-8, 1e-10])
-def test_so_does_that_of_stiff_motion_in_few_steps(relative) -> None:
+def test_error_of_stiff_motion_follows_the_tolerance_in_few_steps(relative) -> None:
     """Poles near −1 and −10⁴: an explicit method needs thousands of steps."""
     poles, trace = np.array([1.0, 1e4]), make_trace()
     servo, limit = Servo(poles.prod(), poles.sum()), 1.0
@@ -109,7 +109,7 @@ def test_so_does_that_of_stiff_motion_in_few_steps(relative) -> None:
     exact = (poles[1] * np.exp(-poles[0] * limit) - poles[0] * np.exp(-poles[1] * limit)) / (poles[1] - poles[0])
     assert event == TIME_OUT
     assert abs(position - exact) < 30 * relative
-    assert trace.place[0] < 400
+    assert trace.cursor[0] < 400
 
 
 def test_both_methods_are_of_order_five() -> None:
@@ -141,14 +141,14 @@ def test_a_coarse_tolerance_still_ends_on_the_guard() -> None:
 
 
 def test_time_is_that_of_the_state_returned() -> None:
-    """Free fall is integrated without error, whatever the step: position and speed tell the time."""
+    """Free fall is integrated without error for any step: position and speed determine the time."""
     for level in np.random.default_rng(2).uniform(0, 1, 50):
         time, _, _, speed = run(Motion(FREE_FALL, 9.81, first=level), 1.0, tolerance=COARSE)
         assert -9.81 * time == pytest.approx(speed, rel=1e-12)
         assert speed == pytest.approx(-sqrt(2 * 9.81 * (1 - level)), rel=1e-11)
 
 
-def test_bouncing_ball_bounces_when_the_closed_form_says() -> None:
+def test_bouncing_ball_bounces_at_the_times_of_the_closed_form() -> None:
     motion, position, speed, restitution, times = Motion(FREE_FALL, 9.81, first=0.0), 1.0, 0.0, 0.8, []
     for _ in range(20):
         time, event, position, speed = run(motion, position, speed)
@@ -159,7 +159,7 @@ def test_bouncing_ball_bounces_when_the_closed_form_says() -> None:
     assert times == pytest.approx([first, *(2 * first * restitution**k for k in range(1, 20))], abs=1e-11)
 
 
-def test_a_piece_that_begins_on_a_guard_leaves_it_first() -> None:
+def test_the_zero_of_a_guard_at_the_start_of_a_piece_is_no_event() -> None:
     """Half an oscillation from the level at which it began, to the same level."""
     for speed in (0.1, 1.0, 10.0):
         time, event, position, _ = run(Motion(OSCILLATOR, 2.0, first=0.0), 0.0, speed)
@@ -176,7 +176,7 @@ def test_a_piece_that_begins_beyond_a_guard_or_leaves_to_its_wrong_side_ends_at_
 
 
 @pytest.mark.parametrize("gap", [1e-1, 1e-3, 1e-6, 1e-9])
-def test_of_several_guards_in_one_step_the_earliest_wins(gap) -> None:
+def test_of_several_guards_in_one_step_the_earliest_ends_the_piece(gap) -> None:
     for order in (1, -1):
         first, second = (0.5 + gap, 0.5)[::order]
         time, event, _, _ = run(Motion(FREE_FALL, first=first, second=second), 1.0, tolerance=COARSE)
@@ -184,8 +184,8 @@ def test_of_several_guards_in_one_step_the_earliest_wins(gap) -> None:
         assert time == pytest.approx(sqrt(2 * (0.5 - gap)), abs=1e-11)
 
 
-def test_a_guard_met_and_left_again_within_a_step_is_met() -> None:
-    """A throw as long as the first step, beyond whose summit a ceiling lies; seen as a floor, upside down."""
+def test_a_guard_that_is_negative_only_within_a_step_is_detected() -> None:
+    """A throw as long as the first step, with a ceiling above its summit; as a floor, upside down."""
     gravity, duration = 9.81, 1e-2
     for begin in (0.0, 0.2, 0.4):  # the summit in the middle of the step or later
         top = (0.5 + begin / 2) * duration
@@ -208,7 +208,7 @@ def test_time_limit_is_kept_to_the_last_bit() -> None:
     ("motion", "position"),
     [(Motion(BLOW_UP), 1.0), (Motion(ROOT), 1.0), (Motion(FREE_FALL), np.nan), (Motion(FREE_FALL), np.inf)],
 )
-def test_what_ceases_to_be_finite_is_broken(motion, position) -> None:
+def test_a_state_that_becomes_infinite_is_broken(motion, position) -> None:
     time, event, _, _ = run(motion, position)
     assert event == BROKEN
     assert time <= 2.0001
@@ -234,7 +234,7 @@ def test_a_retraced_motion_is_itself_and_its_neighbour_differs_by_the_derivative
     assert (later - time) / nudge == pytest.approx(-level / state[2], rel=1e-5)
 
 
-def test_retracing_a_chain_of_pieces_goes_through_the_same_events() -> None:
+def test_retracing_a_sequence_of_pieces_has_the_same_events() -> None:
     """A ball that bounces five times; the time of the last bounce grows with √height."""
     trace, motion, restitution = make_trace(), Motion(FREE_FALL, 9.81, first=0.0), 0.7
 

@@ -1,4 +1,4 @@
-"""What every `ResidualModel` must do; one file without ties, so that it can be copied beside a model of one's own.
+"""The contract of every `ResidualModel`: a self-contained file that can be copied to a package with its own model.
 
 Subclass `ResidualContract` as `Test…` and give it a fixture `model`.
 """
@@ -16,7 +16,7 @@ CENTRE, SCALE, VALUE_SCALE = np.array([0.2, 0.58, 0.0, 0.0]), np.array([0.2, 0.0
 
 
 def training_data(size: int = SIZE, seed: int = 0, *, timed: bool = False) -> TrainingData:
-    """Noisy values of a slightly bent function."""
+    """Noisy values of a slightly nonlinear function."""
     generator = np.random.default_rng(seed)
     x = generator.uniform(-1, 1, (size, INPUTS))
     if timed:
@@ -33,8 +33,8 @@ class ResidualContract:
     """Tests of the residual model that the fixture `model` gives.
 
     Attributes:
-        overconfident: Whether its standard deviations take fitted coefficients for exact; those of `left_out` may then
-            be a little larger than those of a fit to the others.
+        overconfident: Whether its standard deviations treat fitted coefficients as exact; those of `left_out` may then
+            be slightly larger than those of a fit to the others.
     """
 
     overconfident = False
@@ -47,7 +47,7 @@ class ResidualContract:
     def regression(self, model: ResidualModel, data: TrainingData) -> Regression:
         return model.fit(data, None)
 
-    def test_it_has_a_name_and_describes_itself(self, model: ResidualModel, regression: Regression) -> None:
+    def test_it_has_a_name_and_a_description(self, model: ResidualModel, regression: Regression) -> None:
         assert model.name.isidentifier()
         assert model.description
         names = [parameter.name for parameter in regression.parameters()]
@@ -74,7 +74,7 @@ class ResidualContract:
                 found = gradient(QUERIES)[..., column] * SCALE[column]
                 np.testing.assert_allclose(found, difference, rtol=1e-5, atol=1e-8 * VALUE_SCALE)
 
-    def test_a_point_that_is_not_a_number_gives_nan(self, regression: Regression) -> None:
+    def test_a_point_that_is_not_finite_gives_nan(self, regression: Regression) -> None:
         points = np.tile(CENTRE, (INPUTS + 1, 1))
         points[np.arange(INPUTS), np.arange(INPUTS)] = np.nan
         for function in (regression.mean, regression.std, regression.mean_gradient, regression.std_gradient):
@@ -89,7 +89,7 @@ class ResidualContract:
         np.testing.assert_array_equal(mean, regression.mean(QUERIES))
         np.testing.assert_allclose(noisy, np.hypot(std, regression.noise_std), rtol=1e-12)
 
-    def test_it_comes_back_from_json_bit_for_bit(self, model: ResidualModel, regression: Regression) -> None:
+    def test_it_is_restored_from_json_bit_for_bit(self, model: ResidualModel, regression: Regression) -> None:
         saved = json.loads(json.dumps(regression.to_dict(), allow_nan=False))
         loaded = model.from_dict(saved)
         assert loaded.to_dict() == saved

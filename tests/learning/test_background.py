@@ -1,4 +1,4 @@
-"""A deferred value is computed once, and is the same whoever computes it."""
+"""A deferred value is computed once, and does not depend on the thread that computes it."""
 
 from threading import Event, get_ident
 
@@ -7,7 +7,7 @@ import pytest
 from stepgap.learning.background import BackgroundThread, Deferred
 
 
-def test_it_is_computed_once_and_only_when_asked_for() -> None:
+def test_it_is_computed_once_and_only_when_needed() -> None:
     calls: list[int] = []
 
     def compute() -> int:
@@ -21,7 +21,7 @@ def test_it_is_computed_once_and_only_when_asked_for() -> None:
     assert len(calls) == 1
 
 
-def test_a_thread_computes_it_while_this_one_goes_on() -> None:
+def test_a_thread_computes_it_while_this_one_continues() -> None:
     started, may_end, threads = Event(), Event(), []
 
     def compute() -> int:
@@ -42,7 +42,7 @@ def test_a_thread_computes_it_while_this_one_goes_on() -> None:
     assert thread != get_ident()
 
 
-def test_what_fails_in_the_thread_fails_where_it_is_needed() -> None:
+def test_an_error_in_the_thread_is_raised_where_the_value_is_needed() -> None:
     def compute() -> int:
         raise ArithmeticError("no such fit")
 

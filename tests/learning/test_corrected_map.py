@@ -47,7 +47,7 @@ NOMINAL = SimpleMap()
 
 
 def actual(state: Array, command: Array) -> Array:
-    """What the robot does; the nominal map does not know of the drag and of the weaker leg."""
+    """The true map of the robot, with drag and a weaker leg that the nominal map does not model."""
     drag = -0.04 - 0.2 * state[..., 0] * np.cos(command[..., 0] / 10)
     return NOMINAL(state, command) + np.stack([drag, -0.02 + 0.1 * state[..., 0]], axis=-1)
 
@@ -143,7 +143,7 @@ def test_an_offset_adds_to_the_state_and_its_standard_deviation_to_that(residual
         np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-11)
 
 
-def test_no_residual_changes_nothing() -> None:
+def test_without_a_residual_the_map_is_the_nominal_one() -> None:
     state, command = apexes(6, seed=6)
     same = CorrectedMap(NOMINAL, no_residual(2, 1))
     np.testing.assert_array_equal(same(state, command), NOMINAL(state, command))

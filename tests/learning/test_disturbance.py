@@ -1,4 +1,4 @@
-"""The disturbance is followed within a deployment and removed from earlier ones; without one nothing changes."""
+"""The disturbance is estimated within a deployment and removed from earlier ones; without one nothing changes."""
 
 from dataclasses import replace
 from math import nan
@@ -21,10 +21,10 @@ SIZES = (120, 90, 150)
 # Within a deployment
 
 
-def offsets_over(left: np.ndarray, yaws: np.ndarray = UNKNOWN) -> np.ndarray:
-    """The offset before each of the steps that leave these errors (steps, n) at these yaws."""
-    filters, offsets = DisturbanceFilter.initial(left.shape[1]), []
-    for error, yaw in zip(left, yaws, strict=False):
+def offsets_over(remaining: np.ndarray, yaws: np.ndarray = UNKNOWN) -> np.ndarray:
+    """The offset before each step, given the errors (steps, n) of the steps and their yaws."""
+    filters, offsets = DisturbanceFilter.initial(remaining.shape[1]), []
+    for error, yaw in zip(remaining, yaws, strict=False):
         offsets.append(filters.offset(yaw))
         filters = filters.updated(error, yaw)
     return np.array(offsets)
@@ -36,16 +36,16 @@ def test_nothing_is_added_before_the_first_step() -> None:
 
 
 def test_each_filter_is_the_recursive_regression() -> None:
-    """Oracle: after each step c is the least-squares compromise between the new error and what was known before."""
+    """Oracle: after each step c is the least-squares estimate from the new error and the prior estimate."""
     rng = np.random.default_rng(3)
-    left, yaws, filters = rng.normal(0, 1, (40, 2)), rng.uniform(0, 100, 40), DisturbanceFilter.initial(2)
+    remaining, yaws, filters = rng.normal(0, 1, (40, 2)), rng.uniform(0, 100, 40), DisturbanceFilter.initial(2)
     yaws[[0, 7, 8]] = nan
-    for error, yaw in zip(left, yaws, strict=True):
+    for error, yaw in zip(remaining, yaws, strict=True):
         filters = filters.updated(error, yaw)
     for rate, (constant, with_yaw) in zip(RATES, zip(*np.split(filters.coefficients, 2), strict=True), strict=True):
         for size, found in ((1, constant), (3, with_yaw)):
             known, covariance = np.zeros((size, 2)), np.eye(size)
-            for error, yaw in zip(left, yaws, strict=True):
+            for error, yaw in zip(remaining, yaws, strict=True):
                 row = np.nan_to_num([1.0, np.sin(yaw), np.cos(yaw)])[:size]
                 precision = np.linalg.inv((1 - rate**2) * covariance + rate**2 * np.eye(size))
                 root = np.linalg.cholesky(precision).T
@@ -58,16 +58,16 @@ def test_each_filter_is_the_recursive_regression() -> None:
 
 def test_a_filter_without_forgetting_is_the_regression_of_all_steps() -> None:
     rng = np.random.default_rng(6)
-    left, yaws, filters = rng.normal(0, 1, (40, 1)), rng.uniform(0, 100, 40), DisturbanceFilter.initial(1)
-    for error, yaw in zip(left, yaws, strict=True):
+    remaining, yaws, filters = rng.normal(0, 1, (40, 1)), rng.uniform(0, 100, 40), DisturbanceFilter.initial(1)
+    for error, yaw in zip(remaining, yaws, strict=True):
         filters = filters.updated(error, yaw)
     row = np.column_stack([np.ones(40), np.sin(yaws), np.cos(yaws)])
     slowest = filters.coefficients[len(RATES)]
-    np.testing.assert_allclose(slowest, np.linalg.solve(row.T @ row + np.eye(3), row.T @ left), atol=0.02)
+    np.testing.assert_allclose(slowest, np.linalg.solve(row.T @ row + np.eye(3), row.T @ remaining), atol=0.02)
 
 
-def test_what_is_not_seen_for_long_is_as_unsure_as_at_first_and_no_more() -> None:
-    """A robot that hops on the spot while something drifts: a quarter round further the variance is the initial one."""
+def test_the_variance_of_an_unobserved_coefficient_does_not_exceed_the_initial_one() -> None:
+    """A robot that hops in place while there is a drift: a quarter turn further the variance is the initial one."""
     filters = DisturbanceFilter.initial(1)
     for step in range(3000):
         filters = filters.updated(np.array([3 * np.sin(step / 20)]), 0.0)
@@ -75,8 +75,8 @@ def test_what_is_not_seen_for_long_is_as_unsure_as_at_first_and_no_more() -> Non
     assert filters.std(np.pi / 2) < np.sqrt(2)
 
 
-def test_the_standard_deviation_of_an_offset_is_what_it_misses() -> None:
-    """Of a leaning boom, in standard deviations of the noise; nothing where nothing is followed."""
+def test_the_standard_deviation_of_an_offset_is_that_of_its_error() -> None:
+    """The offset's error for a tilted boom, in standard deviations of the noise; zero where no filter is used."""
     rng = np.random.default_rng(5)
     yaws, innovations, stds = np.cumsum(rng.uniform(0.05, 0.35, 227)), [], []
     for _ in range(100):
@@ -91,55 +91,55 @@ def test_the_standard_deviation_of_an_offset_is_what_it_misses() -> None:
     assert 0.7 < np.std(np.array(innovations)[late]) / np.mean(np.array(stds)[late]) < 1.3
 
 
-def test_noise_alone_is_not_followed() -> None:
-    """On average over many records: what is added makes errors larger by next to nothing."""
+def test_noise_alone_is_not_tracked() -> None:
+    """On average over many records the offset hardly increases the errors."""
     rng = np.random.default_rng(0)
-    left, round_and_round = rng.normal(0, 1, (227, 200)), np.arange(227) * 0.12
+    remaining, round_and_round = rng.normal(0, 1, (227, 200)), np.arange(227) * 0.12
     for yaws in (UNKNOWN, round_and_round):
-        innovations = left - offsets_over(left, yaws)
-        assert np.mean(innovations**2) < 1.02 * np.mean(left**2)
+        innovations = remaining - offsets_over(remaining, yaws)
+        assert np.mean(innovations**2) < 1.02 * np.mean(remaining**2)
 
 
-def test_a_slow_wave_is_followed_coordinate_by_coordinate() -> None:
+def test_a_slow_wave_is_tracked_coordinate_by_coordinate() -> None:
     rng, steps = np.random.default_rng(1), np.arange(227)
     wave = 2 * np.sin(2 * np.pi * steps / 55)[:, None]
-    left = np.hstack([wave, 0 * wave]) + rng.normal(0, 1, (227, 2))
-    innovations = (left - offsets_over(left))[40:]
-    assert np.std(innovations[:, 0]) < 1.25 < 1.6 < np.std(left[40:, 0])
-    assert np.std(innovations[:, 1]) < 1.05 * np.std(left[40:, 1])
+    remaining = np.hstack([wave, 0 * wave]) + rng.normal(0, 1, (227, 2))
+    innovations = (remaining - offsets_over(remaining))[40:]
+    assert np.std(innovations[:, 0]) < 1.25 < 1.6 < np.std(remaining[40:, 0])
+    assert np.std(innovations[:, 1]) < 1.05 * np.std(remaining[40:, 1])
 
 
-def test_what_comes_round_with_the_yaw_is_known_after_one_round() -> None:
-    """A leaning boom: next to nothing of it is left, whatever the speed, where the yaw is known."""
+def test_a_yaw_dependent_disturbance_is_known_after_one_turn() -> None:
+    """For a tilted boom hardly any error remains at any speed, if the yaw is known."""
     rng = np.random.default_rng(4)
     yaws = np.cumsum(rng.uniform(0.05, 0.35, 227))
     noise = rng.normal(0, 1, (227, 50))
-    left = 0.5 + 1.2 * np.sin(yaws - 0.7)[:, None] + noise
+    remaining = 0.5 + 1.2 * np.sin(yaws - 0.7)[:, None] + noise
     after = yaws > 2 * np.pi
-    assert np.std((left - offsets_over(left, yaws))[after]) < 1.05
-    assert np.std((left - offsets_over(left))[after]) > 1.12
+    assert np.std((remaining - offsets_over(remaining, yaws))[after]) < 1.05
+    assert np.std((remaining - offsets_over(remaining))[after]) > 1.12
 
 
-def test_after_the_drift_it_goes_back_to_nothing() -> None:
+def test_after_the_drift_the_offset_returns_to_zero() -> None:
     rng = np.random.default_rng(2)
-    left = np.where(np.arange(400) < 100, 3.0, 0.0)[:, None] + rng.normal(0, 1, (400, 20))
-    offsets = offsets_over(left)
+    remaining = np.where(np.arange(400) < 100, 3.0, 0.0)[:, None] + rng.normal(0, 1, (400, 20))
+    offsets = offsets_over(remaining)
     assert np.median(offsets[80:100]) > 2.5
-    assert np.mean((left - offsets)[200:] ** 2) < 1.1 * np.mean(left[200:] ** 2)
+    assert np.mean((remaining - offsets)[200:] ** 2) < 1.1 * np.mean(remaining[200:] ** 2)
 
 
 # Of earlier deployments
 
 
 def smooth(state: Array, command: Array) -> Array:
-    """An error that bends more than a quadratic."""
+    """An error that is more nonlinear than a quadratic."""
     speed, height = ((state - SPACE.state_centre) / SPACE.state_scale).T
     force = SPACE.point_of(command)[:, 0]
     return np.column_stack([0.05 * np.sin(speed + force), 0.02 * np.cos(height) + 0.005 * force])
 
 
 def effect(yaw: Array, deployment: Array, strength: Array) -> Array:
-    """The disturbance of a leaning boom, with another zero of yaw in each deployment."""
+    """The disturbance of a tilted boom, with another zero of yaw in each deployment."""
     return strength * np.sin(yaw + 2.1 * deployment)[:, None]
 
 
@@ -224,14 +224,14 @@ def test_the_zero_of_the_yaw_does_not_matter() -> None:
     np.testing.assert_allclose(there.error, here.error, atol=1e-12)
 
 
-def test_the_running_deployment_and_steps_without_a_yaw_stay_as_they_are() -> None:
+def test_the_running_deployment_and_steps_without_a_yaw_do_not_change() -> None:
     observations, yaw, deployment, _ = recorded(np.array([0.015, 0.003]))
     known = replace(observations, yaw=np.where(np.arange(len(observations)) % 7, yaw, np.nan))
     changed = (without_yaw_dependence(known, 2).error != observations.error).any(axis=1)
     np.testing.assert_array_equal(changed, (deployment < 2) & (np.arange(len(observations)) % 7 > 0))
 
 
-def test_without_yaws_there_is_nothing_to_do() -> None:
+def test_without_yaws_nothing_is_removed() -> None:
     observations = recorded(np.array([0.015, 0.003])).observations
     nowhere = replace(observations, yaw=np.full(len(observations), np.nan))
     for unknown in (nowhere, replace(observations, yaw=None), replace(observations, deployment=None)):

@@ -166,7 +166,7 @@ class TestAtFixedHyperParameters:
         slope, trend = process.mean_gradient(CENTRE + 1e5 * SCALE) * SCALE, np.ravel(kriging.getTrendCoefficients())[1:]
         np.testing.assert_allclose(slope, trend, atol=1e-5 * np.abs(trend).max())  # rounding is that of all of them
 
-    def test_slopes_may_turn_about_any_place(self) -> None:
+    def test_the_origin_of_the_linear_features_is_arbitrary(self) -> None:
         points, values = sample(40)
         queries, _ = sample(10, seed=1)
         one, other = (
@@ -192,7 +192,7 @@ class TestAtFixedHyperParameters:
                 expected = central_difference(function, query, 1e-5 * SCALE)
                 np.testing.assert_allclose(gradient(query) * SCALE, expected * SCALE, rtol=1e-6, atol=1e-10)
 
-    def test_far_from_the_data_only_the_basis_is_left(self) -> None:
+    def test_far_from_the_data_only_the_basis_remains(self) -> None:
         points, values = sample(60)
         process = condition(points, values, SCALE, FIXED)
         far = CENTRE + 1e4 * SCALE
@@ -248,7 +248,7 @@ class TestAtFixedHyperParameters:
 
 class TestLeaveOneOut:
     @pytest.mark.parametrize("hyper_parameters", [FIXED, SLOPED, replace(FIXED, noise_std=0.0)])
-    def test_is_what_the_process_without_a_point_predicts_of_it(self, hyper_parameters: HyperParameters) -> None:
+    def test_is_the_prediction_of_the_process_without_the_point(self, hyper_parameters: HyperParameters) -> None:
         points, values = sample(30)
         mean, std = condition(points, values, SCALE, hyper_parameters).leave_one_out()
         for i, (point, rest) in enumerate(zip(points, ~np.eye(30, dtype=bool), strict=True)):
@@ -256,7 +256,7 @@ class TestLeaveOneOut:
             assert mean[i] == pytest.approx(process.mean(point), rel=1e-9)
             assert std[i] == pytest.approx(process.kriging_std(point, include_noise=True), rel=1e-9)
 
-    def test_of_appended_points_too(self) -> None:
+    def test_includes_appended_points(self) -> None:
         points, values = sample(30)
         process = condition(points[:20], values[:20], SCALE, SLOPED)
         for point, value in zip(points[20:], values[20:], strict=True):
@@ -264,7 +264,7 @@ class TestLeaveOneOut:
         expected = condition(points, values, SCALE, SLOPED).leave_one_out()
         np.testing.assert_allclose(process.leave_one_out(), expected, rtol=1e-10)
 
-    def test_of_two_points_the_other_one_is_left(self) -> None:
+    def test_of_two_points_each_is_predicted_from_the_other(self) -> None:
         mean, std = condition(*sample(2), SCALE, FIXED).leave_one_out()
         points, values = sample(2)
         np.testing.assert_allclose(mean, values[::-1])
@@ -272,7 +272,7 @@ class TestLeaveOneOut:
             condition(points[1:], values[1:], SCALE, FIXED).kriging_std(points[0], include_noise=True)
         )
 
-    def test_of_a_single_point_nothing_is_left(self) -> None:
+    def test_a_single_point_has_no_prediction(self) -> None:
         mean, std = condition(*sample(1), SCALE, FIXED).leave_one_out()
         assert np.isnan(mean)
         assert np.isposinf(std)
@@ -293,7 +293,7 @@ class TestAppend:
         for method in ("mean", "mean_gradient", "std", "kriging_std", "kriging_std_gradient"):
             np.testing.assert_allclose(getattr(process, method)(queries), getattr(whole, method)(queries), rtol=1e-9)
 
-    def test_leaves_what_it_started_from_as_it_is(self) -> None:
+    def test_does_not_change_the_original_process(self) -> None:
         points, values = sample(30)
         process = condition(points[:20], values[:20], SCALE, FIXED).append(points[20], values[20])
         before = process.mean(CENTRE), process.kriging_std(CENTRE)
@@ -307,7 +307,7 @@ class TestAppend:
     @pytest.mark.parametrize("offset", [0.0, 1e-14, 1e-9, 1e-5])
     @pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-3])
     @pytest.mark.parametrize("slope", [0.0, 0.02])
-    def test_points_that_can_hardly_be_told_apart_do_no_harm(self, offset: float, noise: float, slope: float) -> None:
+    def test_nearly_equal_points_do_no_harm(self, offset: float, noise: float, slope: float) -> None:
         points, values = sample(20, noise=0)
         hyper_parameters = replace(FIXED, noise_std=noise, slope_std=slope)
         process = condition(points, values, SCALE, hyper_parameters)
@@ -322,7 +322,7 @@ class TestAppend:
         ("point", "value", "named"),
         [(CENTRE[:3], 0.0, "points"), (np.append(CENTRE[:3], np.nan), 0.0, "points"), (CENTRE, np.inf, "values")],
     )
-    def test_an_unsound_point_is_refused(self, point: Array, value: float, named: str) -> None:
+    def test_an_invalid_point_is_refused(self, point: Array, value: float, named: str) -> None:
         with pytest.raises(ValueError, match=f"^{named} must be"):
             condition(*sample(3), SCALE, FIXED).append(point, value)
 
@@ -404,7 +404,7 @@ class TestEvidence:
 
 class TestFit:
     @pytest.mark.parametrize(("size", "largest_error"), [(50, 0.0085), (200, 0.004)])
-    def test_recovers_a_smooth_truth(self, size: int, largest_error: float) -> None:
+    def test_recovers_a_smooth_function(self, size: int, largest_error: float) -> None:
         process = fit_gaussian_process(*sample(size), SCALE)
         queries, observed = sample(2000, seed=5)
         error = process.mean(queries) - truth(queries)
@@ -437,7 +437,7 @@ class TestFit:
             other = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=[(-4, 4)] * 5)
             assert found < other.fun + 1e-3
 
-    def test_priors_keep_a_small_fit_from_taking_noise_for_signal(self) -> None:
+    def test_priors_keep_a_small_fit_from_mistaking_noise_for_signal(self) -> None:
         for seed in range(5):
             generator = np.random.default_rng(seed)
             points = CENTRE + SCALE * generator.uniform(-1, 1, (20, 4))
@@ -445,7 +445,7 @@ class TestFit:
             assert hyper_parameters.noise_std > 0.05 * hyper_parameters.signal_std
 
     @pytest.mark.parametrize("size", [1, 2, 3, 5, 10, 40])
-    def test_values_that_happen_to_be_the_same_leave_doubt(self, size: int) -> None:
+    def test_equal_values_leave_uncertainty(self, size: int) -> None:
         points, _ = sample(size)
         process = fit_gaussian_process(points, np.full(size, 0.03), SCALE, 0.2)
         queries, _ = sample(20, seed=10)
@@ -464,7 +464,7 @@ class TestFit:
         )
 
     @pytest.mark.parametrize("basis", ["constant", "linear"])
-    def test_intervals_cover_what_they_promise(self, basis: Basis) -> None:
+    def test_intervals_have_the_nominal_coverage(self, basis: Basis) -> None:
         covered = []
         for seed in range(12):
             process = fit_gaussian_process(*sample(30, seed=100 + seed), SCALE, 0.2, basis=basis)
@@ -473,7 +473,7 @@ class TestFit:
             covered.append(np.mean(error < norm.ppf(0.975) * process.kriging_std(queries, include_noise=True)))
         assert 0.92 < np.mean(covered) < 0.98
 
-    def test_slopes_carry_on_where_there_are_no_data(self) -> None:
+    def test_slopes_extrapolate_where_there_are_no_data(self) -> None:
         slope = np.array([0.04, -0.03, 0.0, 0.02])
         points, noise = sample(60, seed=3)
         values = ((points - CENTRE) / SCALE) @ slope + 0.1 * (noise - truth(points))
@@ -491,7 +491,7 @@ class TestFit:
         queries, _ = sample(50, seed=10)
         np.testing.assert_allclose(linear.mean(queries), constant.mean(queries), atol=0.006)
 
-    def test_a_direction_without_data_is_left_in_doubt(self) -> None:
+    def test_a_direction_without_data_remains_uncertain(self) -> None:
         points, values = sample(40)
         points[:, 3] = CENTRE[3]
         process = fit_gaussian_process(points, values, SCALE, 0.2, basis="linear")
@@ -594,7 +594,7 @@ def test_constant_values_are_predicted_everywhere(fit: Callable[[Array, Array], 
 
 
 class TestSaved:
-    def test_comes_back_bit_for_bit(self) -> None:
+    def test_is_restored_bit_for_bit(self) -> None:
         process = fit_gaussian_process(*sample(60), SCALE)
         loaded = ExactGaussianProcess.from_dict(json.loads(json.dumps(process.to_dict(), allow_nan=False)))
         queries, _ = sample(50, seed=11)
@@ -644,12 +644,12 @@ class TestSaved:
         (np.zeros((3, 4)), np.zeros(3), 0 * SCALE, "input_scale"),
     ],
 )
-def test_unsound_data_are_refused(points: Array, values: Array, scale: Array, named: str) -> None:
+def test_invalid_data_are_refused(points: Array, values: Array, scale: Array, named: str) -> None:
     with pytest.raises(ValueError, match=f"^{named} must be"):
         fit_gaussian_process(points, values, scale)
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
-def test_an_unsound_value_scale_is_refused(scale: float) -> None:
+def test_an_invalid_value_scale_is_refused(scale: float) -> None:
     with pytest.raises(ValueError, match=r"^value_scale must be"):
         fit_gaussian_process(np.zeros((3, 4)), np.zeros(3), SCALE, scale)

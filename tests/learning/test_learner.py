@@ -1,4 +1,4 @@
-"""Learning from hop to hop gives what a fit to the whole log gives, and a correction that misleads is left out."""
+"""Learning online gives the result of a fit to the whole log, and a correction that predicts worse is not used."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ ONLINE = LearningSettings(online=True, drift=False)
 
 
 def hops(reality: StepMap, count: int, seed: int, iteration: int = 0, first: int = 1) -> list[LoggedStep]:
-    """Random hops, each from where the one before ended."""
+    """Random hops, each from the state at the end of the one before."""
     rng, space, state, steps = np.random.default_rng(seed), reality.space, np.array([0.2, 0.58]), []
     for number in range(first, first + count):
         command = rng.uniform(0.5 * space.command_lower, 0.5 * space.command_upper)
@@ -54,13 +54,13 @@ def fitted(steps: list[LoggedStep], kind: str = DEFAULT):
 POINTS = np.random.default_rng(9).uniform([0.0, 0.54, -10, -15], [0.4, 0.62, 10, 15], (20, 4))
 
 
-def test_before_a_deployment_it_knows_the_log() -> None:
+def test_before_a_deployment_it_has_learned_the_log() -> None:
     steps = hops(REALITY, 40, seed=0)
     learner = Learner.start(NOMINAL, log_of(steps), LearningSettings(), iteration=1)
     np.testing.assert_array_equal(learner.residual.mean(POINTS), fitted(steps).mean(POINTS))
 
 
-def test_offline_a_deployment_teaches_nothing() -> None:
+def test_offline_nothing_is_learned_during_a_deployment() -> None:
     steps = hops(REALITY, 40, seed=0)
     learner = Learner.start(NOMINAL, log_of(steps), LearningSettings(), iteration=1)
     later = after(learner, hops(REALITY, 30, seed=1, iteration=1))
@@ -100,8 +100,8 @@ def test_the_same_steps_give_the_same_model_however_long_fits_take() -> None:
     np.testing.assert_array_equal(one, alone.residual.mean(POINTS), err_msg="without a thread")
 
 
-def test_a_learner_stays_what_it_was() -> None:
-    """From one learner two futures, of which neither changes it or the other."""
+def test_a_learner_is_immutable() -> None:
+    """Two continuations of one learner change neither it nor each other."""
     start = after(
         Learner.start(NOMINAL, log_of(hops(REALITY, 30, seed=0)), ONLINE, 1), hops(REALITY, 4, 7, iteration=1)
     )
@@ -114,8 +114,8 @@ def test_a_learner_stays_what_it_was() -> None:
     assert (len(start.log), len(start.after(one).log)) == (34, 35)
 
 
-def test_a_fit_that_is_taken_over_knows_every_step() -> None:
-    """While it went on, steps came in; the next fit begins only later."""
+def test_a_fit_that_is_taken_over_includes_every_step() -> None:
+    """Steps were added while it was pending; the next fit begins only later."""
     known, new = hops(REALITY, 40, seed=0), hops(REALITY, 6, seed=7, iteration=1)
     learner = after(Learner.start(NOMINAL, log_of(known), ONLINE, iteration=1), new)
     for regression in learner.residual.regressions:
@@ -130,7 +130,7 @@ def test_a_fit_that_is_taken_over_knows_every_step() -> None:
     np.testing.assert_array_equal(learner.residual.mean(POINTS), expected.mean(POINTS))
 
 
-def test_calibration_teaches_its_steps_and_no_more() -> None:
+def test_only_exploration_steps_are_learned_if_not_online() -> None:
     settings = LearningSettings("gp", exploration=12)
     start = Learner.start(NOMINAL, log_of([]), settings, iteration=0)
     steps = hops(REALITY, 12, seed=4, first=-11)
@@ -140,7 +140,7 @@ def test_calibration_teaches_its_steps_and_no_more() -> None:
     np.testing.assert_allclose(later.residual.mean(POINTS), known, atol=1e-12)
 
 
-def test_a_correction_that_predicts_worse_is_left_out_until_it_is_better() -> None:
+def test_a_correction_that_predicts_worse_is_not_used_until_it_is_better() -> None:
     learner = Learner.start(NOMINAL, log_of(hops(REALITY, 40, seed=0)), LearningSettings(), iteration=1)
     assert learner.step_map().residual.kind == DEFAULT
     learner = after(learner, hops(NOMINAL, MONITORED_STEPS, seed=5, iteration=1))
@@ -149,8 +149,8 @@ def test_a_correction_that_predicts_worse_is_left_out_until_it_is_better() -> No
     assert learner.step_map().residual.kind == DEFAULT
 
 
-def test_a_correction_is_judged_with_the_shift_that_it_is_deployed_with() -> None:
-    """The robot errs the other way round by now: what was learnt is wrong, what drifts makes up for it."""
+def test_a_correction_is_judged_with_its_deployed_offset() -> None:
+    """The error has changed its sign: the learned residual is wrong, and the drift estimate compensates for it."""
     robot, opposite = LossyHopper(drift=0.1), LossyHopper(drift=0.02)
     learner = Learner.start(NOMINAL, log_of(hops(robot, 40, seed=0)), LearningSettings(), iteration=1)
     left_out, corrected, uncorrected = 0, [], []
@@ -177,7 +177,7 @@ def test_steps_that_failed_are_remembered() -> None:
 
 
 def leaning(reality: StepMap, seed: int, iteration: int) -> list[LoggedStep]:
-    """Hops on a boom that leans: a sine of the yaw is added to the speed, with another zero in each deployment."""
+    """Hops on a tilted boom: a sine of the yaw is added to the speed, with another zero in each deployment."""
     yaw = 10.0 * seed
     rng, steps = np.random.default_rng([seed, 1]), []
     for logged in hops(reality, 200, seed=seed, iteration=iteration):
@@ -188,25 +188,25 @@ def leaning(reality: StepMap, seed: int, iteration: int) -> list[LoggedStep]:
     return steps
 
 
-def test_what_depends_on_the_yaw_is_no_error_of_the_map_and_is_followed() -> None:
+def test_the_yaw_dependent_part_is_not_learned_but_estimated() -> None:
     """After a known yaw; the RMS of the sine is 14 mm/s, that of the noise 4 mm/s."""
     known = leaning(REALITY, 1, 0) + leaning(REALITY, 2, 1)
     rms: dict[bool, tuple[float, float]] = {}
     for drift in (True, False):
         learner = Learner.start(NOMINAL, log_of(known), LearningSettings(drift=drift), 2)
         points, innovations = POINTS[:, :2], []
-        learnt = learner.residual.mean(POINTS) - (REALITY(points, POINTS[:, 2:]) - NOMINAL(points, POINTS[:, 2:]))
+        learned = learner.residual.mean(POINTS) - (REALITY(points, POINTS[:, 2:]) - NOMINAL(points, POINTS[:, 2:]))
         for logged in leaning(REALITY, 3, 2):
             record = logged.record
             innovations.append(record.next_state - learner.step_map()(record.state, record.applied))
             learner = learner.after(logged)
-        rms[drift] = float(np.std(learnt[:, 0])), float(np.std(np.array(innovations)[60:, 0]))
+        rms[drift] = float(np.std(learned[:, 0])), float(np.std(np.array(innovations)[60:, 0]))
     assert rms[True][0] < 0.7 * rms[False][0]
     assert rms[True][1] < 0.006 < 0.013 < rms[False][1]
 
 
-def test_without_a_correction_what_depends_on_the_yaw_is_noise() -> None:
-    """Nothing is followed then, so that a step scatters by it; of a robot that is the model, `auto` takes none, too."""
+def test_without_a_correction_the_yaw_dependent_part_is_noise() -> None:
+    """Then no disturbance is estimated, and a step scatters by it; for an exact model `auto` also selects `none`."""
     known = leaning(NOMINAL, 1, 0) + leaning(NOMINAL, 2, 1)
     errors = observe(log_of(known), NOMINAL).error
     for kind in ("none", "auto"):
@@ -215,7 +215,7 @@ def test_without_a_correction_what_depends_on_the_yaw_is_noise() -> None:
         np.testing.assert_allclose(residual.noise_std, np.sqrt(np.mean(errors**2, axis=0)), rtol=0.1)
 
 
-def test_a_drift_within_the_deployment_is_followed_if_asked_to() -> None:
+def test_a_drift_within_the_deployment_is_estimated_if_wanted() -> None:
     known, shifted = hops(REALITY, 60, seed=0), np.array([0.03, -0.004])
     drifting = [
         replace(logged, record=replace(logged.record, next_state=logged.record.next_state + shifted))

@@ -10,7 +10,7 @@ from tests.learning.test_corrected_map import NOMINAL, SPACE, actual, apexes
 
 
 def log_of(*deployments: int, fallen: bool = False) -> StepLog:
-    """Deployments of so many steps each; the last step of the last one may be a fall."""
+    """Deployments with the given numbers of steps; the last step of the last one may be a fall."""
     log, (state, command) = StepLog(SPACE), apexes(sum(deployments), seed=1)
     for iteration, size in enumerate(deployments):
         for number in range(1, size + 1):
@@ -51,20 +51,20 @@ def test_history_is_the_step_before_in_half_ranges() -> None:
         np.testing.assert_allclose(history[row], [*before, row], atol=1e-12)
 
 
-def test_nothing_comes_before_the_first_step_of_a_warm_start() -> None:
+def test_the_first_step_of_a_warm_start_has_no_history() -> None:
     """Steps that were known before are those of deployments before number 0."""
     for first in (-1, -2):
         known = StepLog(SPACE, [replace(step, iteration=step.iteration + first) for step in log_of(4, 3)])
         np.testing.assert_array_equal(history_of(observe(known, NOMINAL)), history_of(observe(log_of(4, 3), NOMINAL)))
 
 
-def test_what_was_left_out_comes_before_nothing() -> None:
+def test_an_omitted_step_is_not_in_a_history() -> None:
     steps = list(log_of(5))
     observations = observe(StepLog(SPACE, [steps[0], *steps[2:]]), NOMINAL)
     np.testing.assert_array_equal(history_of(observations)[1], [0, 0, 0, 0, 0, 1])
 
 
-def test_the_next_step_gets_the_history_that_it_will_be_learnt_with() -> None:
+def test_the_next_step_gets_the_history_that_it_will_be_learned_with() -> None:
     log = log_of(4, 3)
     history = history_of(observe(log, NOMINAL))
     steps = list(log)
@@ -73,8 +73,8 @@ def test_the_next_step_gets_the_history_that_it_will_be_learnt_with() -> None:
         np.testing.assert_allclose(next_history(before, NOMINAL, logged.iteration), history[row], rtol=1e-12)
 
 
-def test_a_step_that_the_nominal_map_cannot_make_has_no_error() -> None:
-    """It is left out; the step after it is told of no error."""
+def test_a_step_that_fails_on_the_nominal_map_has_no_error() -> None:
+    """It is omitted; the error in the history of the step after it is zero."""
     log = log_of(3)
     steps = list(log)
     fast = StepRecord(np.array([0.35, 0.58]), np.zeros(1), np.zeros(1), np.array([0.2, 0.58]), StepStatus.OK)
@@ -85,7 +85,7 @@ def test_a_step_that_the_nominal_map_cannot_make_has_no_error() -> None:
     np.testing.assert_allclose(next_history(StepLog(SPACE, steps[:2]), NOMINAL, 0), history_of(observations)[1])
 
 
-def test_nothing_recorded_is_nothing_observed() -> None:
+def test_an_empty_log_has_no_observations() -> None:
     assert len(observe(StepLog(SPACE), NOMINAL)) == 0
     np.testing.assert_array_equal(next_history(StepLog(SPACE), NOMINAL, 0), np.zeros(6))
 
@@ -112,10 +112,10 @@ class TestRefused:
         for wrong in (right[:, 1:], right[0]):
             with pytest.raises(ValueError, match=f"^{named} must have the columns"):
                 observed_with(wrong)
-        with pytest.raises(ValueError, match="equally many"):
+        with pytest.raises(ValueError, match="must have one length"):
             observed_with(right[1:])
 
     @pytest.mark.parametrize("named", ["yaw", "deployment"])
     def test_yaws_or_deployments_of_other_steps(self, named: str) -> None:
-        with pytest.raises(ValueError, match="equally many"):
+        with pytest.raises(ValueError, match="must have one length"):
             replace(Observations(SPACE, *self.DATA), **{named: np.zeros(3, np.intp)})

@@ -1,4 +1,4 @@
-"""The residual of docs/own_residual.md: its code runs, it keeps the contract, and everything knows it by its name."""
+"""The residual of docs/own_residual.md: its code runs, keeps the contract, and is found by its name."""
 
 import json
 import re
@@ -31,7 +31,7 @@ NAME = "bayesian_linear"
 
 
 def install(folder: Path, package: str, code: str, **entries: str) -> None:
-    """Puts a package with residual models into a folder, as pip would."""
+    """Installs a package with residual models into a folder, as pip does."""
     info = folder / f"{package}-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
@@ -70,16 +70,16 @@ def test_it_is_short() -> None:
 @pytest.mark.usefixtures("installed")
 def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile("\n".join(USES), "docs/own_residual.md", "exec"), {"__name__": "page"})  # noqa: S102  (our own document)
-    said = re.fullmatch(
+    printed = re.fullmatch(
         rf"{NAME} with previous error: (.*) m/s without it, (.*) m/s with it\n", capsys.readouterr().out
     )
-    assert said
-    assert float(said[2]) < 0.2 * float(said[1])
+    assert printed
+    assert float(printed[2]) < 0.2 * float(printed[1])
 
 
 @pytest.mark.usefixtures("installed")
 def test_it_is_the_posterior_of_a_gaussian_process_with_a_linear_kernel() -> None:
-    """The function-space view of the same model, RW Eqs. 2.25 and 2.26, with nothing of its own formulae."""
+    """The function-space view of the same model, RW Eqs. 2.25 and 2.26, computed independently."""
     regression = load_residual_model(NAME).fit(data := training_data(), None)
     noise, prior = (regression.to_dict()[name] for name in ("noise", "prior"))
     queries = training_data(5, seed=3).points
@@ -94,7 +94,7 @@ def test_it_is_the_posterior_of_a_gaussian_process_with_a_linear_kernel() -> Non
 
 
 @pytest.mark.usefixtures("installed")
-def test_settings_take_it_and_it_brings_its_features() -> None:
+def test_settings_accept_it_and_it_adds_its_lagged_inputs() -> None:
     assert NAME in residual_names()
     assert "own_residual" not in sys.modules, "names are known without imports"
     LearningSettings(**SETTINGS["learning"])
@@ -114,7 +114,7 @@ def test_the_benchmark_compares_it() -> None:
 
 
 @pytest.mark.usefixtures("installed")
-def test_a_run_uses_it_and_the_report_shows_it(tmp_path: Path) -> None:
+def test_a_run_uses_it_and_the_report_includes_it(tmp_path: Path) -> None:
     def plant(rng: np.random.Generator) -> ModelPlant:
         return ModelPlant(REAL, np.array([0.1, 0.56]), np.array([0.005, 0.002]), rng)
 
@@ -142,7 +142,7 @@ def test_without_its_package_a_model_file_is_refused_in_one_line() -> None:
 
 
 @pytest.mark.parametrize("path", ["own_residual:MODEL", "os.path", "../own_residual", "stepgap.learning.zero"])
-def test_a_file_cannot_have_code_imported(packages: Path, path: str) -> None:
+def test_a_file_cannot_import_code(packages: Path, path: str) -> None:
     (packages / "own_residual.py").write_text("raise SystemExit('imported')")
     with pytest.raises(InputError, match="unknown"):
         residual_from_dict(
@@ -151,24 +151,24 @@ def test_a_file_cannot_have_code_imported(packages: Path, path: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "says"),
+    ("code", "expected"),
     [
         ("import no_such_package", "residual 'own' needs no_such_package: pip install 'no_such_package'"),
         ("MODEL = 3", "residual 'own': broken:MODEL of broken must be a ResidualModel"),
         (
             "from stepgap.learning.zero import NONE as MODEL",
-            "residual 'own': its model calls itself 'none'; both names",
+            "residual 'own': its model has the name 'none'; both names",
         ),
     ],
 )
-def test_a_model_that_cannot_be_used_says_why(packages: Path, code: str, says: str) -> None:
+def test_a_model_that_cannot_be_used_gives_the_reason(packages: Path, code: str, expected: str) -> None:
     install(packages, "broken", code, own="broken:MODEL")
-    with pytest.raises(InputError, match=re.escape(says)):
+    with pytest.raises(InputError, match=re.escape(expected)):
         fit_residual("own", steps())
     LearningSettings("linear")  # others are not affected
 
 
-def test_links_lead_somewhere() -> None:
+def test_links_have_targets() -> None:
     docs = Path(__file__).parents[2] / "docs"
     for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
         assert (docs / target).exists(), target

@@ -46,7 +46,7 @@ def assert_alike(one: Polynomial, other: Polynomial) -> None:
 
 class TestAgainstTheDefinition:
     def test_posterior_is_prior_times_likelihood(self) -> None:
-        """One weight and the noise integrated numerically, with nothing of the closed form."""
+        """One weight and the noise, integrated numerically instead of the closed form."""
         values = np.array([0.03, 0.05])
         log_noise = np.linspace(-8, 2, 1001)[:, None]
         noise, deviation = np.exp(log_noise), np.linspace(-12, 12, 1001)  # of the weight from 0.04, in noises
@@ -84,8 +84,8 @@ class TestAgainstTheDefinition:
         queries = data(20, seed=3)[0]
         np.testing.assert_allclose(polynomial.mean(queries), truth(queries), atol=2e-3)
 
-    def test_noise_and_weights_of_the_right_size_cover_what_comes(self) -> None:
-        """95 of 100 new values lie within the interval of Student's t, whatever the number of values learnt from."""
+    def test_intervals_cover_new_values_if_the_prior_is_right(self) -> None:
+        """95 of 100 new values lie within the interval of Student's t, for any number of training values."""
         generator = np.random.default_rng(4)
         for size in (6, 40):
             inside = []
@@ -116,7 +116,7 @@ class TestEveryDegree:
             polynomial.std_gradient(points[:, 0]) * SCALE, derivative(polynomial.std), rtol=1e-6, atol=1e-10
         )
 
-    def test_appending_is_fitting_anew(self, polynomial: Polynomial) -> None:
+    def test_appending_is_fitting_to_all_data(self, polynomial: Polynomial) -> None:
         points, values = data(30)
         grown = fit(polynomial.degree, points[:10], values[:10])
         for point, value in zip(points[10:], values[10:], strict=True):
@@ -131,11 +131,11 @@ class TestEveryDegree:
         found = polynomial.left_out(blocks)
         for block in blocks:
             others = np.delete(points, block, axis=0), np.delete(values, block)
-            anew = fit(polynomial.degree, *others)
-            np.testing.assert_allclose(found.mean[block], anew.mean(points[block]), rtol=0, atol=1e-9)
-            np.testing.assert_allclose(found.std[block], anew.predict(points[block]).std, rtol=1e-8)
+            refitted = fit(polynomial.degree, *others)
+            np.testing.assert_allclose(found.mean[block], refitted.mean(points[block]), rtol=0, atol=1e-9)
+            np.testing.assert_allclose(found.std[block], refitted.predict(points[block]).std, rtol=1e-8)
 
-    def test_comes_back(self, polynomial: Polynomial) -> None:
+    def test_is_restored(self, polynomial: Polynomial) -> None:
         saved = json.loads(json.dumps(polynomial.to_dict(), allow_nan=False))
         loaded = MODELS[polynomial.degree].from_dict(saved)
         assert loaded.to_dict() == saved
@@ -152,7 +152,7 @@ class TestEveryDegree:
             assert np.isfinite(poor_fit.left_out([slice(i, i + 1) for i in range(len(poor))]).mean).all()
             assert np.abs(poor_fit.mean(points)).max() < 1
 
-    def test_what_the_data_leave_open_stays_open(self) -> None:
+    def test_weights_that_the_data_do_not_determine_remain_uncertain(self) -> None:
         same = fit(1, np.tile(CENTRE, (30, 1)), np.full(30, 0.1))
         assert same.mean(CENTRE) == pytest.approx(0.1, rel=1e-3)
         assert same.std(CENTRE + SCALE) > 20 * same.std(CENTRE)

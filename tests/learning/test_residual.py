@@ -51,7 +51,7 @@ CASES += [("gp", "previous_error", inf)]
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join(map(str, case)))
 def residual(request: pytest.FixtureRequest) -> Residual:
-    """Of every kind; with history inputs it is conditioned on the histories of the queries, one each."""
+    """A residual of every kind; one with history inputs is conditioned on the histories of the queries, one each."""
     kind, lagged_inputs, forgetting_time = request.param
     assert QUERIES.history is not None
     return fit_residual(kind, steps(), lagged_inputs, forgetting_time).conditioned_on(QUERIES.history)
@@ -83,7 +83,7 @@ class TestEveryResidual:
         assert np.all(noisy > latent)
         np.testing.assert_allclose(noisy, np.hypot(latent, residual.noise_std), rtol=1e-12)
 
-    def test_comes_back_bit_for_bit(self, residual: Residual) -> None:
+    def test_is_restored_bit_for_bit(self, residual: Residual) -> None:
         saved = json.loads(json.dumps(residual.to_dict(), allow_nan=False))
         assert QUERIES.history is not None
         loaded = residual_from_dict(saved).conditioned_on(QUERIES.history)
@@ -93,19 +93,19 @@ class TestEveryResidual:
                 getattr(loaded, name)(points(QUERIES)), getattr(residual, name)(points(QUERIES))
             )
 
-    def test_appending_is_fitting_anew_at_the_same_hyper_parameters(self, residual: Residual) -> None:
-        """`residual_from_dict` conditions anew on the data that the grown one holds."""
+    def test_appending_is_fitting_to_all_data_at_the_same_hyper_parameters(self, residual: Residual) -> None:
+        """`residual_from_dict` conditions a new residual on the data of the extended one."""
         grown, more = residual, steps(5, seed=2)
         assert more.history is not None
         assert QUERIES.history is not None
         for point, error, history in zip(points(more), more.error, more.history, strict=True):
             grown = grown.conditioned_on(history + 40 * np.eye(7)[-1]).append(point, error)
-        anew = residual_from_dict(grown.to_dict())
-        for found, wanted in zip(grown.regressions, anew.regressions, strict=True):
+        refitted = residual_from_dict(grown.to_dict())
+        for found, wanted in zip(grown.regressions, refitted.regressions, strict=True):
             assert type(found) is type(wanted)
-        grown, anew = (each.conditioned_on(QUERIES.history) for each in (grown, anew))
+        grown, refitted = (each.conditioned_on(QUERIES.history) for each in (grown, refitted))
         for name in ("mean", "std", "mean_gradient"):
-            found, wanted = (getattr(each, name)(points(QUERIES)) for each in (grown, anew))
+            found, wanted = (getattr(each, name)(points(QUERIES)) for each in (grown, refitted))
             np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
         if residual.kind != "none":
             assert not np.allclose(grown.mean(points(QUERIES)), residual.mean(points(QUERIES)), rtol=1e-6)
@@ -114,7 +114,7 @@ class TestEveryResidual:
 @pytest.mark.parametrize("kind", [kind for kind in FITTED if kind not in ("none", "fitrgp")])
 @pytest.mark.parametrize("forgetting_time", [inf, 30.0])
 def test_left_out_is_conditioning_on_the_others(kind: str, forgetting_time: float) -> None:
-    """By `to_dict`, so that the hyper-parameters stay."""
+    """By `to_dict`, so that the hyper-parameters do not change."""
     residual, observations = fit_residual(kind, steps(), forgetting_time=forgetting_time), steps()
     blocks = [slice(0, 12), slice(12, 13), slice(13, 40)]
     inputs = observations.points(residual.history_inputs)
@@ -122,9 +122,10 @@ def test_left_out_is_conditioning_on_the_others(kind: str, forgetting_time: floa
         found = regression.left_out(blocks)
         for block in blocks[:2]:
             others = {key: np.delete(saved[key], block, axis=0).tolist() for key in ("points", "values")}
-            anew = residual_from_dict({**residual.to_dict(), "regressions": [{**saved, **others}] * 2}).regressions[0]
-            np.testing.assert_allclose(found.mean[block], anew.mean(inputs[block]), rtol=1e-7, atol=1e-9)
-            np.testing.assert_allclose(found.std[block], anew.predict(inputs[block]).std, rtol=1e-7)
+            data = {**residual.to_dict(), "regressions": [{**saved, **others}] * 2}
+            refitted = residual_from_dict(data).regressions[0]
+            np.testing.assert_allclose(found.mean[block], refitted.mean(inputs[block]), rtol=1e-7, atol=1e-9)
+            np.testing.assert_allclose(found.std[block], refitted.predict(inputs[block]).std, rtol=1e-7)
 
 
 def test_no_residual_is_zero() -> None:
@@ -134,7 +135,7 @@ def test_no_residual_is_zero() -> None:
     np.testing.assert_array_equal(residual.std(points(QUERIES), include_noise=True), 0)
 
 
-def test_none_of_some_steps_knows_how_far_they_lie_from_the_nominal_map() -> None:
+def test_none_estimates_the_noise_about_the_nominal_map() -> None:
     residual = fit_residual("none", steps())
     np.testing.assert_array_equal(residual.mean(points(QUERIES)), 0)
     np.testing.assert_array_equal(residual.std(points(QUERIES)), 0)
@@ -154,7 +155,7 @@ def test_gp_is_one_process_per_coordinate_on_the_scales_of_the_space() -> None:
             np.testing.assert_allclose(residual.std(points(QUERIES))[:, i], wanted, rtol=1e-6)
 
 
-def test_fitrgp_knows_no_scales_and_reports_plug_in_deviations() -> None:
+def test_fitrgp_uses_no_scales_and_reports_plug_in_deviations() -> None:
     observations = steps()
     residual = fit_residual("fitrgp", observations)
     for i in range(2):
@@ -164,7 +165,7 @@ def test_fitrgp_knows_no_scales_and_reports_plug_in_deviations() -> None:
 
 
 @pytest.mark.parametrize("kind", ["gp", "gp_on_linear", "auto"])
-def test_predicts_steps_it_has_not_seen(kind: str) -> None:
+def test_predicts_steps_it_was_not_fitted_to(kind: str) -> None:
     residual = fit_residual(kind, steps(150), "previous_error")
     new = steps(200, seed=2)
     assert new.history is not None
@@ -183,7 +184,7 @@ def test_one_step_is_enough(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["gp", "gp_on_linear"])
-def test_a_fit_that_goes_on_from_another_ends_where_it_would_have_ended_alone(kind: str) -> None:
+def test_a_fit_that_starts_from_another_has_the_same_result(kind: str) -> None:
     alone = fit_residual(kind, steps(60))
     warm = fit_residual(kind, steps(60), start=fit_residual(kind, part(steps(60), slice(0, 40))))
     np.testing.assert_allclose(warm.mean(points(QUERIES)), alone.mean(points(QUERIES)), atol=1e-3)
@@ -207,7 +208,7 @@ class TestChoice:
             (lambda x: 0.2 * np.sin(4 * x[:, 0]) * np.cos(3 * x[:, 2]), {"none", "constant", "linear", "quadratic"}),
         ],
     )
-    def test_what_explains_the_errors_is_chosen(self, shape: Any, too_simple: set[str]) -> None:
+    def test_the_model_that_explains_the_errors_is_chosen(self, shape: Any, too_simple: set[str]) -> None:
         assert fit_residual("auto", self.of(shape)).kind not in too_simple
 
     def test_little_evidence_gives_a_simple_model(self) -> None:
@@ -220,29 +221,29 @@ class TestChoice:
         del scores["fitrgp"]
         assert fit_residual("auto", observations).kind == max(scores, key=lambda kind: scores[kind])
 
-    def test_a_residual_that_cannot_leave_anything_out_has_no_score(self) -> None:
+    def test_a_residual_without_held_out_predictions_has_no_score(self) -> None:
         assert held_out_score(fit_residual("gp", steps(1)), steps(1)) == -inf
 
     @pytest.mark.parametrize(("weight", "wanted"), [(0.0, {"none"}), (0.5, {"previous_error", "previous_step"})])
-    def test_features_are_taken_where_they_help(self, weight: float, wanted: set[str]) -> None:
+    def test_lagged_inputs_are_chosen_where_they_help(self, weight: float, wanted: set[str]) -> None:
         observations = steps(90)
         history = observations.history
         assert history is not None
         error = observations.error + weight * SCALE[:2] * history[:, :2]
-        told = history if weight else np.random.default_rng(3).permuted(history, axis=0)
-        data = Observations(SPACE, observations.state, observations.applied_command, error, told)
+        shuffled = history if weight else np.random.default_rng(3).permuted(history, axis=0)
+        data = Observations(SPACE, observations.state, observations.applied_command, error, shuffled)
         assert fit_residual("linear", data, "auto").history_inputs.lagged_inputs in wanted
 
 
 class TestHistoryInputs:
-    def test_inputs_are_what_the_features_say(self) -> None:
+    def test_inputs_are_those_of_the_setting(self) -> None:
         history = np.arange(7.0)
         assert HistoryInputs().of(history, 2).tolist() == []
         assert HistoryInputs("previous_error").of(history, 2).tolist() == [0, 1]
         assert HistoryInputs("previous_step").of(history, 2).tolist() == [0, 1, 2, 3, 4, 5]
         assert HistoryInputs("previous_error", forgetting_time=3.0).of(history, 2).tolist() == [0, 1, 2]
 
-    def test_a_residual_with_history_inputs_asks_for_the_history(self) -> None:
+    def test_a_residual_with_history_inputs_requires_the_history(self) -> None:
         residual = fit_residual("linear", steps(), "previous_error")
         with pytest.raises(ValueError, match="condition it on the history"):
             residual.mean(points(QUERIES))
@@ -259,7 +260,7 @@ class TestHistoryInputs:
     @pytest.mark.parametrize(
         ("lagged_inputs", "forgetting_time"), [("next_error", inf), ("none", 0.0), ("none", float("nan"))]
     )
-    def test_what_is_none_is_refused(self, lagged_inputs: Any, forgetting_time: float) -> None:
+    def test_invalid_history_inputs_are_refused(self, lagged_inputs: Any, forgetting_time: float) -> None:
         with pytest.raises(ValueError, match=r"= .*, but it must be"):
             HistoryInputs(lagged_inputs, forgetting_time)
 
@@ -272,8 +273,8 @@ class TestHistoryInputs:
         assert fit_residual("linear", bare, forgetting_time=10.0).history_inputs == HistoryInputs(forgetting_time=10.0)
 
 
-class TestMemory:
-    """A level that drifts: a finite forgetting time follows it, an infinite one averages."""
+class TestForgettingTime:
+    """A level that drifts: a finite forgetting time tracks it, an infinite one averages."""
 
     @staticmethod
     def drifting(size: int = 240) -> Observations:
@@ -284,14 +285,14 @@ class TestMemory:
         return Observations(SPACE, np.array([0.2, 0.58]) + SCALE[:2] * x[:, :2], SCALE[2:] * x[:, 2:], error)
 
     @pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "gp", "gp_on_linear"])
-    def test_what_is_long_ago_counts_less(self, kind: str) -> None:
+    def test_old_steps_count_less(self, kind: str) -> None:
         observations, middle = self.drifting(), np.array([0.2, 0.58, 0.0, 0.0])
         now, after = SCALE[:2] * 0.1, 240 * np.eye(7)[-1]
         for_ever = fit_residual(kind, observations).conditioned_on(after).mean(middle)
         fading = fit_residual(kind, observations, forgetting_time=30.0).conditioned_on(after).mean(middle)
         assert np.all(np.abs(fading - now) < 0.45 * np.abs(for_ever - now))
 
-    def test_without_drift_a_long_memory_is_as_good_as_an_infinite_one(self) -> None:
+    def test_without_drift_a_long_forgetting_time_is_as_good_as_an_infinite_one(self) -> None:
         kinds: tuple[str, ...] = ("linear", "gp")
         for kind in kinds:
             for_ever, long = fit_residual(kind, steps()), fit_residual(kind, steps(), forgetting_time=1e5)
@@ -305,7 +306,7 @@ def test_join_broadcasts_leading_axes() -> None:
 
 
 class TestRefused:
-    def test_an_unknown_kind_is_told_the_known_ones(self) -> None:
+    def test_the_error_of_an_unknown_kind_lists_the_known_ones(self) -> None:
         names = "constant, fitrgp, gp, gp_on_linear, linear, none, quadratic$"
         with pytest.raises(InputError, match=f"^residual 'neural': unknown; the residuals installed here are {names}"):
             fit_residual("neural", steps())
@@ -362,5 +363,5 @@ class TestRefused:
                 Residual(NONE, regressions, 2)
 
 
-def test_features_are_named() -> None:
+def test_lagged_inputs_have_names() -> None:
     assert LAGGED_INPUTS == ("none", "previous_error", "previous_step")

@@ -93,7 +93,7 @@ def test_gradients_are_derivatives(hyper_parameters) -> None:
 
 
 @BOTH
-def test_leave_out_is_what_is_predicted_without_the_block(hyper_parameters) -> None:
+def test_leave_out_is_the_prediction_without_the_block(hyper_parameters) -> None:
     points, values = sample(30)
     inducing, _ = sample(8, seed=2)
     blocks = [slice(0, 1), slice(1, 12), slice(12, 30)]
@@ -112,7 +112,7 @@ def test_leave_out_is_what_is_predicted_without_the_block(hyper_parameters) -> N
 
 
 @BOTH
-def test_leave_one_out_is_what_is_predicted_without_the_point(hyper_parameters) -> None:
+def test_leave_one_out_is_the_prediction_without_the_point(hyper_parameters) -> None:
     points, values = sample(30)
     inducing, _ = sample(8, seed=2)
     mean, std = condition_sparse(points, values, SCALE, hyper_parameters, inducing).leave_one_out()
@@ -152,7 +152,7 @@ def test_queries_keep_their_axes_and_nan_stays_nan() -> None:
         assert len(getattr(sparse, method)(queries[:0])) == 0
 
 
-def test_comes_back_bit_for_bit() -> None:
+def test_is_restored_bit_for_bit() -> None:
     sparse = condition_sparse(*sample(60), SCALE, SLOPED, sample(12, seed=2)[0])
     loaded = process_from_dict(json.loads(json.dumps(sparse.to_dict(), allow_nan=False)))
     assert isinstance(loaded, SparseGaussianProcess)
@@ -173,7 +173,7 @@ def test_a_wrong_entry_is_named(key: str, wrong: object) -> None:
 
 
 class TestSpreadPoints:
-    def test_are_distinct_points_that_leave_little_variance(self) -> None:
+    def test_they_are_distinct_points_that_leave_little_variance(self) -> None:
         points, values = sample(300)
         few, many = (spread_points(points, SCALE, FIXED, count) for count in (10, 60))
         np.testing.assert_array_equal(many[:10], few)
@@ -198,7 +198,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("small")
 class TestFit:
     @pytest.mark.parametrize("basis", ["constant", "linear"])
-    def test_recovers_a_smooth_truth(self, basis) -> None:
+    def test_recovers_a_smooth_function(self, basis) -> None:
         sparse = fit_sparse(*sample(1500), SCALE, 0.2, basis=basis)
         queries, observed = sample(1000, seed=5)
         error = sparse.mean(queries) - observed
@@ -206,7 +206,7 @@ class TestFit:
         covered = np.abs(error) < norm.ppf(0.975) * sparse.kriging_std(queries, include_noise=True)
         assert 0.92 < covered.mean() < 0.98
 
-    def test_a_rougher_truth_gets_more_inducing_points(self) -> None:
+    def test_a_rougher_function_gets_more_inducing_points(self) -> None:
         points, noise = sample(1000)
         rough = 0.1 * np.prod(np.sin(3 * (points - CENTRE)[:, :2] / SCALE[:2]), axis=1)
         smooth, rougher = (

@@ -1,4 +1,4 @@
-"""Cross-validation: that it holds out what it says, and is neither too sure nor too shy of what can be learnt."""
+"""Cross-validation: it holds out the right steps, and its significance test is neither too weak nor too strict."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ SIMPLE: tuple[str, ...] = ("none", "constant", "gp")
 
 
 def steps_with(truth, count: int, seed: int) -> StepTable:
-    """Steps whose error is a truth of state and command plus noise of 0.1 m/s and 0.01 m."""
+    """Steps whose error is a function of state and command plus noise of 0.1 m/s and 0.01 m."""
     rng = np.random.default_rng(seed)
     state, command = rng.uniform(-1, 1, (2, count, 2))
     error = truth(state, command) + rng.normal(size=(count, 2)) * [0.1, 0.01]
@@ -36,8 +36,8 @@ def steps_with(truth, count: int, seed: int) -> StepTable:
     return StepTable(SPACE, state, command, error, None, zero, np.zeros(count, np.intp))
 
 
-def held_out(left: Array) -> HeldOut:
-    return HeldOut("none", left, np.zeros_like(left), np.ones_like(left), 0.0)
+def held_out(remaining: Array) -> HeldOut:
+    return HeldOut("none", remaining, np.zeros_like(remaining), np.ones_like(remaining), 0.0)
 
 
 # Folds
@@ -61,7 +61,7 @@ def test_blocks_are_contiguous_and_of_one_size(steps: int, number: int) -> None:
 
 
 @given(st.lists(st.integers(1, 40), min_size=2, max_size=30), st.randoms(use_true_random=False))
-def test_deployments_are_held_out_whole(lengths: list[int], order) -> None:
+def test_complete_deployments_are_held_out(lengths: list[int], order) -> None:
     labels = list(range(len(lengths)))
     order.shuffle(labels)
     deployment = np.repeat(labels, lengths)
@@ -80,7 +80,7 @@ def test_one_deployment_cannot_be_held_out() -> None:
         deployment_folds(np.zeros(30, np.intp))
 
 
-def test_what_is_held_out_does_not_tell_its_prediction() -> None:
+def test_predictions_do_not_depend_on_the_held_out_steps() -> None:
     steps, folds = steps_with(lambda state, command: state, 40, 0), contiguous_folds(40, 4)
     held = folds.fold == 2
     spoilt = replace(steps, next_state=np.where(held[:, None], 1e3, steps.next_state))
@@ -183,7 +183,7 @@ def bent(state: Array, command: Array) -> Array:
     return np.stack([np.sin(3 * state[:, 0]) * command[:, 1], 0.1 * np.cos(3 * command[:, 0])], axis=-1)
 
 
-def test_what_bends_needs_a_gaussian_process() -> None:
+def test_a_nonlinear_error_needs_a_gaussian_process() -> None:
     validation = validate(SIMPLE, steps_with(bent, 120, 0), contiguous_folds(120))
     for coordinates in ([0], [1], [0, 1]):
         assert validation.best(coordinates) == "gp"
@@ -191,15 +191,15 @@ def test_what_bends_needs_a_gaussian_process() -> None:
     assert (validation.held_out["gp"].rmse < 0.5 * validation.held_out["constant"].rmse).all()
 
 
-def test_each_coordinate_is_judged_by_itself() -> None:
+def test_each_coordinate_is_judged_separately() -> None:
     steps = steps_with(lambda state, command: bent(state, command) * [1, 0], 120, 1)
     validation = validate(SIMPLE, steps, contiguous_folds(120))
     assert validation.best([0]) == "gp"
     assert validation.best([1]) == "none"
 
 
-def test_progress_is_told_fit_by_fit() -> None:
-    told = []
+def test_progress_is_reported_fit_by_fit() -> None:
+    calls = []
     steps = steps_with(lambda state, command: state, 20, 0)
-    validate(("none", "constant"), steps, contiguous_folds(20, 3), lambda *done: told.append(done))
-    assert told == [(done, 6) for done in range(1, 7)]
+    validate(("none", "constant"), steps, contiguous_folds(20, 3), lambda *done: calls.append(done))
+    assert calls == [(done, 6) for done in range(1, 7)]

@@ -1,4 +1,4 @@
-"""One contract for every plant, and what is special to each."""
+"""The contract of all plants, and tests of each one."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def make_plant(request):
     return request.param
 
 
-def test_steps_are_chained_and_record_what_was_asked_and_applied(make_plant):
+def test_steps_are_chained_and_record_command_and_applied_command(make_plant):
     with make_plant(0) as plant:
         state = plant.start()
         assert state.shape == (2,)
@@ -82,7 +82,7 @@ def test_a_command_beyond_its_bounds_is_applied_at_the_bound(make_plant):
         np.testing.assert_array_equal(record.applied, [0.0, BOUNDS.fy_upper])
 
 
-def test_a_command_that_is_no_number_ends_the_deployment(make_plant):
+def test_a_command_that_is_not_finite_ends_the_deployment(make_plant):
     with make_plant(0) as plant:
         plant.start()
         record = plant.take_step(np.array([np.nan, 0.0]))
@@ -101,7 +101,7 @@ def test_starting_again_is_a_new_deployment(make_plant):
         plant.stop()
 
 
-def test_without_any_gap_the_twin_hops_as_the_model_says():
+def test_without_any_gap_the_twin_hops_as_the_model():
     """The strongest test of both; `benchmarks/twin_fidelity.py` does it on 50 steps and at other ticks."""
     rng, nominal, errors = np.random.default_rng(11), ApexMap(), []
     with twin_plant(0, RealityGap.none(), tick=1e-4, start_height=0.6) as plant:
@@ -125,7 +125,7 @@ def test_a_first_hop_that_fails_is_a_fault_with_advice():
         plant.start()  # motors too weak to carry the robot at all
 
 
-def test_a_fall_is_a_record_with_its_reason_and_the_next_deployment_works():
+def test_a_fall_is_a_record_with_a_status_and_the_next_deployment_works():
     ticks = []
     bounds = CommandBounds(fx_lower=-80.0, fx_upper=80.0, fy_lower=-90.0, fy_upper=20.0)
     rig = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
@@ -142,7 +142,7 @@ def test_a_fall_is_a_record_with_its_reason_and_the_next_deployment_works():
         assert plant.take_step(COMMAND).status == StepStatus.OK
 
 
-def test_torque_that_the_drives_refuse_is_taken_off_the_applied_command():
+def test_torque_that_the_drives_refuse_reduces_the_applied_command():
     weak = RealityGap(torque_limit=12.0)
     with twin_plant(0, weak) as plant:
         plant.start()
@@ -153,8 +153,8 @@ def test_torque_that_the_drives_refuse_is_taken_off_the_applied_command():
 
 @pytest.mark.parametrize("sensor", HopperReading._fields)
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
-    """Also the contact force, of which no torque is computed: without it no landing is seen."""
+def test_a_sensor_value_that_is_not_finite_stops_the_robot(sensor, bad):
+    """Also the contact force, which enters no torque: without it no landing is detected."""
     twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
     read, broken = twin.read, False
     twin.read = lambda: read()._replace(**{sensor: bad} if broken else {})
@@ -162,7 +162,7 @@ def test_a_sensor_that_tells_no_number_stops_the_robot(sensor, bad):
         plant.start()
         broken = True
         record = plant.take_step(COMMAND)
-        assert (record.status, plant.fault[:36]) == (StepStatus.STOPPED, "the sensors tell what is no number: ")
+        assert (record.status, plant.fault[:30]) == (StepStatus.STOPPED, "a sensor value is not finite: ")
         with pytest.raises(RigFault):
             twin.write((0.0, 0.0))
 
@@ -180,8 +180,8 @@ def test_every_tick_is_reported_with_torques_within_the_limit():
     assert {tick.phase.name for tick in ticks} == {"ASCENT", "DESCENT", "COMPRESSION", "THRUST"}
 
 
-def test_a_constant_command_without_noise_stays_on_its_limit_cycle():
-    """What changes with time and not with state or command cannot be learnt, and must not be in the twin."""
+def test_a_constant_command_without_noise_holds_its_limit_cycle():
+    """An error that changes with time and not with state or command cannot be learned, and must not be in the twin."""
     quiet = RealityGap(torque_noise=0.0, ground_roughness=0.0, ground_slope=0.0)
     with twin_plant(0, quiet) as plant:
         plant.start()

@@ -1,4 +1,4 @@
-"""What every `Rig` must do; one file without ties, so that it can be copied beside a rig of one's own.
+"""The contract of every `Rig`: a self-contained file that can be copied to a package with its own rig.
 
 Subclass `RigContract` as `Test…` and give it `make_rig`: a context manager of a rig that is not connected yet.
 """
@@ -24,7 +24,7 @@ def moved(rig: Rig, ticks: int, torque_1: float = 0.0, torque_2: float = 0.0) ->
 
 
 def break_off(rig: Rig) -> None:
-    """Uses the rig and runs into an error."""
+    """Uses the rig in a block that ends in an error."""
     with rig:
         moved(rig, 1)
         raise ZeroDivisionError
@@ -35,7 +35,7 @@ class RigContract:
 
     Attributes:
         torque_limit: Largest torque that the rig gives [N·m].
-        torque_unit: Fineness of its torques [N·m].
+        torque_unit: Resolution of its torques [N·m].
     """
 
     torque_limit: float
@@ -45,18 +45,18 @@ class RigContract:
     def make_rig(self) -> MakeRig:
         raise NotImplementedError
 
-    def test_the_layout_is_known_at_once_and_stays(self, make_rig: MakeRig) -> None:
+    def test_the_sensor_model_is_known_at_once_and_does_not_change(self, make_rig: MakeRig) -> None:
         with make_rig() as rig:
-            layout = rig.sensor_model
-            assert isinstance(layout, HopperSensorModel)
-            counts = (layout.motor_counts, layout.boom_counts_horizontal, layout.boom_counts_vertical)
-            assert all(isfinite(value) and value > 0 for value in (layout.tick, layout.boom_length, *counts))
-            assert isfinite(layout.pivot_height)
-            assert isfinite(layout.touchdown_force)
-            assert layout.takeoff_length > 0
+            model = rig.sensor_model
+            assert isinstance(model, HopperSensorModel)
+            counts = (model.motor_counts, model.boom_counts_horizontal, model.boom_counts_vertical)
+            assert all(isfinite(value) and value > 0 for value in (model.tick, model.boom_length, *counts))
+            assert isfinite(model.pivot_height)
+            assert isfinite(model.touchdown_force)
+            assert model.takeoff_length > 0
             rig.connect()
             moved(rig, 2)
-            assert rig.sensor_model == layout
+            assert rig.sensor_model == model
             rig.close()
 
     def test_it_does_nothing_until_connected(self, make_rig: MakeRig) -> None:
@@ -67,7 +67,7 @@ class RigContract:
                 rig.write((0.0, 0.0))
             rig.close()
 
-    def test_readings_are_numbers_and_stay_until_a_tick_passes(self, make_rig: MakeRig) -> None:
+    def test_readings_are_finite_and_do_not_change_within_a_tick(self, make_rig: MakeRig) -> None:
         with make_rig() as rig, rig:
             first = rig.read()
             assert isinstance(first, HopperReading)
@@ -75,23 +75,23 @@ class RigContract:
             for _ in range(20):
                 assert all(map(isfinite, moved(rig, 1)))
 
-    def test_it_says_what_it_applied(self, make_rig: MakeRig) -> None:
+    def test_it_returns_the_applied_torques(self, make_rig: MakeRig) -> None:
         with make_rig() as rig, rig:
-            for asked in ((0.0, 0.0), (1.234, -0.5), (-2.0, 3.0)):
+            for commanded in ((0.0, 0.0), (1.234, -0.5), (-2.0, 3.0)):
                 rig.read()
-                assert rig.write(asked) == pytest.approx(asked, abs=self.torque_unit)
+                assert rig.write(commanded) == pytest.approx(commanded, abs=self.torque_unit)
 
-    def test_torque_is_limited_and_the_caller_told(self, make_rig: MakeRig) -> None:
+    def test_torque_is_limited_and_the_limited_one_is_returned(self, make_rig: MakeRig) -> None:
         with make_rig() as rig, rig:
-            for asked in ((1e3, -1e3), (-1e30, 0.0)):
+            for commanded in ((1e3, -1e3), (-1e30, 0.0)):
                 rig.read()
-                applied = rig.write(asked)
-                limited = [min(max(torque, -self.torque_limit), self.torque_limit) for torque in asked]
+                applied = rig.write(commanded)
+                limited = [min(max(torque, -self.torque_limit), self.torque_limit) for torque in commanded]
                 assert applied == pytest.approx(limited, abs=self.torque_unit)
                 assert max(map(abs, applied)) <= self.torque_limit
 
     @pytest.mark.parametrize("torques", [(nan, 0.0), (0.0, inf), (-inf, nan)])
-    def test_what_is_no_number_stops_it_and_it_stays_stopped(
+    def test_a_torque_that_is_not_finite_stops_it_for_good(
         self, make_rig: MakeRig, torques: tuple[float, float]
     ) -> None:
         with make_rig() as rig:

@@ -1,4 +1,4 @@
-"""Rigs are found by name, and what is wrong with one is said in a line."""
+"""Rigs are found by name, and a fault of one is reported in a line."""
 
 import sys
 from collections.abc import Callable
@@ -20,7 +20,7 @@ Install = Callable[..., None]
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
-    """Puts a package with rigs where Python finds it, as pip would."""
+    """Installs a package with rigs where Python finds it, as pip does."""
     monkeypatch.syspath_prepend(tmp_path)
 
     def write(package: str, code: str, metadata: str = "", **rigs: str) -> None:
@@ -37,7 +37,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
 @pytest.mark.parametrize(
     ("name", "settings", "kind"), [("ethercat", "rig.toml", EthercatRig), ("moteus", "moteus.toml", MoteusRig)]
 )
-def test_our_rigs_are_there_with_their_examples(name: str, settings: str, kind: type) -> None:
+def test_our_rigs_are_found_with_their_examples(name: str, settings: str, kind: type) -> None:
     assert name in rig_names()
     rig = load_rig(name, ROOT / "examples" / settings, ROBOT)
     assert isinstance(rig, kind)
@@ -53,12 +53,12 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
         load_rig("xyzzy", Path("any.toml"), ROBOT)
 
 
-def test_what_a_rig_says_of_its_settings_comes_through(tmp_path: Path) -> None:
+def test_an_error_of_a_rigs_settings_is_passed_on(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.toml: No such file"):
         load_rig("moteus", tmp_path / "none.toml", ROBOT)
 
 
-def test_another_packages_rig_is_made_of_settings_and_robot(install: Install) -> None:
+def test_another_packages_rig_gets_settings_and_robot(install: Install) -> None:
     code = """
 from stepgap import Twin, RealityGap
 import numpy as np
@@ -102,13 +102,13 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("what", BROKEN)
-def test_a_broken_rig_is_told_in_a_line(install: Install, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
-    code, metadata, value, says = BROKEN[what]
+def test_a_broken_rig_is_reported_in_a_line(install: Install, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    code, metadata, value, expected = BROKEN[what]
     monkeypatch.delitem(sys.modules, "broken", raising=False)
     install("broken", code, metadata, own=value)
     with pytest.raises(InputError) as caught:
         load_rig("own", Path("any.toml"), ROBOT)
-    assert str(caught.value).startswith(says)
+    assert str(caught.value).startswith(expected)
     assert "\n" not in str(caught.value)
 
 

@@ -1,4 +1,4 @@
-"""The rig of docs/own_rig.md: its code runs, is found as the page says, and keeps the contract."""
+"""The rig of docs/own_rig.md: its code runs, is found by its name, and keeps the contract."""
 
 import re
 import socket
@@ -30,7 +30,7 @@ MODULE, TRY = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The page's package, as pip would install it; the folder."""
+    """The folder of the page's package, as pip installs it."""
     info = tmp_path / "own_robot-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-robot\nVersion: 1.0\n")
@@ -44,7 +44,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def names_of_the_page() -> dict[str, Any]:
-    """What the page's second block defines before it starts anything."""
+    """The definitions of the page's second block, before it starts anything."""
     names: dict[str, Any] = {}
     exec(compile(TRY.partition("\nrobot = ")[0], "docs/own_rig.md", "exec"), names)  # noqa: S102  (our own document)
     return names
@@ -52,7 +52,7 @@ def names_of_the_page() -> dict[str, Any]:
 
 @contextmanager
 def board_rig(folder: Path) -> Iterator[Rig]:
-    """The page's rig by its name, with the twin at the other end."""
+    """The page's rig by its name, connected to the twin."""
     board, settings = names_of_the_page()["board"], folder / "board.toml"
     twin = Twin(ROBOT, replace(RealityGap(), torque_limit=np.inf), np.random.default_rng(0))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
@@ -73,9 +73,9 @@ def board_rig(folder: Path) -> Iterator[Rig]:
 @pytest.mark.usefixtures("installed")
 def test_the_page_hops(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(TRY, "docs/own_rig.md", "exec"), {"__name__": "page"})  # noqa: S102  (our own document)
-    said = re.fullmatch(r"first apex: (.*) m/s, (.*) m\n", capsys.readouterr().out)
-    assert said
-    assert 0.4 < float(said[2]) < 0.7
+    printed = re.fullmatch(r"first apex: (.*) m/s, (.*) m\n", capsys.readouterr().out)
+    assert printed
+    assert 0.4 < float(printed[2]) < 0.7
 
 
 class TestOwnRig(RigContract):
@@ -88,22 +88,22 @@ class TestOwnRig(RigContract):
 
 def test_its_settings_are_read_strictly(installed: Path) -> None:
     path = installed / "board.toml"
-    for text, says in (
+    for text, expected in (
         ('host = "x"\nport = 1\ntorque_limit = -1\npivot_height = 0.4', "torque_limit = -1.0, but it must be positive"),
         ('hots = "x"', "hots: unknown key; did you mean host?"),
     ):
         path.write_text(text)
-        with pytest.raises(InputError, match=re.escape(f"{path}: {says}")):
+        with pytest.raises(InputError, match=re.escape(f"{path}: {expected}")):
             load_rig("board", path, ROBOT)
 
 
-def test_a_board_that_is_not_there_is_a_fault(installed: Path) -> None:
+def test_a_missing_board_is_a_fault(installed: Path) -> None:
     path = installed / "board.toml"
     path.write_text('host = "127.0.0.1"\nport = 9\ntorque_limit = 20\npivot_height = 0.4\nreply_timeout = 0.001\n')
     with pytest.raises(RigFault, match="does not answer"):
         load_rig("board", path, ROBOT).connect()
 
 
-def test_links_lead_somewhere() -> None:
+def test_links_have_targets() -> None:
     for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
         assert (ROOT / "docs" / target).exists(), target

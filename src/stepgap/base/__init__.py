@@ -1,5 +1,5 @@
-"""What every folder stands on.
+"""Helpers that all folders use.
 
-Whole files, settings files, plug-ins, readers of JSON data, signals, random streams, the normal distribution, compiled
-code.
+They are for errors, files, settings files, plug-ins, JSON data, signals, random streams, the normal distribution and
+compiled code.
 """

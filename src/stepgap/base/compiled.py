@@ -1,12 +1,12 @@
 """Compilation by Numba: `compiled` with a disk cache that can be trusted, `implements` for dispatch.
 
-Numba's own cache looks at the file of the compiled function alone, so a kernel would go on with the
-old version of a function it calls from another file. Here the cache lies in a folder named after the
-digest of all compiled sources of the function's package.
+Numba's own cache checks only the file of the compiled function, so a function would keep the old
+version of a function that it calls from another file. Here the name of the cache folder is the digest
+of all compiled sources of the function's package.
 """
 
 # pyright: reportAttributeAccessIssue=false
-# (Numba makes the attributes of its config at run time.)
+# (Numba creates the attributes of its config at run time.)
 
 import hashlib
 import os
@@ -29,14 +29,14 @@ Sums are not regrouped: Numba tests whether x is finite by x − x, which would 
 """
 
 AS_WRITTEN = {"nogil": True, "error_model": "numpy"}
-"""As `OPTIONS`, but every product, quotient and sum is rounded by itself, as Python and NumPy do."""
+"""As `OPTIONS`, but every product, quotient and sum is rounded separately, as in Python and NumPy."""
 
 
 @lru_cache
 def _digest(package: Path) -> str:
     """Digest of all source files below `package` that use `compiled`, and of those that they import from it.
 
-    The latter because Numba freezes the constants that a compiled function sees.
+    The imported files count because Numba freezes the constants that a compiled function uses.
     """
     is_package = (package / "__init__.py").exists()
     files = package.rglob("*.py") if is_package else package.glob("*.py")  # a script may lie anywhere
@@ -54,7 +54,7 @@ def _digest(package: Path) -> str:
 
 @lru_cache
 def cache_folder() -> Path | None:
-    """First folder for compiled code that can be written, or None."""
+    """First writable folder for compiled code, or None."""
     folders = [Path(tempfile.gettempdir()) / "stepgap-cache"]
     with suppress(RuntimeError):  # there may be no home
         folders.insert(0, Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stepgap")
@@ -78,10 +78,10 @@ def _package_folder(file: Path) -> Path:
 
 
 def generic(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles like `compiled` a function whose argument may be a type of another program; not cached.
+    """Compiles a function whose argument may be of a type that another program defines; it is not cached.
 
-    Its cache would name that type, and whoever cannot import it could not read the cache any more. The
-    compiled functions that call it are cached, with it inside.
+    A cache would refer to that type, and a process that cannot import the type could not read the cache.
+    The compiled functions that call this function are cached, and their cache includes it.
     """
     return numba.njit(**OPTIONS)(function)
 
@@ -95,7 +95,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def as_written(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `compiled`, but under `AS_WRITTEN`: the answers are to the last bit those of the same lines in Python."""
+    """Compiles under `AS_WRITTEN`, cached on disk: results are bit for bit those of the same lines in Python."""
     return _cached(function, AS_WRITTEN)
 
 
@@ -104,9 +104,9 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[.
     if cache is None or not file.is_file():
         return numba.njit(**options)(function)
     previous = config.CACHE_DIR
-    here = _digest(_package_folder(Path(__file__).resolve()))
-    there = _digest(_package_folder(file))
-    config.CACHE_DIR = str(cache / f"{here}-{there}")
+    own_digest = _digest(_package_folder(Path(__file__).resolve()))
+    function_digest = _digest(_package_folder(file))
+    config.CACHE_DIR = str(cache / f"{own_digest}-{function_digest}")
     try:
         return numba.njit(cache=True, **options)(function)
     finally:
@@ -114,16 +114,15 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[.
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `compiled`, but put into every caller, which then computes no more of the answer than it uses."""
+    """Compiles as `compiled` and inlines the function into its callers, which omit the results they do not use."""
     return _cached(function, {**OPTIONS, "forceinline": True})
 
 
 def implements(operation: Callable[..., Any], system_type: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Registers the implementation of `operation` for compiled code whose first argument is a `system_type`.
 
-    The like of `functools.singledispatch` for compiled code: functions passed as arguments would work
-    too, but Numba cannot cache their callers. The implementation must have the parameter names of
-    `operation`.
+    This is `functools.singledispatch` for compiled code. Functions passed as arguments would work too,
+    but Numba cannot cache their callers. The implementation must have the parameter names of `operation`.
     """
 
     def register(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,8 +1,8 @@
 """Memory that Python and compiled code share: a named tuple of numbers as one NumPy record.
 
-Numba takes a named tuple apart and puts it together field by field at every call from Python, which takes some 10 µs
-for fifty numbers; the address of a record takes 0.1 µs. Compiled code reads `record.field` as it reads a named tuple,
-so the same functions take either; `loaded` and `assign` read and write a whole named tuple.
+Numba unpacks and packs a named tuple field by field at every call from Python, which takes some 10 µs for fifty
+numbers; passing the address of a record takes 0.1 µs. Compiled code reads `record.field` as it reads a named tuple, so
+the same functions accept both; `loaded` and `assign` read and write a complete named tuple.
 """
 
 from dataclasses import fields, is_dataclass
@@ -24,28 +24,28 @@ _COMPILED = {float: types.float64, int: types.int64, bool: types.int64}
 
 @cache
 def record_type(kind: type) -> np.dtype[np.void]:
-    """The NumPy type with the fields of a named tuple or dataclass of numbers, which may hold others of that kind.
+    """The NumPy type with the fields of a named tuple or dataclass of numbers, which may be nested.
 
-    It is the same object each time: Numba needs 4 µs a call to recognise another one.
+    It is the same object at every call, because Numba needs 4 µs per call to recognise another one.
     """
     hints = get_type_hints(kind)
     return np.dtype([(name, _field_type(hints[name])) for name in _names(kind)])
 
 
 def as_record(value: Any) -> Record:
-    """A record with the numbers of a named tuple or dataclass."""
+    """Returns a record with the numbers of a named tuple or dataclass."""
     return np.array([_plain(value)], record_type(type(value)))
 
 
 def from_record(kind: Any, record: np.void | Record) -> Any:
-    """The named tuple of a kind whose numbers a record holds."""
+    """Returns a named tuple of the given kind with the numbers of a record."""
     hints, record = get_type_hints(kind), record[0] if isinstance(record, np.ndarray) else record
     return kind(*(_value(hints[name], record[name]) for name in _names(kind)))
 
 
 @intrinsic
 def loaded(typing_context, record, kind):
-    """The named tuple of a kind whose numbers a record holds; for compiled code."""
+    """Returns a named tuple of the given kind with the numbers of a record; for compiled code."""
     tuple_kind = _compiled_kind(kind.instance_class)
 
     def generate(context, builder, sig, arguments):
@@ -56,7 +56,7 @@ def loaded(typing_context, record, kind):
 
 @intrinsic
 def assign(typing_context, record, value):
-    """Writes the fields of a named tuple to those of the same names of a record; for compiled code."""
+    """Writes the fields of a named tuple to the fields of a record with the same names; for compiled code."""
 
     def generate(context, builder, sig, arguments):
         _store(context, builder, sig.args, arguments)
@@ -66,7 +66,7 @@ def assign(typing_context, record, value):
 
 
 def _compiled_kind(kind):
-    """Numba's type of a named tuple that a record holds."""
+    """Numba's type of the named tuple that a record stores."""
     hints = get_type_hints(kind)
     inner = [
         _COMPILED[hints[name]] if hints[name] in _COMPILED else _compiled_kind(hints[name]) for name in _names(kind)
@@ -75,7 +75,7 @@ def _compiled_kind(kind):
 
 
 def _load(context, builder, kinds, record):
-    """The machine code of `loaded`, a nested named tuple field by field."""
+    """Generates the code of `loaded`; a nested named tuple is read field by field."""
     record_kind, tuple_kind = kinds
     values = []
     for name, kind in zip(tuple_kind.fields, tuple_kind.types, strict=True):
@@ -87,10 +87,10 @@ def _load(context, builder, kinds, record):
 
 
 def _store(context, builder, kinds, values):
-    """The machine code of `assign`, a nested named tuple field by field."""
+    """Generates the code of `assign`; a nested named tuple is written field by field."""
     (record_kind, tuple_kind), (record, value) = kinds, values
-    for place, name in enumerate(tuple_kind.fields):
-        kind, element = tuple_kind.types[place], builder.extract_value(value, place)
+    for index, name in enumerate(tuple_kind.fields):
+        kind, element = tuple_kind.types[index], builder.extract_value(value, index)
         if isinstance(kind, types.BaseNamedTuple):
             inner_kind = record_kind.typeof(name)
             inner = context.get_getattr(record_kind, name)(context, builder, record_kind, record, name)

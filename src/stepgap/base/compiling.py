@@ -1,4 +1,4 @@
-"""Notices when Numba compiles, which takes a while: code that is not in the cache yet."""
+"""Detects when Numba compiles code that is not in the cache yet, which takes a while."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,6 +23,6 @@ class _FirstCompilation(Listener):
 
 @contextmanager
 def on_first_compilation(callback: Callable[[], None]) -> Iterator[None]:
-    """Calls `callback` once, when Numba compiles within the block; not at all if everything comes from the cache."""
+    """Calls `callback` at the first compilation within the block; never if all code comes from the cache."""
     with install_listener("numba:compile", _FirstCompilation(callback)):
         yield

@@ -1,15 +1,15 @@
-"""The errors that StepGap raises on purpose: one root, so that a program can catch all of them.
+"""The error types of StepGap: they have one root, so that a program can catch all of them.
 
 An error that belongs to one module is defined there and derives from `StepGapError` or `InputError`.
 """
 
 
 class StepGapError(Exception):
-    """Root of all errors that StepGap foresees; the message is one line that says what to do."""
+    """Root of all errors that StepGap raises deliberately; the message is one line with the remedy."""
 
 
 class InputError(StepGapError, ValueError):
-    """The user gave something wrong; the message is one line that says what would be right."""
+    """Invalid input of the user; the message is one line that states what is valid."""
 
 
 def message_of(error: Exception) -> str:

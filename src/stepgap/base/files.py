@@ -1,4 +1,4 @@
-"""Files that are whole at every moment, and errors that name the file they are about."""
+"""Files that are complete at every moment, and errors that name the file they are about."""
 
 import os
 from collections.abc import Iterator
@@ -8,10 +8,10 @@ from pathlib import Path
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Adds the name of a file to errors of the system that name none, such as that of a full disk.
+    """Adds the name of a file to operating-system errors that name none, such as that of a full disk.
 
     Raises:
-        OSError: As it was raised inside; `filename` is `path` unless it was set.
+        OSError: The error raised inside; its `filename` is `path` unless it was set.
     """
     try:
         yield
@@ -22,16 +22,16 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Writes a file so that a reader, or a crash, sees the old one or the new one, never a part.
+    """Writes a file atomically: a reader finds the old or the new content, never a part, even after a crash.
 
-    The folder it lies in is made if it is missing.
+    Its folder is created if it is missing.
 
     Raises:
-        OSError: It cannot be written; the old file, if there is one, is as it was.
+        OSError: It cannot be written; the old file, if there is one, is unchanged.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.partial")
-    partial.unlink(missing_ok=True)  # and not through a link that the folder may hold
+    partial.unlink(missing_ok=True)  # so that nothing is written through a link with this name
     with naming(path):
         try:
             with partial.open("xb") as file:
@@ -39,13 +39,13 @@ def write_whole(path: Path, content: str | bytes) -> None:
                 file.flush()
                 os.fsync(file.fileno())
         except OSError:
-            partial.unlink(missing_ok=True)  # on a full disk its part of the content is of no use
+            partial.unlink(missing_ok=True)  # a part of the content would only fill the disk
             raise
         partial.replace(path)
 
 
 def append_text(path: Path, text: str) -> None:
-    """Adds a text to the end of a file, which is made if it is missing.
+    """Appends text to a file, which is created if it is missing.
 
     Raises:
         OSError: It cannot be written.

@@ -1,4 +1,4 @@
-"""Readers of values from JSON data; an error names the key and what would be right."""
+"""Readers of values from JSON data; an error names the key and states what is valid."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,23 +6,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_WORDS = ("a number", "a list of numbers", "a list of equally long lists of numbers")
+_DESCRIPTIONS = ("a number", "a list of numbers", "a list of equally long lists of numbers")
 
 
 def numbers(data: Mapping[str, Any], key: str, dimensions: int) -> NDArray[np.float64]:
     """The array of finite numbers under `key`.
 
     Raises:
-        ValueError: The key is missing, or holds anything else.
+        ValueError: The key is missing, or its value is of another kind.
     """
     try:
         array = np.asarray(data[key])
     except KeyError:
-        raise ValueError(f"{key} must be {_WORDS[dimensions]}, but it is missing") from None
+        raise ValueError(f"{key} must be {_DESCRIPTIONS[dimensions]}, but it is missing") from None
     except ValueError:
         array = np.array("ragged")
     if array.dtype.kind not in "if" or array.ndim != dimensions or not np.isfinite(array).all():
-        raise ValueError(f"{key} must be {_WORDS[dimensions]}, all finite")
+        raise ValueError(f"{key} must be {_DESCRIPTIONS[dimensions]}, all finite")
     return array.astype(float)
 
 
@@ -30,7 +30,7 @@ def number(data: Mapping[str, Any], key: str) -> float:
     """The finite number under `key`.
 
     Raises:
-        ValueError: The key is missing, or holds anything else.
+        ValueError: The key is missing, or its value is of another kind.
     """
     return float(numbers(data, key, 0))
 
@@ -39,7 +39,7 @@ def integer(data: Mapping[str, Any], key: str, least: int = 1) -> int:
     """The integer under `key`.
 
     Raises:
-        ValueError: The key is missing, or holds anything else or less than `least`.
+        ValueError: The key is missing, or its value is of another kind or less than `least`.
     """
     value = data.get(key)
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
@@ -51,7 +51,7 @@ def boolean(data: Mapping[str, Any], key: str) -> bool:
     """The boolean under `key`.
 
     Raises:
-        ValueError: The key is missing, or holds anything else.
+        ValueError: The key is missing, or its value is of another kind.
     """
     if not isinstance(data.get(key), bool):
         raise ValueError(f"{key} must be true or false, not {data.get(key)!r:.40}")

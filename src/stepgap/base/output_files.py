@@ -1,4 +1,4 @@
-"""What verbs write for the user: files that did not exist before, and one line where that cannot be."""
+"""Output files of the verbs: no existing file is overwritten, and an error is one line."""
 
 import os
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ def check_new(path: Path, option: str) -> None:
 
 @contextmanager
 def writing(path: Path, option: str) -> Iterator[None]:
-    """Says in one line that a file could not be written."""
+    """Turns an error of the file system into an InputError of one line that names the file."""
     try:
         yield
     except OSError as error:
@@ -28,7 +28,7 @@ def writing(path: Path, option: str) -> Iterator[None]:
 
 
 def write_new(path: Path, option: str, content: str | bytes) -> None:
-    """Writes a file that did not exist and says its name."""
+    """Writes a new file and prints its path."""
     with writing(path, option), path.open("xb") as file:
         file.write(content.encode() if isinstance(content, str) else content)
     print(path)

@@ -1,4 +1,4 @@
-"""Plug-ins by name: what this package and others offer under an entry-point group."""
+"""Plug-ins by name: the entry points of a group, of this package and of others."""
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
@@ -14,19 +14,19 @@ def plugin_names(group: str) -> tuple[str, ...]:
 
 
 def load_plugin(group: str, kind: str, name: str, accepts: Callable[[Any], bool], wanted: str) -> Any:
-    """What the entry point with a name refers to.
+    """Loads the object that an entry point refers to.
 
-    Only an installed entry point is ever imported, so a file may name a plug-in without being able to run code.
+    Only installed entry points are imported, so a file that names a plug-in cannot run other code.
 
     Args:
-        group: Of the entry points.
-        kind: What its plug-ins are, for messages, such as "rig".
-        name: Of the entry point.
-        accepts: Whether what it refers to can be used.
-        wanted: What it must be, for the message where `accepts` is false.
+        group: Group of the entry points.
+        kind: Kind of its plug-ins for messages, such as "rig".
+        name: Name of the entry point.
+        accepts: Whether the object is valid.
+        wanted: Description of a valid object, for the message where `accepts` is false.
 
     Raises:
-        InputError: The name is unknown, or offered by two packages; or what it refers to cannot be imported or used.
+        InputError: The name is unknown, or offered by two packages; or the object cannot be imported or is not valid.
     """
     found = entry_points(group=group, name=name)
     if not found:
@@ -61,7 +61,7 @@ def owner(entry: EntryPoint) -> str:
 
 
 def _remedy(entry: EntryPoint, error: ModuleNotFoundError) -> str:
-    """What pip is to install: the extra that has the plug-in's name, if there is one."""
+    """Argument of `pip install`: the extra with the plug-in's name, if there is one, else the missing package."""
     package = entry.dist
     if package and entry.name in (package.metadata.get_all("Provides-Extra") or []):
         return f"'{package.name}[{entry.name}]'"

@@ -1,15 +1,15 @@
-"""Random numbers for one purpose each."""
+"""Independent streams of random numbers, one for each purpose."""
 
 import numpy as np
 
 
 def random_stream(seed: int, *key: int) -> np.random.Generator:
-    """A generator that has nothing in common with those of other keys, the empty one included.
+    """Returns a random generator that is independent of those with other keys, including the empty key.
 
-    A plain `default_rng([seed, key])` would, where the key is zero: NumPy fills lists up with zeros.
+    `default_rng([seed, key])` would not be: NumPy pads lists with zeros, so the key 0 equals the empty key.
 
     Args:
-        seed: Of a whole experiment; not negative.
-        key: For what it is, such as the number of a deployment; not negative.
+        seed: Random seed of the experiment; not negative.
+        key: Identifies the purpose, such as the number of a deployment; not negative.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -3,7 +3,7 @@
 from typing import Any
 
 LARGEST_INTEGER = 10**300
-"""Integers from here on are not accepted as a number."""
+"""Integers of this size or larger are not accepted as a number."""
 
 
 def require(condition: object, name: str, value: Any, rule: str) -> None:
@@ -12,8 +12,8 @@ def require(condition: object, name: str, value: Any, rule: str) -> None:
     Args:
         condition: Whether the value is right.
         name: Name of the setting or argument.
-        value: The value, as the message shows it.
-        rule: What holds for a right value, such as "be positive".
+        value: The value, for the message.
+        rule: Rule that a valid value follows, such as "be positive".
 
     Raises:
         ValueError: The condition does not hold.
@@ -23,7 +23,7 @@ def require(condition: object, name: str, value: Any, rule: str) -> None:
 
 
 def format_value(value: Any) -> str:
-    """A value as TOML writes it, for a message; at most 60 characters of it."""
+    """Formats a value as in TOML, for a message; at most 60 characters of it."""
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
         return "a very large integer"
     text = str(value).lower() if isinstance(value, bool) else repr(value)

@@ -1,4 +1,4 @@
-"""Settings from TOML and back; unknown keys, wrong types and values are refused with what would be right."""
+"""Settings from TOML and back; errors about unknown keys, types and values state what is valid."""
 
 import tomllib
 from collections.abc import Callable, Collection, Mapping
@@ -14,28 +14,28 @@ LARGEST_SETTINGS_FILE = 2**20
 """Largest file of settings that is read [bytes]."""
 
 FORMER_NAME = "former name"
-"""Metadata of a settings field that was renamed: its former name, so that the error can give the present one."""
+"""Metadata key of a renamed settings field: its value is the former name, for which the error gives the present one."""
 
 BYTE_ORDER_MARK = "\ufeff"
 
 Locate = Callable[[str], str]
-"""Names a dotted setting as the user knows it: by its file and table, or by its option."""
+"""Converts a dotted name of a setting to the form for messages: its file and table, or its option."""
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """The table of a TOML file; arguments and errors as of `read_toml_text`."""
+    """Reads the table of a TOML file; arguments and errors are those of `read_toml_text`."""
     return read_toml_text(path, what)[1]
 
 
 def read_toml_text(path: Path, what: str) -> tuple[str, dict[str, Any]]:
-    """The text of a TOML file, and its table.
+    """Reads a TOML file: returns its text and its table.
 
     Args:
         path: The file.
-        what: What the file must be, with its article, for messages.
+        what: Description of the file with its article, for messages.
 
     Raises:
-        InputError: The file cannot be read, is too large, is no text, or is not TOML.
+        InputError: The file cannot be read, is too large, is not text, or is not TOML.
     """
     try:
         with path.open("rb") as file:
@@ -55,7 +55,7 @@ def read_toml_text(path: Path, what: str) -> tuple[str, dict[str, Any]]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The table of a TOML text, which may begin with a byte-order mark, as some editors write it.
+    """Parses TOML, which may begin with a byte-order mark, as some editors write it.
 
     Raises:
         ValueError: It is not TOML.
@@ -67,23 +67,23 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def with_table(name: str) -> str:
-    """A dotted name as `[table] key`."""
+    """Formats a dotted name as `[table] key`."""
     table, dot, key = name.rpartition(".")
     return f"[{table}] {key}" if dot else key
 
 
 def merge(settings: Any, table: Mapping[str, Any], locate: Locate, prefix: str = "", more: Collection[str] = ()) -> Any:
-    """The dataclass `settings` with the values of a TOML table, checked for names and types.
+    """Returns the dataclass `settings` with the values of a TOML table, whose names and types are checked.
 
     Args:
-        settings: Holds the values of keys that the table does not have.
-        table: Names are those of the fields.
+        settings: Values of the keys that the table does not have.
+        table: Its keys are names of the fields.
         locate: How messages name a key.
         prefix: Dotted name of the table, with a dot at the end.
-        more: Dotted keys that the file may have, too, as suggestions for a misspelt one.
+        more: Other dotted keys that the file may have, as suggestions for a misspelt one.
 
     Raises:
-        InputError: Naming key and what would be right.
+        InputError: The message names the key and states what is valid.
     """
     current = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
     values = _values(type(settings), current, table, locate, prefix, more)
@@ -94,7 +94,7 @@ def merge(settings: Any, table: Mapping[str, Any], locate: Locate, prefix: str =
 
 
 def build(kind: type[Any], table: Mapping[str, Any], locate: Locate, prefix: str = "") -> Any:
-    """A dataclass from a TOML table; fields without a default must be in it. Arguments and errors as of `merge`."""
+    """Builds a dataclass from a TOML table, which must have all fields without a default; otherwise as `merge`."""
     required = [entry.name for entry in fields(kind) if entry.default is MISSING and entry.default_factory is MISSING]
     defaults = {entry.name: entry.default for entry in fields(kind) if is_dataclass(entry.default)}
     values = _values(kind, defaults, table, locate, prefix)
@@ -108,7 +108,7 @@ def build(kind: type[Any], table: Mapping[str, Any], locate: Locate, prefix: str
 
 
 def to_table(settings: Any) -> dict[str, Any]:
-    """The TOML table of a dataclass, which `build` reads; a float is written as a float even where it is whole."""
+    """Converts a dataclass to a TOML table, which `build` reads; an integral float remains a float."""
     types = get_type_hints(type(settings))
     return {entry.name: _to_value(getattr(settings, entry.name), types[entry.name]) for entry in fields(settings)}
 
@@ -129,7 +129,7 @@ def _values(
     prefix: str,
     more: Collection[str] = (),
 ) -> dict[str, Any]:
-    """The values of a table as the fields of a dataclass want them."""
+    """Converts the values of a table to the types of a dataclass's fields."""
     types = get_type_hints(kind)
     known = [entry.name for entry in fields(kind)]
     values: dict[str, Any] = {}
@@ -154,7 +154,7 @@ def _values(
 
 
 def _meant(key: str, known: list[str], current: Mapping[str, Any], prefix: str) -> str:
-    """The key that was probably meant, one of these or of a table here; else all that are here."""
+    """Suggestion for an unknown key: a similar key here or in a table below; else all keys here."""
     below = {
         entry.name: with_table(f"{prefix}{name}.{entry.name}")
         for name, inner in current.items()
@@ -173,7 +173,7 @@ def _as_table(value: Any, here: str) -> Mapping[str, Any]:
 
 
 def _as_list(kind: type, value: Any, locate: Locate, name: str) -> tuple[Any, ...]:
-    """Strings from an array, or dataclasses from an array of tables; messages count from 1."""
+    """Converts an array to strings, or an array of tables to dataclasses; messages count from 1."""
     here, of_tables = locate(name), is_dataclass(kind)
     if not isinstance(value, list):
         wanted = f"tables, each headed [[{name}]]" if of_tables else "a list of strings"
@@ -186,16 +186,16 @@ def _as_list(kind: type, value: Any, locate: Locate, name: str) -> tuple[Any, ..
 
 
 def located(error: ValueError, locate: Locate, prefix: str) -> InputError:
-    """The error of a settings class, `key = value, but it must …`, with the key as the user knows it."""
+    """Converts an error of a settings class, `key = value, but it must …`, with the key in the form for messages."""
     key, *rest = str(error).partition(" = ")
     return InputError("".join([locate(prefix + key), *rest]))
 
 
 def as_type(value: Any, wanted: Any, here: str) -> Any:
-    """The value, if it has the type of the field; an integer may stand for a number."""
-    words = {float: "a number", int: "an integer", bool: "true or false"}
+    """Returns the value if it has the type of the field; an integer is converted to a float."""
+    descriptions = {float: "a number", int: "an integer", bool: "true or false"}
     if wanted is float and type(value) is int and abs(value) < LARGEST_INTEGER:
         return float(value)
-    if type(value) is not (wanted if wanted in words else str):
-        raise InputError(f"{here} = {format_value(value)}, but it must be {words.get(wanted, 'a string')}")
+    if type(value) is not (wanted if wanted in descriptions else str):
+        raise InputError(f"{here} = {format_value(value)}, but it must be {descriptions.get(wanted, 'a string')}")
     return value

@@ -1,4 +1,4 @@
-"""Ending by a signal as by Ctrl-C, so that what must be put in order is."""
+"""Termination by a signal as by Ctrl-C, so that clean-up code runs."""
 
 import signal
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from threading import current_thread, main_thread
 
 @contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM raises KeyboardInterrupt within the block, as Ctrl-C does; outside of the main thread nothing changes."""
+    """Lets SIGTERM raise KeyboardInterrupt within the block, as Ctrl-C does; it acts in the main thread only."""
     if current_thread() is not main_thread():
         yield
         return

@@ -4,7 +4,7 @@ import platform
 from importlib.metadata import version
 
 RECORDED_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco")
-"""Packages whose versions a run records: with others the same seed may give other last digits."""
+"""Packages whose versions a run records: with other versions the same seed may give other last digits."""
 
 
 def versions_here() -> dict[str, str]:

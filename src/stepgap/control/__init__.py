@@ -1,7 +1,8 @@
-"""What to command next, of any `StepMap`: no robot is known here.
+"""Control of steps with any `StepMap`; knows no robot.
 
-Read `reference` (what is wanted, step by step), then `step_controller` (the command that brings it about) and
-`cautious_controller` (the command where the map is not certain), then `solve_many` and `command_table` (the same for
-many states and targets, and from a grid), then `limit_cycle` (which states can be held, whether they are stable, and
-the one-step reachable set). All of them minimise by `gauss_newton`, and by `bounded_search` without a good start.
+Read `reference` (the desired state at each step), then `step_controller` (the command whose predicted next state is the
+desired one) and `cautious_controller` (the command where the map is not certain), then `solve_many` and `command_table`
+(the same for many states and targets, and from a grid), then `limit_cycle` (which states can be held, whether they are
+stable, and the one-step reachable set). All of them minimise by `gauss_newton`, and by `bounded_search` without a good
+start.
 """

@@ -1,4 +1,4 @@
-"""Bounded least squares without a good start: Gauss–Newton steps first, then a grid that looks for better starts."""
+"""Bounded least squares without a good start: Gauss–Newton steps first, then a search for better starts on a grid."""
 
 import numpy as np
 from scipy.ndimage import minimum_filter
@@ -7,16 +7,16 @@ from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, 
 from stepgap.step import Array, box_grid
 
 GRID_POINTS = (81, 1089)
-"""Points of the search grid; the second is tried where the function has no value at any of the first."""
+"""Numbers of points of the coarse and the fine search grid; the fine one is used if no coarse point has a value."""
 BASINS = 3
-"""Number of starts that are tried."""
+"""Number of grid points from which a search starts."""
 ZOOM_ROUNDS = 12
 
 
 def solve(function: Function, jacobian: Jacobian, start: Array, bound: float) -> Solution:
-    """The zero, or else the least norm, of a function within |point| ≤ bound, as far as a search can tell.
+    """Searches the zero, or else the least norm, of a function within |point| ≤ bound; it may miss the global minimum.
 
-    The grid of the search lies within |point| ≤ 1 whatever the bound.
+    The grid of the search covers |point| ≤ 1, also for a larger bound.
     """
     best = minimise(function, jacobian, start, bound)
     if best.distance <= REACHED:
@@ -29,11 +29,11 @@ def solve(function: Function, jacobian: Jacobian, start: Array, bound: float) ->
             best = min(best, minimise(function, jacobian, points[index], bound), key=lambda solution: solution.distance)
         if best.distance <= REACHED:
             return best
-    return best if best.settled or np.isinf(best.distance) else _zoom(function, best, spacing, bound)
+    return best if best.converged or np.isinf(best.distance) else _zoom(function, best, spacing, bound)
 
 
 def _sample(function: Function, k: int) -> tuple[Array, Array]:
-    """Grid over |point| ≤ 1 (s, …, s, k) and its distances (s, …, s); the finer one if the first has no value."""
+    """Grid over |point| ≤ 1 (s, …, s, k) and its distances (s, …, s); the fine one if the coarse one has no value."""
     coarse, fine = (box_grid(max(3, round(total ** (1 / k))), k) for total in GRID_POINTS)
     distance = norms(function(coarse))
     return (coarse, distance) if np.isfinite(distance).any() else (fine, norms(function(fine)))
@@ -46,7 +46,7 @@ def _basins(distance: Array) -> list[tuple[int, ...]]:
 
 
 def _zoom(function: Function, best: Solution, width: float, bound: float) -> Solution:
-    """Finer and finer grids around a point that is not settled, such as one where values end."""
+    """Searches on finer and finer grids around a point without convergence, such as one at the border of the domain."""
     point, distance = best.point, best.distance
     offsets = box_grid(5, len(point)).reshape(-1, len(point))
     for _ in range(ZOOM_ROUNDS):
@@ -55,4 +55,4 @@ def _zoom(function: Function, best: Solution, width: float, bound: float) -> Sol
         if distances.min() < distance:
             point, distance = points[np.argmin(distances)], float(distances.min())
         width = width / 2
-    return Solution(point, distance, settled=False)
+    return Solution(point, distance, converged=False)

@@ -1,11 +1,10 @@
-"""Cautious control: the least expected squared error where a map may be wrong, by a step that is unlikely to fail.
+"""Cautious control: the least expected squared error where a map is uncertain, by a step that is unlikely to fail.
 
-The squared distance of the next state from the target is expected to be |mean − target|² + variance (cautious
-control in the sense of Åström and Wittenmark, Adaptive Control). Where a map knows its error well, the variance
-is the same for all commands, and the minimum is where mean = target (Eq. 13). Elsewhere the minimum lies nearer
-to the commands that have been tried: the data themselves bound how far a command leaves them. The command of
-the nominal map is always among those compared, so under the map's own uncertainty a correction never makes a
-step worse.
+The expected squared distance of the next state from the target is |mean − target|² + variance (cautious control
+in the sense of Åström and Wittenmark, Adaptive Control). Where the map's error is well known, the variance is the
+same for all commands, and the minimum is where mean = target (Eq. 13). Elsewhere the minimum is closer to the
+commands that have been tried, so the data limit how far a command departs from them. The command of the nominal
+map is always among those compared, so under the map's own uncertainty a correction never makes a step worse.
 
 A state is *viable* here if some command makes a step from it (compare Wieber, On the stability of walking
 systems, 2002).
@@ -25,19 +24,19 @@ RISK = 2.0
 FAILURE_RADIUS = 0.2
 """A step closer than this to one that failed, in every coordinate, is not taken [half ranges]."""
 SEARCH_POINTS = 9
-"""Commands along each axis of the grid that is searched where no better one is safe."""
+"""Commands along each axis of the grid that is searched if no better command is safe."""
 VIABILITY_POINTS = 3
-"""Commands along each axis of the grid that is searched for one that makes a step from the next state."""
+"""Commands along each axis of the grid that is searched for a command that makes a step from the next state."""
 
 
 @dataclass(frozen=True, eq=False)
 class CautiousPlan:
-    """A command and what is expected of it.
+    """A command and the prediction of its step.
 
     Attributes:
         command: Within the bounds; shape (m,).
         predicted: Next state; shape (n,).
-        std: Standard deviation of the next state as measured; shape (n,).
+        std: Standard deviation of the measured next state; shape (n,).
     """
 
     command: Array
@@ -50,8 +49,8 @@ class CautiousController:
     """Finds the safe command of least expected squared distance to the target.
 
     Attributes:
-        step_map: Predicts steps and says how sure it is.
-        nominal: What it corrects; it may be the same map.
+        step_map: Predicts steps and their standard deviations.
+        nominal: Nominal map that `step_map` corrects; it may be the same map.
         failures: Points (state, command) of steps that failed; shape (k, n + m).
     """
 
@@ -74,8 +73,8 @@ class CautiousController:
         exact = StepController(self.step_map)(state, target, guess)
         map_std, noise_std = self.step_map.std(state, exact.command), self.step_map.noise_std
         step_std = np.hypot(map_std, noise_std)
-        sure = (map_std <= noise_std).all()  # the map errs less than one measured step scatters
-        if sure and self._is_viable(state, exact.command, exact.predicted, step_std):
+        certain = (map_std <= noise_std).all()  # the map's error is smaller than the scatter of a measured step
+        if certain and self._is_viable(state, exact.command, exact.predicted, step_std):
             return CautiousPlan(exact.command, exact.predicted, step_std)
         state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
         commands = np.array([exact.command, *self._cautious_commands(state, target, exact.command)])
@@ -88,22 +87,23 @@ class CautiousController:
         return CautiousPlan(command, self.step_map(state, command), self.step_std(state, command))
 
     def step_std(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """Standard deviation of the next state as measured; shape (…, n)."""
+        """Standard deviation of the measured next state; shape (…, n)."""
         return np.hypot(self.step_map.std(state, command), self.step_map.noise_std)
 
     def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
-        """The nominal command, and the nearest ones of least expected squared distance from it and from `start`."""
+        """The nominal command, and the local minima of the expected squared distance found from it and from `start`."""
         try:
             nominal = StepController(self.nominal)(state, target, start).command
         except StepFailed:
-            return [self._descended(state, target, start)]
-        return [nominal, *(self._descended(state, target, command) for command in (start, nominal))]
+            return [self._local_minimum(state, target, start)]
+        return [nominal, *(self._local_minimum(state, target, command) for command in (start, nominal))]
 
-    def _descended(self, state: Array, target: Array, start: Array) -> Array:
+    def _local_minimum(self, state: Array, target: Array, start: Array) -> Array:
+        """The command of least expected squared distance that is found from `start`; shape (m,)."""
         space, n = self.step_map.space, len(target)
         scale = np.concatenate([space.state_scale, space.state_scale])
 
-        def root(point: Array) -> Array:
+        def deviations(point: Array) -> Array:
             command = space.command_at(point)
             mean = self.step_map.evaluate(state, command).next_state
             return np.concatenate([mean - target, self.step_map.std(state, command)], axis=-1) / scale
@@ -113,10 +113,10 @@ class CautiousController:
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
             return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
 
-        return space.command_at(minimise(root, jacobian, space.point_of(start), bound=1.0).point)
+        return space.command_at(minimise(deviations, jacobian, space.point_of(start), bound=1.0).point)
 
     def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
-        """Of commands (k, m) the safe one of least expected squared distance, None if none is safe."""
+        """The safe command of least expected squared distance among commands (k, m); None if none is safe."""
         mean, std = self.step_map.evaluate(state, commands).next_state, self.step_map.std(state, commands)
         expected = np.sum(((mean - target) ** 2 + std**2) / self.step_map.space.state_scale**2, axis=-1)
         for i in np.argsort(expected):  # NaN, where the step fails, comes last
@@ -125,7 +125,7 @@ class CautiousController:
         return None
 
     def is_safe(self, state: ArrayLike, command: Array) -> bool:
-        """Whether the step makes an apex, its next state is viable even if it errs, and it resembles no failure."""
+        """Whether the step makes an apex, its next state is viable despite the errors, and it resembles no failure."""
         mean, status = self.step_map.evaluate(state, command)
         return bool(status == StepStatus.OK) and self._is_viable(state, command, mean, self.step_std(state, command))
 

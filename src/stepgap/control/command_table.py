@@ -1,7 +1,7 @@
-"""The step controller's answers on a regular grid over (state, target), interpolated.
+"""Commands of the step controller on a regular grid over (state, target), interpolated.
 
-A table asks no map when it is used, so an answer costs the same whatever the map does. What it gives up for that
-is measured by `measure_table`: interpolated commands against solved ones, on random points.
+A table evaluates no map when it is used, so its cost does not depend on the map. `measure_table` measures the error
+of interpolation: it compares interpolated commands with solved ones at random points.
 """
 
 from collections.abc import Callable
@@ -17,22 +17,22 @@ from stepgap.control.step_controller import StepPlan, as_vector
 from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
 
 BATCH = 4096
-"""About how many nodes are solved together, at least one state's."""
+"""Approximate number of nodes that are solved together; at least those of one state."""
 
-Told = Callable[[int, int], None]
-"""Is told how many nodes are solved, and of how many."""
+TableProgress = Callable[[int, int], None]
+"""Called with the number of nodes solved and the number of all nodes."""
 
 
 @dataclass(frozen=True, eq=False)
 class CommandTable:
-    """Answers of the step controller at even points over the range of use of state and target; used like it.
+    """Commands of the step controller on an even grid over the range of use of state and target; used like it.
 
     Attributes:
         space: Names, units and ranges of the map it was built for.
         commands: Within the bounds, NaN where no command makes a step; one axis for each coordinate of the state,
             then of the target, each of `points` points. Shape (points, …, points, m).
         predicted: Next state of these commands; shape (points, …, points, n).
-        reached: Whether that is the target; shape (points, …, points).
+        reached: Whether `predicted` is the target; shape (points, …, points).
         statuses: Why no command makes a step, else OK; shape (points, …, points).
     """
 
@@ -57,7 +57,7 @@ class CommandTable:
         if not (np.isfinite(self.commands[works]).all() and np.isfinite(self.predicted[works]).all()):
             raise ValueError("commands and predicted must be finite numbers where a step is made")
         if not _within(self.commands[works], self.space) or (self.reached & ~works).any():
-            raise ValueError("commands must lie within their bounds, and what is reached must be a step")
+            raise ValueError("commands must lie within their bounds, and reached nodes must have a step")
 
     @property
     def points(self) -> int:
@@ -65,18 +65,19 @@ class CommandTable:
         return self.reached.shape[0]
 
     def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> StepPlan:  # noqa: ARG002
-        """The command for a state and target, interpolated linearly along each axis.
+        """Interpolates the command for a state and target linearly along each axis.
 
-        Outside the range of use it is that of the nearest point inside, and counts as not reached. `reached` says
-        that every node around is; near the border of reach it may be false of a target within.
+        Outside the range of use the command is that of the nearest point inside, and counts as not reached. `reached`
+        is true if all surrounding nodes reach their targets; near the border of the reachable set it may be false for
+        a target that can be reached.
 
         Args:
             state: State at this apex; shape (n,).
             target: State wanted at the next apex; shape (n,).
-            guess: Not needed; there so that a table stands where a `StepController` does.
+            guess: Unused; it exists so that a table can replace a `StepController`.
 
         Raises:
-            StepFailed: From a node around no command makes a step, or the state is not finite.
+            StepFailed: No command makes a step from a surrounding node, or the state is not finite.
             ValueError: State or target has the wrong size, or the target is not finite.
         """
         n = len(self.space.state)
@@ -92,13 +93,13 @@ class CommandTable:
         return StepPlan(found.command, found.predicted, bool(found.reached), distance)
 
     def interpolate(self, states: ArrayLike, targets: ArrayLike) -> Answers:
-        """Many answers at once, without exceptions; states and targets (…, n) broadcast."""
+        """Interpolates many commands at once, without exceptions; states and targets (…, n) broadcast."""
         points = np.concatenate(np.broadcast_arrays(np.asarray(states, float), np.asarray(targets, float)), axis=-1)
         lower = np.tile([quantity.lower for quantity in self.space.state], 2)
         index = (points - lower) / np.tile(2 * self.space.state_scale, 2) * (self.points - 1)
         inside = (np.abs(index - (self.points - 1) / 2) <= (self.points - 1) / 2 * (1 + 1e-12)).all(axis=-1)
         index = np.clip(index, 0, self.points - 1)
-        index = np.where(np.abs(index - np.rint(index)) < 1e-9, np.rint(index), index)  # a node is not its neighbours'
+        index = np.where(np.abs(index - np.rint(index)) < 1e-9, np.rint(index), index)  # at a node only it has weight
         corner = np.minimum(index.astype(int), self.points - 2)
         node, weight = _corners(index - corner, corner, self.points)
         used = weight > 0
@@ -115,7 +116,7 @@ class CommandTable:
 
 
 def _corners(offset: Array, corner: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64], Array]:
-    """Numbers and weights of the 2ᵈ nodes around a point at an offset (…, d) from a cell's lowest corner; (…, 2ᵈ)."""
+    """Indices and weights of the 2ᵈ nodes around a point at an offset (…, d) from a cell's lowest corner; (…, 2ᵈ)."""
     d = offset.shape[-1]
     sides = np.array(list(product((0, 1), repeat=d)))
     strides = points ** np.arange(d - 1, -1, -1)
@@ -127,13 +128,15 @@ def _within(commands: Array, space: StepSpace) -> bool:
     return bool(((commands >= space.command_lower) & (commands <= space.command_upper)).all())
 
 
-def build_table(step_map: StepMap, points: int = 15, tell: Told = lambda done, total: None) -> CommandTable:
+def build_table(
+    step_map: StepMap, points: int = 15, progress: TableProgress = lambda done, total: None
+) -> CommandTable:
     """Solves every node of a grid over the range of use of state and target.
 
     Args:
-        step_map: The map to command; its nodes are asked for state by state.
+        step_map: The map to command.
         points: Points along each of the 2n axes, at least 2.
-        tell: Is called after every batch.
+        progress: Called after every batch.
     """
     require(points >= 2, "points", points, "be at least 2: both ends of each axis")
     space = step_map.space
@@ -145,7 +148,7 @@ def build_table(step_map: StepMap, points: int = 15, tell: Told = lambda done, t
     for batch in batches:
         answers.append(solve_many(step_map, batch, nodes))
         done += len(batch) * len(nodes)
-        tell(done, len(nodes) ** 2)
+        progress(done, len(nodes) ** 2)
     grid = (points,) * (2 * n)
     return CommandTable(
         space,
@@ -158,14 +161,14 @@ def build_table(step_map: StepMap, points: int = 15, tell: Told = lambda done, t
 
 @dataclass(frozen=True, eq=False)
 class TableError:
-    """What interpolation costs, on random states and targets that solving reaches.
+    """Error of interpolation, at random states and targets that solving reaches.
 
     Attributes:
-        samples: Points compared of which the table says that they are reached.
+        samples: Number of points compared that are reached according to the table.
         worst_command: Their largest difference to the solved command; shape (m,).
         worst_state: Their largest difference of the next state to the target; shape (n,).
         median_state: Median of that difference; shape (n,).
-        border_samples: Points compared in cells that reach only in part.
+        border_samples: Number of points compared in cells of which only some nodes reach their targets.
         border_state: Their largest difference of the next state to the target, NaN if there are none; shape (n,).
     """
 
@@ -178,16 +181,16 @@ class TableError:
 
 
 def measure_table(table: CommandTable, step_map: StepMap, rng: np.random.Generator, samples: int = 1000) -> TableError:
-    """Compares a table with solving, on random states and targets of the range of use.
+    """Compares a table with solving, at random states and targets in the range of use.
 
     Args:
         table: The table.
         step_map: The map it was built from.
-        rng: Draws the points.
-        samples: How many to draw; those that no command reaches say nothing and are left out.
+        rng: Random generator that draws the points.
+        samples: Number of points; those that no command reaches are not counted.
 
     Raises:
-        ValueError: None of the points lies in a cell that reaches throughout.
+        ValueError: None of the points lies in a cell of which all nodes reach their targets.
     """
     lower = np.array([quantity.lower for quantity in table.space.state])
     states, targets = rng.uniform(lower, lower + 2 * table.space.state_scale, (2, samples, len(lower)))

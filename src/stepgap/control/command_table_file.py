@@ -1,4 +1,4 @@
-"""Command tables as files: plain arrays in NumPy's npz, checked in full before they are used."""
+"""Command tables as files: plain arrays in NumPy's npz, checked completely before they are used."""
 
 from collections.abc import Mapping
 from io import BytesIO
@@ -13,7 +13,7 @@ from stepgap.control.command_table import CommandTable
 from stepgap.step import Quantity, StepSpace
 
 LARGEST_TABLE = 2**30
-"""Largest table that is read, packed or not [bytes]."""
+"""Largest table that is read, compressed or not [bytes]."""
 TABLE_SCHEMA = 1
 KINDS = {
     "schema": "i", "state": "U", "command": "U", "units": "U", "ranges": "f",
@@ -45,7 +45,7 @@ def read_table(path: str | Path) -> CommandTable:
     """Reads a table.
 
     Raises:
-        ValueError: The file is no table; the message names it and says why.
+        ValueError: The file is not a command table; the message names it and the reason.
         OSError: The file cannot be read.
     """
     wanted = "it must be a command table as `stepgap map --table` writes it"
@@ -63,9 +63,9 @@ def read_table(path: str | Path) -> CommandTable:
 
 
 def _table_of(arrays: Mapping[str, NDArray[np.generic]]) -> CommandTable:
-    """The table of a file's arrays; ValueError if they are none."""
+    """Converts the arrays of a file to a table; ValueError if they are not those of one."""
     if arrays.keys() != KINDS.keys():
-        raise ValueError(f"it holds {', '.join(arrays) or 'nothing'} in place of {', '.join(KINDS)}")
+        raise ValueError(f"it contains {', '.join(arrays) or 'nothing'} instead of {', '.join(KINDS)}")
     for name, kind in KINDS.items():
         if arrays[name].dtype.kind != kind:
             raise ValueError(f"{name} has entries of type {arrays[name].dtype}")

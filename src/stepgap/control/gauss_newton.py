@@ -1,14 +1,14 @@
 """Bounded least squares: damped Gauss–Newton steps from a start, for one problem and for many at once.
 
-Sought is the point within a box at which a vector-valued function is zero or of least norm. Each step minimises
-the norm of the linearised function within the box (`box_step`, `box_steps`), with Levenberg's damping where it
-did not help before. Broyden's rank-one updates keep the Jacobian, because a new one costs several evaluations.
+The point sought lies within a box; a vector-valued function is zero or of least norm there. Each step minimises
+the norm of the linearised function within the box (`box_step`, `box_steps`), with Levenberg's damping after a step
+that did not help. Broyden's rank-one updates keep the Jacobian, because a new one costs several evaluations.
 
-`minimise` solves one problem and asks for another Jacobian where the updated one misleads. `minimise_many` takes
-the steps of many problems together, so that each round is one large batch of evaluations, and never asks for
-another Jacobian; what it cannot settle is left to `minimise`. It is a function of its own because it works on whole
-arrays: one search for both, whose questions are collected in batches, took four times as long for a command table,
-191 instead of 45 µs for each of 13⁴ nodes.
+`minimise` solves one problem and evaluates the Jacobian again where the updated one is poor. `minimise_many` takes
+the steps of many problems together, so that each round is one large batch of evaluations, and never evaluates the
+Jacobian again; problems that do not converge are left to `minimise`. It is a separate function because it works on
+arrays of problems: one search for both, whose evaluations are collected in batches, took four times as long for a
+command table, 191 instead of 45 µs for each of 13⁴ nodes.
 
 A function value that is not finite (a step that fails) is worse than any other.
 """
@@ -26,13 +26,13 @@ from stepgap.step import Array
 TOLERANCE = 1e-9
 """Norm at which a solution is not improved further."""
 REACHED = 1e-6
-"""Norm that counts as zero; an integrated map is not smoother than this."""
+"""Norm that counts as zero; an integrated map is not more accurate than this."""
 CLOSE_ENOUGH = REACHED / 10
 """Norm at which one of many solutions is not improved further."""
 FLAT = 1e-10
 """A point is stationary when the squared norm can fall by no more than this fraction."""
 NEARBY = 1e-3
-"""A Jacobian serves, with Broyden's updates, as exact this far around the point where it was taken."""
+"""A Jacobian with Broyden's updates counts as exact up to this distance from the point of its evaluation."""
 MOST_TRIALS = 40
 MOST_ROUNDS = 20
 MOST_DAMPING = 1e4
@@ -51,26 +51,26 @@ ManyFunctions = Callable[[NDArray[np.intp], Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a search ended.
+    """Result of a search.
 
     Attributes:
         point: Shape (k,).
         distance: Norm of the function there; infinite where it has no value.
-        settled: Whether it is a zero or no direction leads closer; if not, points without a value or strong curvature
-            stood in the way.
+        converged: Whether the point is a zero or a local minimum; points without a value or strong curvature may
+            prevent this.
     """
 
     point: Array
     distance: float
-    settled: bool
+    converged: bool
 
 
 def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float) -> Solution:
-    """From a start to the nearest least norm within |point| ≤ bound; the answer is never worse than the start."""
+    """Searches a local minimum of the norm within |point| ≤ bound; the result is never worse than the start."""
     point = np.clip(start, -bound, bound)
     value, matrix, origin, damping = function(point), jacobian(point), point, 0.0
     if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
-        return Solution(point, float(norms(value)), settled=False)
+        return Solution(point, float(norms(value)), converged=False)
     for _ in range(MOST_TRIALS):
         cost = value @ value
         if cost <= TOLERANCE**2 or damping > MOST_DAMPING:
@@ -81,7 +81,7 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float)
         expected = cost - linear @ linear
         if expected <= FLAT * cost:
             if _is_near(point, origin):
-                return Solution(point, float(norms(value)), settled=True)
+                return Solution(point, float(norms(value)), converged=True)
             matrix, origin, damping = _renewed(jacobian, point, matrix), point, 0.0
             continue
         trial = function(point + step)
@@ -102,25 +102,25 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float)
             else:
                 matrix, origin = _renewed(jacobian, point, matrix), point
     distance = float(norms(value))
-    return Solution(point, distance, settled=distance <= REACHED)
+    return Solution(point, distance, converged=distance <= REACHED)
 
 
 def minimise_many(
     functions: ManyFunctions, points: Array, values: Array, matrices: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """From a start for each problem to the nearest least norm within |point| ≤ 1.
+    """Searches a local minimum of the norm within |point| ≤ 1 for each problem, from one start each.
 
     Args:
         functions: The functions.
         points: Starts; shape (P, k).
-        values: Of the functions there; shape (P, n).
+        values: Values of the functions there; shape (P, n).
         matrices: Their Jacobians there; shape (P, n, k).
 
     Returns:
-        Points (P, k), values (P, n), and which problems settled (P,).
+        Points (P, k), values (P, n), and which problems converged (P,).
     """
     points, values, matrices = points.copy(), values.copy(), matrices.copy()
-    settled, damping = np.zeros(len(points), bool), np.zeros(len(points))
+    converged, damping = np.zeros(len(points), bool), np.zeros(len(points))
     active = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
     for _ in range(MOST_ROUNDS):
         point, value, matrix = points[active], values[active], matrices[active]
@@ -129,7 +129,7 @@ def minimise_many(
         linear = value + np.einsum("pnm,pm->pn", matrix, step)
         expected = cost - np.sum(linear**2, axis=1)
         done = (cost <= CLOSE_ENOUGH**2) | (expected <= FLAT * cost)
-        settled[active[done]] = True
+        converged[active[done]] = True
         remaining = ~done & (damping[active] <= MOST_DAMPING)
         active, step, linear = active[remaining], step[remaining], linear[remaining]
         cost, expected = cost[remaining], expected[remaining]
@@ -144,11 +144,11 @@ def minimise_many(
         points[active[better]] += step[better]
         values[active[better]] = trial[better]
         damping[active] = np.where(better, damping[active] / 8, np.maximum(8 * damping[active], LEAST_DAMPING))
-    return points, values, settled
+    return points, values, converged
 
 
 def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: float) -> Array:
-    """The p of least |matrix p + value|² + damping |p|² in lower ≤ p ≤ upper, by active sets; shape (k,).
+    """Minimises |matrix p + value|² + damping |p|² over lower ≤ p ≤ upper by active sets; returns p (k,).
 
     Args:
         matrix: Shape (n, k).
@@ -168,12 +168,12 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
     for _ in range(4 * k + 4):
         move = np.zeros(k)
         move[free] = np.linalg.lstsq(matrix[:, free], -(matrix @ step + value), rcond=None)[0]
-        room = np.full(k, np.inf)
+        to_bound = np.full(k, np.inf)
         moving = np.abs(move) > 1e-100
-        room[moving] = (np.where(move > 0, upper, lower) - step)[moving] / move[moving]
-        first = int(np.argmin(room))
-        if room[first] < 1:
-            step = step + room[first] * move
+        to_bound[moving] = (np.where(move > 0, upper, lower) - step)[moving] / move[moving]
+        first = int(np.argmin(to_bound))
+        if to_bound[first] < 1:
+            step = step + to_bound[first] * move
             step[first], free[first] = (upper if move[first] > 0 else lower)[first], False
             continue
         step = step + move
@@ -187,9 +187,9 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
 
 
 def box_steps(matrices: Array, values: Array, lower: Array, upper: Array, damping: Array) -> Array:
-    """For every problem the p of least |matrix p + value|² + damping |matrix|² |p|² in lower ≤ p ≤ upper; shape (P, m).
+    """Minimises |matrix p + value|² + damping |matrix|² |p|² over lower ≤ p ≤ upper for each problem; returns p (P, m).
 
-    The least value lies within one of the box's 3ᵐ faces, its inside among them; each is tried.
+    The minimum lies in one of the box's 3ᵐ faces, with its interior as one of them; each is tried.
 
     Args:
         matrices: Shape (P, n, m).
@@ -230,7 +230,7 @@ def _is_near(point: Array, origin: Array) -> bool:
 
 
 def _renewed(jacobian: Jacobian, point: Array, matrix: Array) -> Array:
-    """The Jacobian at a point, or the old one where there is none."""
+    """Evaluates the Jacobian at a point; returns the old one where it is not finite."""
     fresh = jacobian(point)
     return fresh if np.isfinite(fresh).all() else matrix
 

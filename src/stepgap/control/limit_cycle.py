@@ -1,4 +1,4 @@
-"""Which states repeat themselves, whether they are stable, and the one-step reachable set (Sec. 4.2)."""
+"""Limit cycles, their stability, and the one-step reachable set (Sec. 4.2)."""
 
 from dataclasses import dataclass
 
@@ -12,18 +12,18 @@ from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, Codes, StepMap, StepStatus
 
 STATE_BOUND = 10.0
-"""How far from the middle of the range of use a free fixed point is sought, in half ranges."""
+"""Largest distance from the middle of the range of use at which a free fixed point is sought, in half ranges."""
 
 
 @dataclass(frozen=True, eq=False)
 class FixedPoint:
-    """A state, a command and what becomes of them: a limit cycle if the state is held.
+    """A state, a command and the next state that follows: a limit cycle if the state is held.
 
     Attributes:
         state: X₀; shape (n,).
         command: U₀; shape (m,).
         next_state: map(X₀, U₀), equal to X₀ if held, else the closest to it; shape (n,).
-        held: Whether the state repeats itself.
+        held: Whether the next state equals the state.
         distance: From `state` to `next_state` in half ranges, Euclidean.
         floquet_multipliers: Eigenvalues of the Poincaré map's derivative ∂next/∂state at the fixed command, the largest
             first; NaN where a failing step nearby leaves no Jacobian. They are Floquet multipliers only if the state is
@@ -39,7 +39,7 @@ class FixedPoint:
 
     @property
     def stable(self) -> bool:
-        """Whether the state is held and small errors of it die out while the command stays the same."""
+        """Whether the state is held and small errors of it decay while the command stays the same."""
         return self.held and bool((np.abs(self.floquet_multipliers) < 1).all())
 
 
@@ -76,7 +76,7 @@ class ReachableSet:
 
 
 def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = None) -> FixedPoint:
-    """The command that holds a state, X₀ = map(X₀, U₀), or brings it back closest to itself.
+    """Finds the command that holds a state, X₀ = map(X₀, U₀), or whose next state is closest to it.
 
     Args:
         step_map: The map.
@@ -99,9 +99,9 @@ def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = 
 
 
 def free_fixed_point(step_map: StepMap, command: ArrayLike, guess: ArrayLike | None = None) -> FixedPoint:
-    """The state that a constant command holds, X₀ = map(X₀, U₀); if none is found, the one that drifts least.
+    """Finds the state that a constant command holds, X₀ = map(X₀, U₀), or else the one that changes least.
 
-    The state is sought in and well around its range of use, within `STATE_BOUND`.
+    The search extends beyond the range of use of the state, to `STATE_BOUND`.
 
     Args:
         step_map: The map.
@@ -117,7 +117,7 @@ def free_fixed_point(step_map: StepMap, command: ArrayLike, guess: ArrayLike | N
     centre = space.state_centre
     start = np.zeros(n) if guess is None else (as_vector("guess", guess, n) - centre) / scale
 
-    def drift(point: Array) -> Array:
+    def change(point: Array) -> Array:
         state = centre + scale * point
         return (step_map.evaluate(state, command).next_state - state) / scale
 
@@ -125,7 +125,7 @@ def free_fixed_point(step_map: StepMap, command: ArrayLike, guess: ArrayLike | N
         matrix = step_map.jacobian(centre + scale * point, command)[:, :n]
         return matrix * scale / scale[:, None] - np.eye(n)
 
-    state = centre + scale * solve(drift, jacobian, start, bound=STATE_BOUND).point
+    state = centre + scale * solve(change, jacobian, start, bound=STATE_BOUND).point
     next_state = step_map(state, command)
     distance = float(np.linalg.norm((next_state - state) / scale))
     return FixedPoint(
@@ -144,7 +144,7 @@ def floquet_multipliers(step_map: StepMap, state: ArrayLike, command: ArrayLike)
 
 
 def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> ReachableSet:
-    """The one-step reachable set: all next states from one state, over an even grid of the command bounds.
+    """Computes the one-step reachable set: all next states from one state, over an even grid of the command bounds.
 
     Args:
         step_map: The map.
@@ -160,7 +160,7 @@ def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> Rea
 
 
 def _border(grid: Array, dimension: int) -> Array:
-    """Border of a grid (s, s, …) as one counter-clockwise walk (4 (s - 1), …)."""
+    """Border of a grid (s, s, …) as one counter-clockwise path (4 (s - 1), …)."""
     if dimension != 2:
         raise ValueError(f"the border is a polygon for two commands, not for {dimension}")
     return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])

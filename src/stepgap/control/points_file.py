@@ -20,7 +20,7 @@ def read_points(path: Path, space: StepSpace) -> Array:
         Shape (rows, n + m), in the order of `space`.
 
     Raises:
-        ValueError: Naming file, line and column, and what would be right.
+        ValueError: The message names file, line and column, and states what is valid.
     """
     names = [*space.state_names, *space.command_names]
     wanted = f"it must be a CSV file with the columns {','.join(names)}"
@@ -48,7 +48,7 @@ def read_points(path: Path, space: StepSpace) -> Array:
 
 
 def outcome_rows(space: StepSpace, points: Array, outcome: Outcome) -> str:
-    """CSV of points, their next states, NaN where there is none, and their status; every number to its last bit."""
+    """Formats points, their next states (NaN where there is none) and status as CSV; numbers are exact to the bit."""
     names = [*space.state_names, *space.command_names, *(f"next_{name}" for name in space.state_names), "status"]
     numbers = np.hstack([points, outcome.next_state]).tolist()
     statuses = [StepStatus(code).label for code in outcome.status.tolist()]

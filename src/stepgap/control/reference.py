@@ -1,4 +1,4 @@
-"""The desired state, step by step: what the robot is asked to do (Fig. 4)."""
+"""The reference: the desired state at each step (Fig. 4)."""
 
 import csv
 from collections.abc import Sequence
@@ -27,12 +27,12 @@ PAPER_FLOORS = (
     (0.6126, (139, 151, 163, 175, 187)),
     (0.629, (199, 211, 223)),
 )
-"""Height of each floor [m] and the steps, counted from 1, at which its speeds of `PAPER_STAIR` [m/s] begin."""
+"""Apex heights [m], each with the steps, counted from 1, at which the speeds of `PAPER_STAIR` [m/s] begin."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """One target for every step of a deployment.
+    """The targets of all steps of a deployment.
 
     Attributes:
         names: Names of the state coordinates; n of them.
@@ -54,12 +54,12 @@ class Reference:
 
     @classmethod
     def from_segments(cls, names: Sequence[str], segments: Sequence[tuple[int, Sequence[float]]], steps: int) -> Self:
-        """A reference that is constant from segment to segment.
+        """Builds a reference that is constant on each segment.
 
         Args:
             names: Names of the state coordinates; n of them.
             segments: Step at which each segment starts, counted from 1, and its state, n numbers.
-            steps: How many steps in all.
+            steps: Total number of steps.
 
         Raises:
             ValueError: The starts do not begin at step 1, do not increase, or lie beyond the last step.
@@ -77,7 +77,7 @@ class Reference:
         return len(self.targets)
 
     def check(self, space: StepSpace) -> None:
-        """Raises ValueError unless the reference speaks of the state of `space`."""
+        """Raises ValueError unless the reference has the state names of `space`."""
         if self.names != space.state_names:
             raise ValueError(f"the reference is for {','.join(self.names)}, the map for {','.join(space.state_names)}")
 
@@ -96,8 +96,8 @@ class Reference:
     def steady(self) -> Indices:
         """Steps at least `SETTLING_STEPS` after the latest change.
 
-        Those before the first change are left out with the start of the deployment, so a reference that never
-        changes has none.
+        Steps before the first change do not count, since they include the start of the deployment, so a reference that
+        never changes has none.
         """
         return np.flatnonzero(self._age() >= SETTLING_STEPS)
 
@@ -109,7 +109,7 @@ class Reference:
 
 
 def paper_reference() -> Reference:
-    """The 227 targets of the paper's experiment (Fig. 4): four floors of apex height, on each a stair of speeds."""
+    """The 227 targets of the paper's experiment (Fig. 4): four apex heights, with a staircase of speeds at each."""
     segments = [(1, PAPER_START)]
     for height, starts in PAPER_FLOORS:
         segments += [(start, (speed, height)) for start, speed in zip(starts, PAPER_STAIR, strict=False)]
@@ -131,15 +131,15 @@ def read_reference(path: str | Path, space: StepSpace) -> Reference:
 
 
 def parse_reference(text: str, space: StepSpace, source: str = "reference") -> Reference:
-    """A reference from CSV text: a header of state names in any order, then one row per step, SI units.
+    """Parses CSV text: a header of state names in any order, then one row per step, SI units.
 
     Args:
         text: The content.
-        space: Whose state coordinates the columns are.
-        source: What to call the text in messages, usually its file name.
+        space: Its state coordinates are the columns.
+        source: Name of the text in messages, usually its file name.
 
     Raises:
-        ValueError: Naming the source, line and column, and what would be right.
+        ValueError: The message names the source, line and column, and states what is valid.
     """
     names = space.state_names
     rows = csv.reader(StringIO(text))
@@ -160,10 +160,10 @@ def parse_reference(text: str, space: StepSpace, source: str = "reference") -> R
 
 
 def numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: str) -> list[float]:
-    """The numbers in a row of CSV, one for each quantity.
+    """Parses the numbers in a row of CSV, one for each quantity.
 
     Raises:
-        ValueError: Naming source and column, and what would be right.
+        ValueError: The message names source and column, and states what is valid.
     """
     if len(row) != len(quantities):
         names = ",".join(quantity.name for quantity in quantities)
@@ -172,7 +172,7 @@ def numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: s
 
 
 def _number(cell: str, quantity: Quantity, source: str) -> float:
-    """The finite number in a cell."""
+    """Parses the finite number in a cell."""
     try:
         value = float(cell)
     except ValueError:

@@ -1,9 +1,9 @@
-"""The step controller's answers for many states and targets at once (Eqs. 11, 13).
+"""Commands of the step controller for many states and targets at once (Eqs. 11, 13).
 
 A node is a state with one of its targets. All nodes take their Gauss–Newton steps together, so that a map evaluates few
 large batches instead of many single points. A coarse sample of the command bounds, shared by all targets of a state,
-gives each node its starts; what cannot be settled from them goes to `StepController`. Points are scaled: the command
-bounds are -1 and 1, and errors are divided by half ranges of the state.
+gives each node its starts; nodes that do not converge from them are solved by `StepController`. Points are scaled: the
+command bounds are -1 and 1, and errors are divided by half ranges of the state.
 """
 
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ from stepgap.control.step_controller import StepController
 from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
 
 SAMPLES = 27
-"""About how many commands the sample has that is shared by all targets of a state."""
+"""Approximate number of sampled commands, which are shared by all targets of a state."""
 
 Nodes = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What the step controller would say of S states with T targets each.
+    """Commands of the step controller for S states with T targets each.
 
     Attributes:
         command: Within the bounds; NaN where no command makes a step. Shape (S, T, m).
@@ -43,7 +43,7 @@ class Answers:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The P = S T nodes of a call, those of one state side by side."""
+    """The P = S T nodes of a call; those of one state are adjacent."""
 
     step_map: StepMap
     space: StepSpace
@@ -59,12 +59,12 @@ class _Problem:
 
 
 def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answers:
-    """Commands whose next states are the targets, or come closest to them, within the command bounds.
+    """Finds the commands whose next states are the targets, or come closest to them, within the command bounds.
 
     Args:
         step_map: The map.
         states: Shape (S, n).
-        targets: Shape (S, T, n), or (T, n) if all states have the same.
+        targets: Shape (S, T, n), or (T, n) if all states have the same targets.
 
     Raises:
         ValueError: A size does not fit the map, or a number is not finite.
@@ -79,16 +79,16 @@ def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answ
     targets = np.broadcast_to(targets, (len(states), *targets.shape[-2:]))
     count = targets.shape[1]
     problem = _Problem(step_map, space, np.repeat(states, count, axis=0), targets.reshape(-1, n))
-    points, values, settled = _solve(problem, states, count)
+    points, values, converged = _solve(problem, states, count)
     commands, predicted = space.command_at(points), problem.targets + values * space.state_scale
     reached = norms(values) <= REACHED
     status = np.full(len(points), int(StepStatus.OK))
     free = (np.abs(points) < 1).sum(axis=1)
     doubtful = (m > n) | (
         free >= min(2, m)
-    )  # Broyden's updates know the derivative along one free direction, not along all
-    suspect = ~reached & (~settled | doubtful)
-    _ask_controller(problem, np.flatnonzero(suspect), count, commands, predicted, reached, status)
+    )  # Broyden's updates give the derivative along one free direction, not along all
+    unsolved = ~reached & (~converged | doubtful)
+    _solve_one_by_one(problem, np.flatnonzero(unsolved), count, commands, predicted, reached, status)
     shape = (len(states), count)
     return Answers(
         commands.reshape(*shape, m), predicted.reshape(*shape, n), reached.reshape(shape), status.reshape(shape)
@@ -96,7 +96,7 @@ def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answ
 
 
 def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Points (P, m), their errors (P, n), and which of them settled; from one basin of the sample after another."""
+    """Points (P, m), their errors (P, n), and which of them converged; from one basin of the sample after another."""
     space, n, m = problem.space, len(problem.space.state), len(problem.space.command)
     grid = box_grid(max(3, round(SAMPLES ** (1 / m))), m)
     sample = grid.reshape(-1, m)
@@ -106,7 +106,7 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
     sampled = ((next_states - targets) / space.state_scale).reshape(-1, len(sample), n)
     ranks = _basins(norms(sampled).reshape(-1, *grid.shape[:-1]), m)
     best, at = sampled[np.arange(len(ranks)), ranks[:, 0]], sample[ranks[:, 0]]
-    settled = np.zeros(len(ranks), bool)
+    converged = np.zeros(len(ranks), bool)
     for choice in ranks.T:
         nodes = np.flatnonzero((choice >= 0) & (norms(best) > REACHED))
         matrices = _jacobians(problem, states, nodes // count, sample, choice[nodes])
@@ -114,8 +114,8 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
         points, values, ended = minimise_many(partial(problem.errors, nodes), *starts)
         closer = norms(values) <= norms(best[nodes])
         chosen = nodes[closer]
-        at[chosen], best[chosen], settled[chosen] = points[closer], values[closer], ended[closer]
-    return at, best, settled
+        at[chosen], best[chosen], converged[chosen] = points[closer], values[closer], ended[closer]
+    return at, best, converged
 
 
 def _basins(length: Array, m: int) -> Nodes:
@@ -127,7 +127,7 @@ def _basins(length: Array, m: int) -> Nodes:
 
 
 def _jacobians(problem: _Problem, states: Array, rows: Nodes, sample: Array, choice: Nodes) -> Array:
-    """Scaled Jacobians (k, n, m) at chosen samples of states; each pair is asked for once."""
+    """Scaled Jacobians (k, n, m) at chosen samples of states; each pair is evaluated once."""
     space, n = problem.space, len(problem.space.state)
     distinct, where = np.unique(rows * len(sample) + choice, return_inverse=True)
     commands = space.command_at(sample[distinct % len(sample)])
@@ -135,7 +135,7 @@ def _jacobians(problem: _Problem, states: Array, rows: Nodes, sample: Array, cho
     return (jacobian * space.command_scale / space.state_scale[:, None])[where]
 
 
-def _ask_controller(
+def _solve_one_by_one(
     problem: _Problem,
     nodes: Nodes,
     count: int,
@@ -144,15 +144,15 @@ def _ask_controller(
     reached: NDArray[np.bool_],
     status: Codes,
 ) -> None:
-    """Solves nodes one by one and writes the answers; a state without any step is searched once."""
-    controller, fallen = StepController(problem.step_map), dict[int, StepStatus]()
+    """Solves nodes one by one and writes the results; a state without any step is searched once."""
+    controller, failed = StepController(problem.step_map), dict[int, StepStatus]()
     for node in nodes:
         row = int(node) // count
-        if row not in fallen:
+        if row not in failed:
             try:
                 plan = controller(problem.states[node], problem.targets[node], commands[node])
                 commands[node], predicted[node], reached[node] = plan.command, plan.predicted, plan.reached
                 continue
             except StepFailed as failure:
-                fallen[row] = failure.status
-        commands[node], predicted[node], status[node] = np.nan, np.nan, fallen[row]
+                failed[row] = failure.status
+        commands[node], predicted[node], status[node] = np.nan, np.nan, failed[row]

@@ -1,8 +1,11 @@
-"""What to command so that the next apex is the target (Sec. 4.3, Eqs. 11 and 13).
+"""The step controller: the command with which the next apex is the target (Sec. 4.3, Eqs. 11 and 13).
 
-`StepController` asks any `StepMap`, nominal or corrected. A few Gauss–Newton steps within the command bounds answer
-nearly every time; where they do not reach the target, a grid over the bounds looks for a better start.
-All points here are scaled: the command bounds are -1 and 1, and errors are divided by half ranges of the state.
+`StepController` works with any `StepMap`, nominal or corrected. A few Gauss–Newton steps within the command bounds
+reach the target in nearly all cases. Where they do not, the controller searches a grid of commands for better starting
+points (`bounded_search`).
+
+The search works on scaled quantities: a *point* is a command scaled so that its bounds are -1 and 1, and errors of the
+state are divided by half the range of each coordinate (`StepSpace.state_scale`).
 """
 
 from dataclasses import dataclass
@@ -17,13 +20,13 @@ from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """A command and what the map predicts of it.
+    """A command and the step that the map predicts for it.
 
     Attributes:
-        command: Within the bounds; shape (m,).
-        predicted: Next state; shape (n,).
-        reached: Whether `predicted` is the target.
-        distance: From `predicted` to the target: Euclidean, each coordinate divided by half its range of use.
+        command: Command within the bounds; shape (m,).
+        predicted: Predicted next state; shape (n,).
+        reached: Whether `predicted` is the target, within the tolerance `REACHED` of `distance`.
+        distance: Euclidean distance from `predicted` to the target, each coordinate divided by half its range.
     """
 
     command: Array
@@ -34,10 +37,10 @@ class StepPlan:
 
 @dataclass(frozen=True)
 class StepController:
-    """Finds the command whose predicted next state is the target, or comes closest to it.
+    """Finds the command whose predicted next state is the target, or the closest state that the search finds.
 
     Attributes:
-        step_map: Predicts steps; it may be nominal or corrected.
+        step_map: Map that predicts steps, nominal or corrected.
     """
 
     step_map: StepMap
@@ -47,12 +50,13 @@ class StepController:
 
         Args:
             state: State at this apex; shape (n,).
-            target: State wanted at the next apex; shape (n,).
-            guess: Command to start from, such as the previous one; the middle of the bounds if none. Shape (m,).
+            target: Desired state at the next apex; shape (n,).
+            guess: Command at which the search starts, such as the previous one; shape (m,). None: the middle of the
+                bounds.
 
         Raises:
-            StepFailed: No command that was searched makes a step.
-            ValueError: State, target or guess has the wrong size, or the target or guess is not finite.
+            StepFailed: The state is not finite, or the search found no command that leads to a next apex.
+            ValueError: State, target or guess has the wrong size, or target or guess is not finite.
         """
         space = self.step_map.space
         n, m = len(space.state), len(space.command)
@@ -64,12 +68,12 @@ class StepController:
         if not (np.isfinite(target).all() and np.isfinite(start).all()):
             raise ValueError(f"target {target} and guess {start} must be finite numbers")
 
-        known: dict[bytes, Array] = {}
+        next_states: dict[bytes, Array] = {}  # by point, so that the solution is not evaluated again
 
         def error(point: Array) -> Array:
             next_state = self.step_map.evaluate(state, command_at(point)).next_state
             if point.ndim == 1:
-                known[point.tobytes()] = next_state
+                next_states[point.tobytes()] = next_state
             return (next_state - target) / state_scale
 
         def jacobian(point: Array) -> Array:
@@ -78,7 +82,7 @@ class StepController:
 
         solution = solve(error, jacobian, space.point_of(start), bound=1.0)
         command = command_at(solution.point)
-        predicted = known.get(solution.point.tobytes())
+        predicted = next_states.get(solution.point.tobytes())
         if predicted is None or not np.isfinite(predicted).all():
             predicted = self.step_map(state, command)
         distance = float(np.linalg.norm((predicted - target) / state_scale))
@@ -86,7 +90,7 @@ class StepController:
 
 
 def as_vector(name: str, values: ArrayLike, size: int) -> Array:
-    """The values as an array of shape (size,); ValueError if they are not."""
+    """The values as an array of shape (size,); raises ValueError if their shape is another one."""
     vector = np.asarray(values, float)
     if vector.shape != (size,):
         raise ValueError(f"{name} has shape {vector.shape}; it must be ({size},)")

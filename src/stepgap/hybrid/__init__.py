@@ -1,5 +1,5 @@
-"""Integration of motion that impacts interrupt; knows no robot.
+"""Integration of motion with impacts; knows no robot.
 
-Read in this order: `motion`, `tsitouras`, `rosenbrock`, `integrator`; `compiled` is how all of it is compiled,
-and `compiling` tells when that happens.
+Read in this order: `motion`, `tsitouras`, `rosenbrock`, `integrator`. `base.compiled` compiles all of it, and
+`base.compiling` detects when that happens.
 """

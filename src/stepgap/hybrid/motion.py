@@ -1,8 +1,8 @@
-"""What a smooth piece of motion says of itself, and sums over its states; knows no robot.
+"""The interface of a smooth piece of motion, and linear combinations of its states; knows no robot.
 
-A state is a tuple of four numbers, two coordinates and their rates, and a system the NamedTuple of the constants of
-one smooth piece. Its type selects, through `implements`, what the functions here stand for. Tuples, not arrays:
-compiled code keeps them in registers, and their lengths are known when it is compiled.
+A state is a tuple of four numbers, two coordinates and their rates. A system is the NamedTuple of the constants of one
+smooth piece; its type selects the implementation of the functions here, through `implements`. States are tuples, not
+arrays: compiled code keeps them in registers, and their lengths are known at compile time.
 """
 
 from typing import Any
@@ -18,18 +18,18 @@ def rate(system, state) -> Any:
 def rate_and_guards(system, time, state) -> Any:
     """(rate, guards) at a time since the start of the phase that the piece belongs to [s]; see `implements`.
 
-    Guards are a tuple of scalars, each positive within the piece; it ends where the first of them ceases to be. Both
-    come from one function because they share most of their work.
+    Guards are a tuple of scalars, each positive within the piece; it ends where the first of them becomes zero. One
+    function returns rate and guards because they share most of their computation.
     """
     raise TypeError(f"no guards are implemented for {type(system).__name__}")
 
 
 def rate_jacobian(system, state, here) -> Any:
-    """∂rate/∂state for a piece that is stiff, None for one that is not: it selects the method. See `implements`.
+    """∂rate/∂state of a stiff piece, or None for one that is not stiff; it selects the method. See `implements`.
 
     Args:
         system: Constants of the piece.
-        state: Where.
+        state: State at which it is evaluated.
         here: The rate there.
     """
     raise TypeError(f"no Jacobian of the rate is implemented for {type(system).__name__}")
@@ -45,7 +45,7 @@ def _sum(weights, vectors, i):
 
 @compiled
 def axpy(state, factor, weights, vectors):
-    """State + factor · Σ weights · vectors."""
+    """Computes state + factor · Σ weights · vectors."""
     return (
         state[0] + factor * _sum(weights, vectors, 0),
         state[1] + factor * _sum(weights, vectors, 1),

@@ -2,7 +2,7 @@
 
 G. Steinebach, BIT Numerical Mathematics 63 (2023) 27; in the form of Hairer and Wanner, Solving ODEs II, IV.7, where a
 stage solves (I/(γh) − J) u = rate + Σ C u / h. With J = [[0, I], [P, V]] for coordinates and their rates, that is two
-equations in two unknowns, of which the matrix is inverted once a step.
+equations in two unknowns, whose matrix is inverted once per step.
 """
 
 from stepgap.base.compiled import compiled, generic
@@ -40,7 +40,7 @@ _C8 = (
 
 @compiled
 def factorised(jacobian, h):
-    """What `_solved` needs of I/(γh) − J: 1/(γh), V, and the inverse of I/(γh)² − P − V/(γh).
+    """Factors of I/(γh) − J for `_solved`: 1/(γh), V, and the inverse of I/(γh)² − P − V/(γh).
 
     Args:
         jacobian: Rows of P and V: ∂(acceleration)/∂(coordinates, rates), as tuples (p11, p12, v11, v12), (p21, …).
@@ -56,7 +56,7 @@ def factorised(jacobian, h):
 
 @compiled
 def _solved(factors, right):
-    """U with (I/(γh) − J) u = right."""
+    """The solution u of (I/(γh) − J) u = right."""
     c, v, inverse = factors
     p = right[2] + c * right[0] - v[0] * right[0] - v[1] * right[1]
     q = right[3] + c * right[1] - v[2] * right[0] - v[3] * right[1]
@@ -66,7 +66,7 @@ def _solved(factors, right):
 
 @generic
 def rosenbrock_step(system, time, state, here, jacobian, h):
-    """A step of size h from `state`, whose rate is `here`: (end, (rate, guards) there, local error)."""
+    """Takes a step of size h from `state`, whose rate is `here`: (end, (rate, guards) there, local error)."""
     factors, w = factorised(jacobian, h), 1.0 / h
     u1 = _solved(factors, here)
     k2 = rate(system, axpy(state, 1.0, _A2, (u1,)))
@@ -89,7 +89,7 @@ def rosenbrock_step(system, time, state, here, jacobian, h):
 
 @generic
 def difference_rate_jacobian(system, state, here):
-    """∂(acceleration)/∂(coordinates, rates) by differences of the rate, rows as in `factorised`."""
+    """∂(acceleration)/∂(coordinates, rates) by finite differences of the rate; rows as in `factorised`."""
     s, d = state, 1e-7
     a = rate(system, (s[0] + d, s[1], s[2], s[3]))
     b = rate(system, (s[0], s[1] + d, s[2], s[3]))

@@ -33,12 +33,12 @@ _ZERO = (0.0, 0.0, 0.0, 0.0)
 
 @generic
 def tsitouras_step(system, time, state, k1, h):
-    """A step of size h from `state`, whose rate is `k1`: (end, (rate, guards) there, local error)."""
+    """Takes a step of size h from `state`, whose rate is `k1`: (end, (rate, guards) there, local error)."""
     k2 = rate(system, axpy(state, h, _A2, (k1,)))
     k3 = rate(system, axpy(state, h, _A3, (k1, k2)))
     k4 = rate(system, axpy(state, h, _A4, (k1, k2, k3)))
     k5 = rate(system, axpy(state, h, _A5, (k1, k2, k3, k4)))
     k6 = rate(system, axpy(state, h, _A6, (k1, k2, k3, k4, k5)))
     end = axpy(state, h, _B, (k1, k2, k3, k4, k5, k6))
-    seen = rate_and_guards(system, time + h, end)
-    return end, seen, axpy(_ZERO, h, _E, (k1, k2, k3, k4, k5, k6, seen[0]))
+    evaluated = rate_and_guards(system, time + h, end)
+    return end, evaluated, axpy(_ZERO, h, _E, (k1, k2, k3, k4, k5, k6, evaluated[0]))

@@ -1,4 +1,4 @@
-"""Values that a thread may compute before they are needed; they are the same whether one does or not."""
+"""Deferred values, which a background thread may compute early; the values are the same with and without it."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -10,10 +10,10 @@ T = TypeVar("T")
 
 @final
 class Deferred(Generic[T]):
-    """A value that is computed once, by whoever asks for it first.
+    """A value that is computed once, at the first call of `result`.
 
     Args:
-        compute: Gives the value; it must depend on nothing that changes.
+        compute: Returns the value; it must depend on constants only.
     """
 
     def __init__(self, compute: Callable[[], T]):
@@ -22,27 +22,27 @@ class Deferred(Generic[T]):
         self._value: list[T] = []
 
     def result(self) -> T:
-        """The value; while another thread computes it, this one waits."""
+        """Returns the value; waits while another thread computes it."""
         with self._lock:
             if self._compute is not None:
                 self._value.append(self._compute())
-                self._compute = None  # so that what the value was made of can be freed
+                self._compute = None  # so that the data it was computed from can be freed
             return self._value[0]
 
     def then(self, function: Callable[[T], T]) -> "Deferred[T]":
-        """The function's value of this one, deferred as well."""
+        """Applies a function to this value; the result is deferred, too."""
         return Deferred(lambda: function(self.result()))
 
 
 @final
 class BackgroundThread:
-    """One thread that computes deferred values; to be used as a context manager."""
+    """A thread that computes deferred values; use it as a context manager."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1)
 
     def compute(self, deferred: Deferred[Any] | None) -> None:
-        """Starts to compute a value, after those that were given before; None is nothing to compute."""
+        """Schedules a value for computation, after those scheduled before; None is ignored."""
         if deferred is not None:
             self._pool.submit(deferred.result)
 

@@ -9,10 +9,10 @@ from scipy.linalg import get_lapack_funcs
 from stepgap.step import Array
 
 LONGEST_TAIL = 128
-"""Appended rows that are kept apart; with more, they are copied into one factor with the base."""
+"""Largest number of appended rows that are stored apart; with more, they are copied into one factor with the base."""
 
 JITTERS = (0.0, 1e-12, 1e-10, 1e-8)
-"""What is added to the diagonal, in turn, until the matrix can be factorised; in units of its largest entry."""
+"""Numbers added to the diagonal, in turn, until the matrix can be factorised; in units of its largest entry."""
 
 _potrf, _trtrs = get_lapack_funcs(("potrf", "trtrs"), dtype=np.float64)
 
@@ -22,13 +22,13 @@ _potrf, _trtrs = get_lapack_funcs(("potrf", "trtrs"), dtype=np.float64)
 class Factor:
     """The lower triangular L = [[base, 0], [cross, tail]] with L Lᵀ = matrix + jitter · identity.
 
-    Rows appended lately lie apart from the base, so that appending one more copies them alone.
+    Recently appended rows are stored apart from the base, so that appending one more copies only them.
 
     Attributes:
         base: Factor of the first B rows, Fortran-contiguous; shape (B, B).
         cross: Appended rows, left of the tail; shape (T, B).
         tail: Appended rows, right of the base, Fortran-contiguous; shape (T, T).
-        jitter: What the diagonal was given so that the matrix could be factorised.
+        jitter: Number added to the diagonal so that the matrix could be factorised.
     """
 
     base: Array
@@ -70,11 +70,11 @@ class Factor:
         return np.concatenate([upper, lower])
 
     def appended(self, row: Array, pivot: float) -> "Factor":
-        """The factor with one row more, in O(N · T).
+        """Returns the factor with one more row, in O(N · T).
 
         Args:
-            row: Left of the diagonal, as `solve` gives it for the new column of the matrix; shape (N,).
-            pivot: On the diagonal.
+            row: New row left of the diagonal, as `solve` returns it for the new column of the matrix; shape (N,).
+            pivot: New entry on the diagonal.
         """
         size, length = len(self.base), len(self.tail)
         tail = np.zeros((length + 1, length + 1), order="F")
@@ -84,7 +84,7 @@ class Factor:
 
 
 def factorise(matrix: Array) -> Factor:
-    """Factor of a positive semi-definite matrix, with the least jitter that suffices.
+    """Factorises a positive semi-definite matrix with the least jitter that suffices.
 
     Args:
         matrix: C-contiguous; its strictly lower triangle is not read; shape (N, N).
@@ -102,7 +102,7 @@ def factorise(matrix: Array) -> Factor:
 
 
 def is_safe(squared_pivot: float, diagonal: Array) -> bool:
-    """Whether the square of the least pivot is more than rounding, for a matrix with this diagonal (N,)."""
+    """Whether the square of the least pivot exceeds rounding errors, for a matrix with this diagonal (N,)."""
     return squared_pivot > len(diagonal) * np.finfo(float).eps * diagonal.max()
 
 

@@ -1,4 +1,4 @@
-"""The nominal map plus what was learnt of its error: a `StepMap` again."""
+"""The nominal map plus a learned residual, which is a `StepMap` again."""
 
 from dataclasses import dataclass
 from typing import final
@@ -21,7 +21,7 @@ class CorrectedMap(StepMap):
         nominal: The map of the physics model. Not a corrected one: a residual is fitted to
             actual − nominal on all steps, so corrections never stack.
         residual: Model of actual − nominal, of the same sizes.
-        offset: Added to that at present, see `drift`; shape (n,), or 0.
+        offset: Estimated disturbance of the next step, which is added, too; shape (n,), or 0.
         offset_std: Standard deviation of the offset [units of the state]; shape (n,), or 0.
     """
 
@@ -53,7 +53,7 @@ class CorrectedMap(StepMap):
 
     @property
     def noise_std(self) -> Array:
-        """Standard deviation of one measured step about the next state, as the residual has it; shape (n,)."""
+        """Standard deviation of a measured next state about its expected value, from the residual; shape (n,)."""
         return self.residual.noise_std
 
     def std(self, state: ArrayLike, command: ArrayLike) -> Array:
@@ -64,6 +64,6 @@ class CorrectedMap(StepMap):
         """∂std/∂(state, command); shape (…, n, n + m)."""
         points = join_points(state, command)
         std = self.residual.std(points)
-        whole = np.hypot(std, self.offset_std)
-        share = np.divide(std, whole, out=np.ones_like(whole), where=whole > 0)
+        total = np.hypot(std, self.offset_std)
+        share = np.divide(std, total, out=np.ones_like(total), where=total > 0)
         return share[..., None] * self.residual.std_gradient(points)

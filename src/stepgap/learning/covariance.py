@@ -14,7 +14,7 @@ from stepgap.learning.kernel import Kernel
 from stepgap.step import Array
 
 KERNEL_BLOCK = 2**16
-"""Kernel values computed at a time, so that a large batch of queries stays in the cache."""
+"""Number of kernel values computed at once, so that a large batch of queries stays in the cache."""
 
 
 @final
@@ -22,7 +22,8 @@ KERNEL_BLOCK = 2**16
 class Covariance:
     """Covariance of queries (Q, d) and fixed centres, all in the units of the inputs.
 
-    The linear features of a point are `(point - origin) * slope_scale`: what slopes of one std add there.
+    The linear features of a point are `(point - origin) * slope_scale`, the values there of slopes of one standard
+    deviation.
 
     Attributes:
         kernel: Covariance of f.
@@ -72,7 +73,7 @@ class Covariance:
         return self.kernel.covariance(np.asarray(pdist(self._scaled, "sqeuclidean"), float))
 
     def blockwise(self, evaluate: Callable[[Array], Array], point: ArrayLike) -> Array:
-        """Apply `evaluate` to blocks (Q, d) of points (…, d); shape (…) or (…, d). Not finite points give NaN."""
+        """Applies `evaluate` to blocks (Q, d) of points (…, d); shape (…) or (…, d). Non-finite points give NaN."""
         point = np.asarray(point, float)
         query = np.where(np.isfinite(point), point, np.nan).reshape(-1, len(self.length_scale))
         rows = max(1, KERNEL_BLOCK // len(self.centres))
@@ -117,7 +118,7 @@ def covariance_matrix(correlation: Array, linear_features: Array, noise: float) 
 def evidence_gradient(K_inv: Array, alpha: Array, dk_dr: Array, X: Array, Phi: Array) -> tuple[Array, float, float]:
     """½ tr((ααᵀ − K⁻¹) ∂K/∂θ), the gradient of the log evidence (RW Eq. 5.9), for three kinds of parameter θ.
 
-    RW's α = K⁻¹ values is one column; the column that integrating out the constant adds is a second one.
+    One column of `alpha` is RW's α = K⁻¹ values; the other one comes from integrating out the constant.
 
     Args:
         K_inv: K⁻¹, C-contiguous; only its upper triangle is read; shape (N, N).

@@ -1,21 +1,21 @@
 """The disturbance: the part of a step's error that depends on the deployment and the yaw, not on state and command.
 
-A boom or a floor that leans, a motor that warms up or a slack cable shift the next state. For each coordinate that is
+A tilted boom or floor, a motor that warms up or a slack cable shift the next state. For each coordinate the shift is
 
     d(ψ) = c₀ + c₁ sin ψ + c₂ cos ψ        with c ~ N(0, σ² diag(1, s², s²)) a priori
 
 at yaw ψ, where σ is the standard deviation of a step's noise and s the strength of the yaw-dependent part, zero where
-it is left out. The zero of ψ is arbitrary, so that every deployment has its own c, and c may change within it.
+this part is omitted. The zero of ψ is arbitrary, so every deployment has its own c, and c may change within it.
 
-- `DisturbanceFilter` follows c while a deployment is running: Kalman filters side by side, some with s = 0 and some
-  with s = 1, each with a random walk of another rate. The one that has predicted best of late is used, or none of them,
-  so that nothing is added where nothing drifts. A coefficient that is not observed for long is forgotten, but its
-  variance does not exceed the initial one (Kulhavý's stabilised forgetting).
+- `DisturbanceFilter` estimates c while a deployment is running. It is a bank of Kalman filters, some with s = 0 and
+  some with s = 1, each with a random walk of another rate. The filter with the best recent predictions is used, or
+  none of them, so that nothing is added where nothing drifts. A coefficient that is not observed for a long time is
+  forgotten, but its variance does not exceed the initial one (Kulhavý's stabilised forgetting).
 - `without_yaw_dependence` removes c₁ sin ψ + c₂ cos ψ from the errors of earlier deployments before a residual is
-  fitted to them. A reference meets each target near one yaw, so that the residual would take the disturbance for an
-  effect of the states and commands there. c is estimated beside a quadratic of state and command by Bayesian linear
-  regression (Gelman et al., Bayesian Data Analysis, Sec. 14.8), with the s of the highest evidence; where there is no
-  clear evidence for any, nothing is removed.
+  fitted to them. A deployment reaches each target near one yaw, so the residual would mistake the disturbance for an
+  effect of the states and commands there. c is estimated together with a quadratic of state and command by Bayesian
+  linear regression (Gelman et al., Bayesian Data Analysis, Sec. 14.8), with the s of the highest evidence; without
+  clear evidence for any s, nothing is removed.
 """
 
 from collections.abc import Sequence
@@ -34,42 +34,42 @@ RATES = np.array([0.02, 0.05, 0.1, 0.2, 0.4])
 FILTER_STRENGTHS = (0.0, 1.0)
 """Strengths s of the filters; there is one filter for each pair of strength and rate."""
 SCORE_MEMORY = 0.98
-"""Weight of a filter's score from one step to the next: about the last 50 steps count."""
+"""Factor of a filter's score from one step to the next: about the last 50 steps count."""
 SWITCHING_PENALTY = 5.0
 """A filter is used when its score is better than that of no filter by this number of mean squared errors."""
 
 STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
 """Strengths s among which the regression chooses."""
 LEAST_EVIDENCE = 5.0
-"""Log evidence by which a strength must be more likely than none."""
+"""Difference of the log evidence by which a strength must exceed the strength zero."""
 
 
 def regressors(yaw: ArrayLike) -> Array:
-    """1, sin ψ and cos ψ, the latter two zero where the yaw is not known (NaN); (…) [rad] to (…, 3)."""
+    """Regressors 1, sin ψ and cos ψ; the latter two are zero where the yaw is unknown (NaN); (…) [rad] to (…, 3)."""
     yaw = np.asarray(yaw, float)
     return np.nan_to_num(np.stack([np.ones(yaw.shape), np.sin(yaw), np.cos(yaw)], axis=-1))
 
 
 def prior_std(strength: float) -> Array:
-    """Standard deviations of the coefficients a priori, in those of a step's noise; shape (3,)."""
+    """Prior standard deviations of the coefficients, in standard deviations of a step's noise; shape (3,)."""
     return np.array([1.0, strength, strength])
 
 
 FORGETTING = np.tile(RATES**2, len(FILTER_STRENGTHS))
 """Fraction by which each filter's covariance returns to the initial one in a step; shape (filters,)."""
 INITIAL_COVARIANCE = np.array([np.diag(prior_std(strength) ** 2) for strength in FILTER_STRENGTHS for _ in RATES])
-"""Covariance of each filter's coefficients a priori, in variances of a step's noise; shape (filters, 3, 3)."""
+"""Prior covariance of each filter's coefficients, in variances of a step's noise; shape (filters, 3, 3)."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class DisturbanceFilter:
-    """What is known of the disturbance within a deployment; immutable.
+    """Estimate of the disturbance within a deployment; immutable.
 
     Attributes:
         coefficients: c of each filter; shape (filters, 3, n).
-        covariance: Of c, in variances of a step's noise; shape (filters, 3, 3).
-        scores: Discounted sums of squared innovations of no filter, then of each one; shape (1 + filters, n).
+        covariance: Covariance of c, in variances of a step's noise; shape (filters, 3, 3).
+        scores: Discounted sums of squared innovations without a filter, then of each filter; shape (1 + filters, n).
         weight: Discounted number of steps.
     """
 
@@ -80,21 +80,21 @@ class DisturbanceFilter:
 
     @classmethod
     def initial(cls, size: int) -> Self:
-        """Before the first step, for n coordinates."""
+        """Returns the estimate before the first step, for n coordinates."""
         count = len(INITIAL_COVARIANCE)
         return cls(np.zeros((count, 3, size)), INITIAL_COVARIANCE, np.zeros((1 + count, size)))
 
     def offset(self, yaw: float) -> Array:
-        """What to add to the predicted state of a step that starts at a yaw [rad], NaN if not known; shape (n,)."""
+        """Offset of the predicted state of a step that starts at a yaw [rad], NaN if unknown; shape (n,)."""
         return self._offsets(regressors(yaw))[self._best, np.arange(self.scores.shape[1])]
 
     def std(self, yaw: float) -> Array:
-        """Standard deviation of that offset, in those of a step's noise; shape (n,)."""
+        """Standard deviation of that offset, in standard deviations of a step's noise; shape (n,)."""
         row = regressors(yaw)
         return np.sqrt(np.append(0.0, self._predicted_covariance() @ row @ row))[self._best]
 
     def updated(self, error: Array, yaw: float) -> "DisturbanceFilter":
-        """After a step from a yaw [rad] that the map without the offset predicted with this error; shape (n,)."""
+        """Returns the estimate after a step from a yaw [rad], given the error (n,) of the map without the offset."""
         row, covariance = regressors(yaw), self._predicted_covariance()
         innovation = error - self._offsets(row)
         cross = covariance @ row
@@ -109,7 +109,7 @@ class DisturbanceFilter:
 
     @property
     def _best(self) -> NDArray[np.intp]:
-        """Which filter is used, 0 for none; shape (n,)."""
+        """Index of the filter in use, 0 for none; shape (n,)."""
         mean_square = self.scores[0] / max(self.weight, 1.0)
         penalty = np.where(np.arange(len(self.scores)) > 0, SWITCHING_PENALTY, 0.0)[:, None] * mean_square
         return np.argmin(self.scores + penalty, axis=0)
@@ -119,18 +119,18 @@ class DisturbanceFilter:
         return self.covariance + FORGETTING[:, None, None] * (INITIAL_COVARIANCE - self.covariance)
 
     def _offsets(self, row: Array) -> Array:
-        """Zero, then what each filter predicts; shape (1 + filters, n)."""
+        """Zero, then the prediction of each filter; shape (1 + filters, n)."""
         predicted = np.einsum("k,fkn->fn", row, self.coefficients)
         return np.vstack([np.zeros((1, predicted.shape[1])), predicted])
 
 
 def without_yaw_dependence(observations: Observations, present: int) -> Observations:
-    """The observations, with the yaw-dependent part of the disturbance removed from their errors.
+    """Removes the yaw-dependent part of the disturbance from the errors of observations.
 
     Args:
-        observations: Of one or more deployments. Where no yaw is known, they are returned as they are.
+        observations: Observations of one or more deployments. If no yaw is known, they are returned unchanged.
         present: Number of the deployment that is running, from whose errors nothing is removed: in the first steps of a
-            round sine and cosine cannot be told from a constant, and `DisturbanceFilter` follows all three.
+            turn sine and cosine cannot be distinguished from a constant, and `DisturbanceFilter` estimates all three.
     """
     space, deployment = observations.space, observations.deployment
     if observations.yaw is None or deployment is None:
@@ -157,7 +157,7 @@ class _Part:
 
     Attributes:
         features: Monomials of state and command; shape (k, p).
-        regressors: Of the disturbance; shape (k, 3).
+        regressors: Regressors of the disturbance; shape (k, 3).
         error: Shape (k, n).
     """
 
@@ -166,16 +166,16 @@ class _Part:
     error: Array
 
     def coefficients(self, values: Array, strength: float) -> Array:
-        """Posterior means of c, if it and noise are all that columns (k, j) contain; shape (3, j)."""
+        """Posterior means of c from columns (k, j) that consist of disturbance and noise only; shape (3, j)."""
         scale = np.diag(prior_std(strength))
         return scale @ np.linalg.solve(self._precision(scale), scale @ self.regressors.T @ values)
 
     def disturbance(self, values: Array, strength: float) -> Array:
-        """The disturbance in columns (k, j), if it and noise are all that they contain; shape (k, j)."""
+        """The disturbance in columns (k, j) that consist of disturbance and noise only; shape (k, j)."""
         return self.regressors @ self.coefficients(values, strength)
 
     def log_determinant(self, strength: float) -> float:
-        """Of the covariance of noise and disturbance, in variances of the noise."""
+        """Log determinant of the covariance of noise and disturbance, in variances of the noise."""
         return float(np.linalg.slogdet(self._precision(np.diag(prior_std(strength))))[1])
 
     def _precision(self, scale: Array) -> Array:

@@ -12,20 +12,20 @@ def residual_names() -> tuple[str, ...]:
 
 
 def load_residual_model(name: str) -> ResidualModel:
-    """The residual model with a name.
+    """Loads a residual model by its name.
 
     Raises:
-        InputError: There is no such model, what it needs is not installed, or it is none.
+        InputError: There is no such model, a package that it needs is not installed, or it is not a residual model.
     """
     wanted = "a ResidualModel of stepgap.learning.regression"
     model = load_plugin(RESIDUALS, "residual", name, lambda found: isinstance(found, ResidualModel), wanted)
     if model.name != name:
-        raise InputError(f"residual '{name}': its model calls itself '{model.name}'; both names must be the same")
+        raise InputError(f"residual '{name}': its model has the name '{model.name}'; both names must be the same")
     return model
 
 
 def residual_models() -> list[ResidualModel]:
-    """All installed residual models, from simple to complex.
+    """Loads all installed residual models, from simple to complex.
 
     Raises:
         InputError: One of them cannot be used.

@@ -29,7 +29,7 @@ from stepgap.step import Array
 @final
 @dataclass(frozen=True, eq=False)
 class ExactGaussianProcess(GaussianProcess):
-    """A Gaussian process conditioned on data; made by `condition`, or by a fit of `gaussian_process_fit`.
+    """A Gaussian process conditioned on data; created by `condition`, or by a fit of `gaussian_process_fit`.
 
     Attributes:
         least_squares: β and the weights of the data at these hyper-parameters.
@@ -48,27 +48,27 @@ class ExactGaussianProcess(GaussianProcess):
         return self.least_squares.log_likelihood(self.hyper_parameters.signal_std)
 
     def append(self, point: ArrayLike, value: float) -> "ExactGaussianProcess":
-        """The process given one more point (d,) and value, at the same hyper-parameters, in O(N²).
+        """Conditions the process on one more point (d,) and value, at the same hyper-parameters, in O(N²).
 
-        The same as `condition` on all data but for rounding; a point that can hardly be told apart from the others
-        leads to exactly that.
+        The result is that of `condition` on all data, up to rounding; a point that can hardly be distinguished from
+        the others is added by `condition` itself.
         """
         hyper_parameters, solved = self.hyper_parameters, self.least_squares
-        new, value_, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
-        points, values = np.concatenate([self.points, new]), np.concatenate([self.values, value_])
-        row = self._whiten(new)[:, 0]
+        new_point, new_value, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
+        points, values = np.concatenate([self.points, new_point]), np.concatenate([self.values, new_value])
+        row = self._whiten(new_point)[:, 0]
         prior = self._covariance.prior_variance(points)
         noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2 + solved.factor.jitter
         squared_pivot = float(prior[-1] + noise - row @ row)
         if not is_safe(squared_pivot, prior):
             return condition(points, values, self.input_scale, hyper_parameters, self.kernel)
-        least_squares = append_value(solved, row, math.sqrt(squared_pivot), float(value_[0]))
+        least_squares = append_value(solved, row, math.sqrt(squared_pivot), float(new_value[0]))
         return ExactGaussianProcess(points, values, self.input_scale, hyper_parameters, self.kernel, least_squares)
 
     def leave_one_out(self) -> tuple[Array, Array]:
-        """As `GaussianProcess.leave_one_out`; of a single value the mean is NaN and the standard deviation infinite.
+        """Leave-one-out predictions; for a single value the mean is NaN and the standard deviation infinite.
 
-        With the estimated β as part of the prediction: RW Eq. 5.12, with K⁻¹ − K⁻¹1 1ᵀK⁻¹ / 1ᵀK⁻¹1 for K⁻¹.
+        β is estimated without the value, too: RW Eq. 5.12, with K⁻¹ − K⁻¹1 1ᵀK⁻¹ / 1ᵀK⁻¹1 for K⁻¹.
         """
         solved = self.least_squares
         if len(self.values) == 1:
@@ -79,7 +79,7 @@ class ExactGaussianProcess(GaussianProcess):
         return self.values - solved.weights / precision, self.hyper_parameters.signal_std / np.sqrt(precision)
 
     def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
-        """As `GaussianProcess.leave_out`: RW Eq. 5.12 for blocks of values."""
+        """Leave-block-out predictions: RW Eq. 5.12 for blocks of values."""
         solved, values = self.least_squares, self.values
         mean, variance = np.full(len(values), np.nan), np.full(len(values), np.inf)
         whitened = solved.factor.solve(np.eye(len(values)))
@@ -94,10 +94,10 @@ class ExactGaussianProcess(GaussianProcess):
 
     @staticmethod
     def from_dict(data: Mapping[str, Any], kernel: Kernel = MATERN_52) -> "ExactGaussianProcess":
-        """The process that `to_dict` saved.
+        """Restores the process that `to_dict` saved.
 
         Raises:
-            ValueError: A key is missing, or holds anything but finite numbers of the right size and sign.
+            ValueError: A key is missing, or its value is not finite numbers of the right size and sign.
         """
         hyper_parameters = saved_hyper_parameters(data)
         return condition(*saved_data(data), hyper_parameters, kernel)
@@ -111,25 +111,25 @@ class ExactGaussianProcess(GaussianProcess):
 
     def _kriging_variance(self, query: Array) -> Array:
         whitened, basis = self._whiten(query), self.least_squares.basis
-        by_constant = (1 - basis @ whitened) ** 2 / (basis @ basis)  # what the uncertainty of β adds
-        return self._covariance.prior_variance(query) - (whitened**2).sum(axis=0) + by_constant
+        from_constant = (1 - basis @ whitened) ** 2 / (basis @ basis)  # variance due to the uncertainty of β
+        return self._covariance.prior_variance(query) - (whitened**2).sum(axis=0) + from_constant
 
     def _half_variance_gradient(self, query: Array) -> Array:
         return self._gradient_of(query, self._whiten(query))
 
     def _half_kriging_variance_gradient(self, query: Array) -> Array:
         whitened, basis = self._whiten(query), self.least_squares.basis
-        of_constant = (1 - basis @ whitened) / (basis @ basis)
-        return self._gradient_of(query, whitened + np.outer(basis, of_constant))
+        from_constant = (1 - basis @ whitened) / (basis @ basis)
+        return self._gradient_of(query, whitened + np.outer(basis, from_constant))
 
     def _whiten(self, query: Array) -> Array:
-        """factor⁻¹ (covariance of data and queries / signal²); shape (N, Q)."""
+        """Computes factor⁻¹ (covariance of data and queries / signal²); shape (N, Q)."""
         covariance = self._covariance
         cross = covariance.cross_covariance(query) + covariance.linear_features(query) @ covariance.centre_features.T
         return self.least_squares.factor.solve(cross.T)
 
     def _gradient_of(self, query: Array, whitened: Array) -> Array:
-        """½ ∂variance/∂query [signal²], given factorᵀ times the weights that values have (N, Q); shape (Q, d)."""
+        """½ ∂variance/∂query [signal²], given factorᵀ times the weights of the values (N, Q); shape (Q, d)."""
         covariance, weights = self._covariance, self.least_squares.factor.solve_transposed(whitened).T
         linear = covariance.linear_features(query) - weights @ covariance.centre_features
         return linear * covariance.slope_scale - covariance.cross_covariance_gradient(query, weights)
@@ -142,13 +142,13 @@ def condition(
     hyper_parameters: HyperParameters,
     kernel: Kernel = MATERN_52,
 ) -> ExactGaussianProcess:
-    """Gaussian process given the data, at fixed hyper-parameters.
+    """Conditions a Gaussian process on the data, at fixed hyper-parameters.
 
     Args:
         points: Shape (N, d), N ≥ 1.
         values: Shape (N,).
         input_scale: Fixed size of each input, not taken from the data; shape (d,).
-        hyper_parameters: Where `noise_std` is too small for the points to be told apart in double
+        hyper_parameters: Where `noise_std` is too small to distinguish the points in double
             precision, the least variance that suffices is added to the noise.
         kernel: Covariance of f.
     """

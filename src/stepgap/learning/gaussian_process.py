@@ -1,10 +1,16 @@
-"""Gaussian process of one output: constant, slopes, stationary kernel, independent noise; one joint model.
+"""Gaussian process regression of one output with explicit basis functions: a constant and, optionally, slopes.
 
-The model: value = β + slopes · point + f(point) + noise. β may be anything, as in the paper's `fitrgp` call
-(Sec. 6). A priori each slope, per `input_scale`, is N(0, slope_std²); with slope_std = 0 the model is that of
-the paper. f has the covariance signal_std² k(r), where r is the distance of two points measured in
-`input_scale · length_scale`, one length scale per input, and k a `Kernel`. Equations marked RW are those of Rasmussen
-and Williams, Gaussian Processes for Machine Learning (2006).
+The model is value = β + slopes · point + f(point) + noise:
+
+- β, the constant, has a flat prior, as in the paper's `fitrgp` call (Sec. 6).
+- Each slope, per `input_scale`, has the prior N(0, slope_std²); slope_std = 0 gives the model of the paper.
+- f has zero mean and the covariance signal_std² k(r), where k is a stationary `Kernel` and r the distance of two
+  points, each input divided by `input_scale · length_scale`.
+- The noise is independent, with the standard deviation noise_std.
+
+All parts are estimated jointly. Variances and covariances in this module are divided by signal_std²; their unit is
+written [signal²]. Equations marked RW are those of Rasmussen and Williams, Gaussian Processes for Machine Learning
+(2006).
 """
 
 from abc import ABC, abstractmethod
@@ -25,13 +31,13 @@ from stepgap.step import Array
 @final
 @dataclass(frozen=True, eq=False)
 class HyperParameters:
-    """What a fit chooses; see `gaussian_process_fit`.
+    """Hyper-parameters; `gaussian_process_fit` estimates them.
 
     Attributes:
-        length_scale: Distance over which f changes, in input scales; shape (d,).
+        length_scale: Distance over which f changes, in units of `input_scale`; shape (d,).
         signal_std: Standard deviation of f [unit of the values].
         noise_std: Standard deviation of the noise of one value [unit of the values].
-        slope_std: Standard deviation of each slope a priori [unit of the values per input scale].
+        slope_std: Prior standard deviation of each slope [unit of the values per input scale].
     """
 
     length_scale: Array
@@ -47,18 +53,21 @@ class HyperParameters:
             ensure(std == 0 or _positive(std), name, "non-negative and finite")
 
     def covariance(self, kernel: Kernel, centres: Array, input_scale: Array) -> Covariance:
-        """Covariance with fixed centres (M, d); slopes turn about the first, with a free β any other would do."""
+        """Covariance of queries and fixed centres (M, d).
+
+        The linear features are zero at the first centre; as β is free, any other point would give the same model.
+        """
         slope_scale = self.slope_std / self.signal_std / input_scale
         return Covariance(kernel, centres, centres[0], input_scale * self.length_scale, slope_scale)
 
     def std(self, variance: Array, include_noise: bool) -> Array:
-        """Standard deviation that belongs to a variance [signal²], without or with the noise."""
+        """Standard deviation [unit of the values] of a variance [signal²], without or with the noise."""
         # Rounding can leave a variance slightly below zero at a point that was observed.
         std = self.signal_std * np.sqrt(np.maximum(variance, 0))
         return np.hypot(std, self.noise_std) if include_noise else std
 
     def std_gradient(self, half_variance_gradient: Array, std: Array) -> Array:
-        """∂std/∂point, given ½ ∂variance/∂point [signal²] (…, d) and `std` (…)."""
+        """∂std/∂point = ½ ∂variance/∂point / std, given ½ ∂variance/∂point [signal²] (…, d) and `std` (…)."""
         half = self.signal_std**2 * half_variance_gradient
         return np.divide(half, std[..., None], out=np.zeros_like(half), where=std[..., None] != 0)
 
@@ -67,13 +76,13 @@ class HyperParameters:
 class GaussianProcess(ABC):
     """A Gaussian process conditioned on data.
 
-    Immutable: `append` gives another one. Queries have shape (…, d) and the units of `points`; one that is not finite
-    gives NaN.
+    Immutable: `append` returns a new one. Query points have shape (…, d) and the units of `points`; where one is not
+    finite, the result is NaN.
 
     Attributes:
         points: Inputs; shape (N, d).
         values: Outputs; shape (N,).
-        input_scale: Fixed size of each input, in which its length scale is measured; shape (d,).
+        input_scale: Fixed scale of each input, the unit of its length scale; shape (d,).
         hyper_parameters: Length scales, signal, noise and slopes.
         kernel: Covariance of f.
     """
@@ -87,41 +96,41 @@ class GaussianProcess(ABC):
     @property
     @abstractmethod
     def coefficient(self) -> float:
-        """β: without slopes, the mean far from all data [unit of the values]."""
+        """β, the constant of the mean; without slopes, the prediction far from all data [unit of the values]."""
 
     @abstractmethod
     def append(self, point: ArrayLike, value: float) -> "GaussianProcess":
-        """The process given one more point (d,) and value, at the same hyper-parameters."""
+        """The process conditioned on one more point (d,) and value, with the same hyper-parameters."""
 
     @abstractmethod
     def leave_one_out(self) -> tuple[Array, Array]:
-        """What the process would predict of each value, had it not seen that value, at the same hyper-parameters.
+        """Predicts each value from all others, with the same hyper-parameters.
 
         Returns:
-            Means and standard deviations of the noisy values, which `kriging_std(…, include_noise=True)` would give;
-            shapes (N,) and (N,) [unit of the values].
+            Means and standard deviations, the latter as `kriging_std(…, include_noise=True)`; shapes (N,) and (N,)
+            [unit of the values].
         """
 
     @abstractmethod
     def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
-        """As `leave_one_out`, but each value is predicted from those outside its block.
+        """Predicts each value from the values outside its block, as `leave_one_out` does for single values.
 
         Args:
-            blocks: Consecutive parts of the values; one that contains all of them leaves nothing to predict from.
+            blocks: Consecutive parts of the values. A block with all values leaves no data for the prediction.
         """
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…) [unit of the values] (RW Eq. 2.38)."""
         covariance, (weights, slopes) = self._covariance, self._weights
 
-        def mean(query: Array) -> Array:
+        def mean_of_block(query: Array) -> Array:
             return (
                 self.coefficient
                 + covariance.cross_covariance(query) @ weights
                 + covariance.linear_features(query) @ slopes
             )
 
-        return covariance.blockwise(mean, point)
+        return covariance.blockwise(mean_of_block, point)
 
     def mean_gradient(self, point: ArrayLike) -> Array:
         """∂mean/∂point; shape (…, d) [unit of the values per unit of each input]."""
@@ -130,16 +139,16 @@ class GaussianProcess(ABC):
         return covariance.blockwise(lambda query: covariance.cross_covariance_gradient(query, weights) + slope, point)
 
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """Plug-in standard deviation, which takes β for exact (RW Eq. 2.26); shape (…) [unit of the values].
+        """Standard deviation with β taken as known (RW Eq. 2.26); shape (…) [unit of the values].
 
         Args:
             point: Shape (…, d).
-            include_noise: False: of β + slopes · point + f. True: of a new noisy value, as MATLAB's `predict` gives it.
+            include_noise: False: of β + slopes · point + f. True: of a new noisy value, as MATLAB's `predict` returns.
         """
         return self.hyper_parameters.std(self._covariance.blockwise(self._variance, point), include_noise)
 
     def kriging_std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """Universal-kriging standard deviation: as `std`, with β only estimated (RW Eq. 2.42); shape (…).
+        """Standard deviation with the uncertainty of the estimated β (universal kriging, RW Eq. 2.42); shape (…).
 
         Args:
             point: Shape (…, d).
@@ -155,7 +164,7 @@ class GaussianProcess(ABC):
     def kriging_std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """∂kriging_std/∂point; shape (…, d) [unit of the values per unit of each input].
 
-        Zero where the standard deviation is, at points known exactly, where it has a kink.
+        At points without uncertainty the standard deviation has a kink; zero is returned there.
 
         Args:
             point: Shape (…, d).
@@ -165,7 +174,7 @@ class GaussianProcess(ABC):
         return self.hyper_parameters.std_gradient(half, self.kriging_std(point, include_noise=include_noise))
 
     def to_dict(self) -> dict[str, Any]:
-        """Data and hyper-parameters as JSON-ready numbers; everything else but the kernel follows from them."""
+        """Data and hyper-parameters as numbers for JSON; with the kernel, they define the process."""
         return {
             "input_scale": self.input_scale.tolist(),
             "points": self.points.tolist(),
@@ -178,12 +187,12 @@ class GaussianProcess(ABC):
 
     @property
     def _centres(self) -> Array:
-        """Points whose covariances with a query give the prediction there; shape (M, d)."""
+        """Points at which f has weights in the prediction: all data here, fewer in a sparse process; shape (M, d)."""
         return self.points
 
     @cached_property
     def _covariance(self) -> Covariance:
-        """Of queries and the centres."""
+        """Covariance of queries and the centres."""
         return self.hyper_parameters.covariance(self.kernel, self._centres, self.input_scale)
 
     @cached_property
@@ -192,15 +201,18 @@ class GaussianProcess(ABC):
 
     @abstractmethod
     def _solve_weights(self) -> tuple[Array, Array]:
-        """Of the covariances with the centres (M,), and of the linear features (d,) [unit of the values]."""
+        """Weights in the mean: of the covariances with the centres (M,) and of the linear features (d,).
+
+        Their unit is that of the values.
+        """
 
     @abstractmethod
     def _variance(self, query: Array) -> Array:
-        """Plug-in variance [signal²]; shape (Q,)."""
+        """Variance with β taken as known [signal²]; shape (Q,)."""
 
     @abstractmethod
     def _kriging_variance(self, query: Array) -> Array:
-        """Variance of universal kriging [signal²]; shape (Q,)."""
+        """Variance that includes the uncertainty of β [signal²]; shape (Q,)."""
 
     @abstractmethod
     def _half_variance_gradient(self, query: Array) -> Array:
@@ -212,7 +224,7 @@ class GaussianProcess(ABC):
 
 
 def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
-    """Own copies of the data, once their shapes and numbers are sound."""
+    """Copies of the data; raises ValueError, which names the argument, if a shape or a number is wrong."""
     points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
     ensure(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
     ensure(_positive(input_scale), "input_scale", "positive and finite")
@@ -225,18 +237,18 @@ def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -
 
 
 def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
-    """Raises ValueError unless there is a length scale for each input."""
+    """Raises ValueError unless there is one length scale for each input."""
     same = hyper_parameters.length_scale.shape == input_scale.shape
     ensure(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
 
 
 def saved_data(data: Mapping[str, Any]) -> tuple[Array, Array, Array]:
-    """Points, values and input scales of a process that was saved; raises ValueError, which names the wrong key."""
+    """Points, values and input scales of a saved process; raises ValueError, which names the wrong key."""
     return numbers(data, "points", 2), numbers(data, "values", 1), numbers(data, "input_scale", 1)
 
 
 def saved_hyper_parameters(data: Mapping[str, Any]) -> HyperParameters:
-    """Those of a process that was saved; raises ValueError, which names the wrong key."""
+    """Hyper-parameters of a saved process; raises ValueError, which names the wrong key."""
     length_scale = numbers(data, "length_scale", 1)
     return HyperParameters(length_scale, *(number(data, name) for name in ("signal_std", "noise_std", "slope_std")))
 
@@ -246,6 +258,6 @@ def _positive(array: ArrayLike) -> bool:
 
 
 def ensure(holds: object, name: str, what: str) -> None:
-    """Raises ValueError, which says what `name` must be, unless it holds."""
+    """Raises ValueError(name must be what) unless `holds` is true."""
     if not holds:
         raise ValueError(f"{name} must be {what}")

@@ -26,7 +26,7 @@ from stepgap.learning.least_squares import LeastSquares, fit_least_squares
 from stepgap.step import Array
 
 Basis = Literal["constant", "linear"]
-"""What a Gaussian process has besides f and noise: a constant, or a constant and slopes."""
+"""Basis of a Gaussian process besides f and noise: a constant, or a constant and slopes."""
 
 
 class Search(TypedDict, total=False):
@@ -39,7 +39,7 @@ class Search(TypedDict, total=False):
 
 
 COLD_START_SIZE = 100
-"""Most points on which the starts compete; with more, only the best goes on with all points."""
+"""Number of points above which the cold starts search on a part of the points; only the best uses all of them."""
 
 LENGTH_SCALE_BOUNDS = (1e-2, 1e3)
 """Search range in input scales; for `fit_like_fitrgp` in units of its initial value."""
@@ -48,7 +48,7 @@ NOISE_RATIO_BOUNDS = (1e-4, 1e2)
 """Search range of noise over signal; its lower end keeps duplicated points well conditioned."""
 
 SLOPE_RATIO_BOUNDS = (1e-3, 1e2)
-"""Search range of the slopes' standard deviation over the signal's; at its lower end slopes are nothing."""
+"""Search range of the slopes' standard deviation over the signal's; at its lower end slopes are negligible."""
 
 PRIOR_LENGTH_SCALE, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO = 3.0, 0.5, 1.0
 """Medians of the priors, in input scales and signals."""
@@ -57,7 +57,7 @@ PRIOR_SIGNAL = 0.25
 """Median of the prior of the signal, in value scales."""
 
 LEAST_NOISE = 1e-3
-"""Least standard deviation of the noise, in value scales: it matters to nobody."""
+"""Least standard deviation of the noise, in value scales; it is negligible in practice."""
 
 (_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
@@ -73,23 +73,23 @@ def fit_gaussian_process(
     start: HyperParameters | None = None,
     last_length_scale: float | None = None,
 ) -> ExactGaussianProcess:
-    """Most probable hyper-parameters under weak priors, one length scale per input.
+    """Fits a Gaussian process: the most probable hyper-parameters under weak priors, one length scale per input.
 
     A priori log(length scale) ~ N(log 3, 1) for each input, log(noise/signal) ~ N(log 0.5, 1), log(signal) ~
     N(log(value_scale/4), 1) and, with the linear basis, log(slopes/signal) ~ N(0, 1), while β is flat and
-    integrated out. Without these priors a fit to fewer than 50 points often takes noise for signal, and one to a
-    single point, or to values that happen to be the same, would be sure of what it cannot know. The noise is at
-    least 0.001 value_scale. The search is deterministic: the same data give the same process.
+    integrated out. Without these priors a fit to fewer than 50 points often mistakes noise for signal, and a fit to a
+    single point, or to equal values, would have far too small standard deviations. The noise is at least
+    0.001 value_scale. The search is deterministic: the same data give the same process.
 
     Args:
         points: Shape (N, d), N ≥ 1.
         values: Shape (N,).
         input_scale: Fixed size of each input, not taken from the data; shape (d,).
-        value_scale: Fixed size of the values, such as half the range of use of what they are errors of. Without
-            it half the range of the values: then those that do not vary leave standard deviations that are tiny.
-        basis: Constant, or constant and slopes whose size the data choose.
+        value_scale: Fixed size of the values, such as half the range of use of the quantity they are errors of. By
+            default half the range of the values: then equal values give tiny standard deviations.
+        basis: Constant, or constant and slopes whose size is fitted.
         kernel: Covariance of f.
-        start: Hyper-parameters of an earlier fit: the search then begins there and at a single cold start.
+        start: Hyper-parameters of an earlier fit: the search then starts there and at a single cold start.
         last_length_scale: Length scale of the last input, where it is fixed and not searched.
 
     Raises:
@@ -113,11 +113,12 @@ def fit_gaussian_process(
 
 
 def _widened(found: HyperParameters, size: int, fitted: int) -> HyperParameters:
-    """All variances times (N + 3p)/(N + p), for p fitted parameters; the mean stays as it is.
+    """Multiplies all variances by (N + 3p)/(N + p), for p fitted parameters; the mean does not change.
 
-    The most probable parameters leave too little variance, as residuals of a least-squares fit do, whose variance is
-    therefore divided by N − p and whose intervals are those of Student's t: together some 1 + 2p/N. Here each prior
-    counts like one more value. Without it 95 % intervals held 91 or 92 % of new values at N = 30.
+    The variance at the most probable parameters is too small, as is that of the residuals of a least-squares fit. There
+    the variance is divided by N − p and intervals are those of Student's t: together a factor of some 1 + 2p/N. Here
+    each prior counts like one more value. Without this factor, 95 % intervals contained 91 or 92 % of new values at
+    N = 30.
     """
     wider = math.sqrt((size + 3 * fitted) / (size + fitted))
     stds = (wider * std for std in (found.signal_std, found.noise_std, found.slope_std))
@@ -125,12 +126,12 @@ def _widened(found: HyperParameters, size: int, fitted: int) -> HyperParameters:
 
 
 def fit_like_fitrgp(points: ArrayLike, values: ArrayLike) -> ExactGaussianProcess:
-    """Hyper-parameters as MATLAB's `fitrgp(…, 'constant', 'matern52')` chooses them, for comparison.
+    """Fits a Gaussian process as MATLAB's `fitrgp(…, 'constant', 'matern52')` does, for comparison.
 
     Maximum likelihood, one length scale for all inputs in their raw units, a single start from
     fitrgp's initial values (the mean standard deviation of the inputs; noise equal to signal) and its
     bound noise_std ≥ 0.01 · std(values). Its standard deviation is the plug-in one, `std`. Among inputs
-    of unlike sizes the likelihood may grow for ever with the length scale: the search bounds end it.
+    of different sizes the likelihood may grow with the length scale without limit: the search bounds limit it.
 
     Args:
         points: Shape (N, d), N ≥ 1.
@@ -150,7 +151,7 @@ class LogParameters(NamedTuple):
     """Logarithms of the hyper-parameters that are searched, or a gradient with respect to them.
 
     Attributes:
-        length_scale: Log length scales: d, or 1 in common for all inputs.
+        length_scale: Log length scales: d, or a common one for all inputs.
         noise_ratio: Log of the noise's standard deviation over the signal's.
         slope_ratio: Log of the slopes' standard deviation over the signal's. None: there are no slopes.
     """
@@ -161,18 +162,18 @@ class LogParameters(NamedTuple):
 
     @property
     def vector(self) -> Array:
-        """All of them in a row, as an optimiser takes them; shape (P,)."""
+        """All parameters as one vector, for an optimiser; shape (P,)."""
         ratios = [self.noise_ratio] if self.slope_ratio is None else [self.noise_ratio, self.slope_ratio]
         return np.concatenate([self.length_scale, ratios])
 
     @property
     def ratios(self) -> tuple[float, float]:
-        """Noise and slopes over the signal, without slopes zero."""
+        """Noise and slopes over the signal; the latter is zero without slopes."""
         noise = float(np.exp(self.noise_ratio))
         return noise, 0.0 if self.slope_ratio is None else float(np.exp(self.slope_ratio))
 
     def with_vector(self, vector: Array) -> "LogParameters":
-        """The same parameters with other values; shape (P,)."""
+        """Returns the same parameters with other values (P,)."""
         length_scale, ratios = np.split(vector, [len(self.length_scale)])
         return LogParameters(length_scale, *ratios.tolist())
 
@@ -180,14 +181,14 @@ class LogParameters(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the data say of hyper-parameters.
+    """Log posterior of the hyper-parameters given the data.
 
     The signal is not among the `LogParameters`: for given ones the most probable signal has a closed form.
 
     Attributes:
         points: In input scales; shape (N, d).
         values: Shape (N,).
-        length_scales: How many there are: d, or 1 in common for all inputs.
+        length_scales: Number of length scales: d, or 1 if it is common to all inputs.
         least_noise: Lower bound of the noise's standard deviation.
         value_scale: Scale of the signal's prior. None: no priors, and β not integrated out: maximum likelihood.
         last_length_scale: Length scale of the last input, where it is not searched.
@@ -215,22 +216,22 @@ class Evidence:
         K_inv, _ = _potri(solved.factor.base, lower=1)
         # potri fills the lower triangle in Fortran order: the upper one in C order.
         dk_dr = self.kernel.radial_derivative(squared)
-        by_lengths, by_slopes, by_noise = evidence_gradient(K_inv.T, alpha, dk_dr, self.points, linear_features)
+        by_length_scale, by_slope, by_noise = evidence_gradient(K_inv.T, alpha, dk_dr, self.points, linear_features)
         by_ratio = float(np.exp(2 * parameters.noise_ratio)) * by_noise
-        # This part is zero except where the least noise binds: there the signal follows from the ratio.
+        # This part is zero except where the noise is at its lower bound: there the signal follows from the ratio.
         by_ratio += self._degrees_of_freedom - solved.quadratic_form / signal**2
         if self.value_scale is not None:
             by_ratio += self._signal_deviation(signal)
         gradient = LogParameters(
-            np.exp(-2 * parameters.length_scale) * by_lengths.reshape(self.length_scales, -1).sum(axis=1),
+            np.exp(-2 * parameters.length_scale) * by_length_scale.reshape(self.length_scales, -1).sum(axis=1),
             by_ratio,
-            None if parameters.slope_ratio is None else by_slopes,
+            None if parameters.slope_ratio is None else by_slope,
         )
         log_prior, prior_gradient = self._log_prior(parameters, signal)
         return -log_posterior - log_prior, gradient.with_vector(-gradient.vector - prior_gradient)
 
     def hyper_parameters(self, parameters: LogParameters) -> HyperParameters:
-        """The parameters with the most probable signal."""
+        """Converts the parameters to hyper-parameters, with the most probable signal."""
         _, _, _, signal = self._solve(parameters)
         ratio, slope = parameters.ratios
         length_scale = np.broadcast_to(np.exp(parameters.length_scale), self.points.shape[1:]).copy()
@@ -249,7 +250,7 @@ class Evidence:
 
     @property
     def _degrees_of_freedom(self) -> int:
-        """Number of values that inform about the signal: one is spent on β where it is integrated out."""
+        """Degrees of freedom of the signal: the number of values, less one for β where it is integrated out."""
         return len(self.values) - (self.value_scale is not None)
 
     def _signal_deviation(self, signal: float) -> float:
@@ -258,7 +259,7 @@ class Evidence:
         return math.log(signal / (PRIOR_SIGNAL * self.value_scale))
 
     def _log_prior(self, parameters: LogParameters, signal: float) -> tuple[float, Array]:
-        """Log density of the priors, but for a constant, and its gradient at a fixed signal (P,)."""
+        """Log density of the priors up to a constant, and its gradient at a fixed signal (P,)."""
         if self.value_scale is None:
             return 0.0, np.zeros(len(parameters.vector))
         deviation = parameters.vector - _prior_median(parameters)
@@ -275,9 +276,9 @@ class Evidence:
 
 
 def cold_starts(inputs: int, basis: Basis = "constant") -> list[LogParameters]:
-    """Log parameters from which a search begins: all inputs alike, then each one alone decisive.
+    """Log parameters at which a search starts: all inputs equally relevant, then each input alone relevant.
 
-    The first alone ends up to 110 nats short of the best where one input is decisive and N ≤ 50.
+    The first start alone ends up to 110 nats below the best if only one input is relevant and N ≤ 50.
     """
     length_scales = np.vstack([np.ones(inputs), np.where(np.eye(inputs) == 1, 0.5, 5.0)])
     noise_ratio, slope_ratio = np.log([0.2, 0.5]).tolist()
@@ -286,7 +287,7 @@ def cold_starts(inputs: int, basis: Basis = "constant") -> list[LogParameters]:
 
 
 def _log_parameters(hyper_parameters: HyperParameters, basis: Basis) -> LogParameters:
-    """Where a search begins that continues from an earlier fit."""
+    """Log parameters of an earlier fit, as the start of a search."""
     signal = hyper_parameters.signal_std
     ratios = [np.clip(hyper_parameters.noise_std / signal, *NOISE_RATIO_BOUNDS)]
     if basis == "linear":
@@ -295,13 +296,13 @@ def _log_parameters(hyper_parameters: HyperParameters, basis: Basis) -> LogParam
 
 
 def _prior_median(parameters: LogParameters) -> Array:
-    """Of the log parameters; shape (P,)."""
+    """Prior medians of the log parameters; shape (P,)."""
     length_scales = [PRIOR_LENGTH_SCALE] * len(parameters.length_scale)
     return np.log([*length_scales, PRIOR_NOISE_RATIO, PRIOR_SLOPE_RATIO][: len(parameters.vector)])
 
 
 def _search(evidence: Evidence, cold: Sequence[LogParameters], warm: Sequence[LogParameters] = ()) -> LogParameters:
-    """Log parameters of the least loss that is reached from `cold` and `warm` starts."""
+    """Searches the log parameters of least loss from `cold` and `warm` starts."""
     with _blas().limit(limits=1, user_api="blas"):  # more threads only wait for each other at these sizes
         starts = [*warm, *cold]
         if len(starts) > 1 and len(evidence.values) > COLD_START_SIZE:
@@ -313,7 +314,7 @@ def _search(evidence: Evidence, cold: Sequence[LogParameters], warm: Sequence[Lo
 
 
 def _descend(evidence: Evidence, starts: Sequence[LogParameters], tolerance: float) -> LogParameters:
-    """The best end of searches from `starts`, each of which stops once the loss falls by less than this share of it."""
+    """Best result of searches from `starts`; each stops when the loss falls by less than a fraction `tolerance`."""
     first = starts[0]
 
     def loss(vector: Array) -> tuple[float, Array]:
@@ -334,5 +335,5 @@ def _descend(evidence: Evidence, starts: Sequence[LogParameters], tolerance: flo
 
 @cache
 def _blas() -> ThreadpoolController:
-    """The threads of linear algebra; to find them takes longer than a fit to some dozens of points."""
+    """Controller of the linear algebra's threads; it is kept, since creating it takes longer than a small fit."""
     return ThreadpoolController()

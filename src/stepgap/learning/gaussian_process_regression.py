@@ -1,4 +1,4 @@
-"""The Gaussian processes as residuals."""
+"""Residual models that are Gaussian processes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,18 +14,18 @@ from stepgap.learning.sparse_gaussian_process import fit_process, process_from_d
 from stepgap.step import Array
 
 TIME_SCALE = 1e3
-"""Memories after which a slope may matter to a Gaussian process: drift is followed, not extrapolated."""
+"""Input scale of the time, in forgetting times: so large that drift is tracked by f and not extrapolated by slopes."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class GaussianProcessRegression(Regression):
-    """A Gaussian process.
+    """A Gaussian process as a regression.
 
     Attributes:
         process: The process.
-        plug_in: Whether standard deviations take the constant for exact, as `fitrgp` does; the others are those of
-            universal kriging.
+        plug_in: Whether standard deviations treat the constant as exact, as in `fitrgp`, or are those of universal
+            kriging.
     """
 
     process: GaussianProcess
@@ -33,17 +33,17 @@ class GaussianProcessRegression(Regression):
 
     @property
     def points(self) -> Array:
-        """Those of the process."""
+        """Inputs that it was fitted to; shape (N, d)."""
         return self.process.points
 
     @property
     def values(self) -> Array:
-        """Those of the process."""
+        """Values that it was fitted to; shape (N,)."""
         return self.process.values
 
     @property
     def noise_std(self) -> float:
-        """That of the process."""
+        """Standard deviation of a new value about the expected one."""
         return self.process.hyper_parameters.noise_std
 
     def mean(self, point: ArrayLike) -> Array:
@@ -63,21 +63,21 @@ class GaussianProcessRegression(Regression):
         return self.process.std_gradient(point) if self.plug_in else self.process.kriging_std_gradient(point)
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Each value as predicted, with noise, from those outside its block (RW Eq. 5.12, block by block)."""
+        """Predictions, with noise, of each value from those outside its block (RW Eq. 5.12 for blocks)."""
         if len(blocks) == len(self.values):
             return Prediction(*self.process.leave_one_out())
         return Prediction(*self.process.leave_out(blocks))
 
     def append(self, point: ArrayLike, value: float) -> "GaussianProcessRegression":
-        """The same process, conditioned on one more value, in O(N²); in O(M³) if sparse."""
+        """Conditions the process on one more value, in O(N²); in O(M³) if sparse."""
         return replace(self, process=self.process.append(point, value))
 
     def to_dict(self) -> dict[str, Any]:
-        """Data and hyper-parameters."""
+        """Converts data and hyper-parameters to JSON-ready numbers."""
         return self.process.to_dict()
 
     def parameters(self) -> list[Parameter]:
-        """Hyper-parameters, and the constant."""
+        """Hyper-parameters and the constant."""
         found = self.process.hyper_parameters
         meaning = (
             "A length scale is the distance over which the error changes: one much longer than the range of the data "
@@ -100,7 +100,7 @@ def gaussian_process_model(
     candidate: bool = False,
     complexity: int = 10,
 ) -> ResidualModel:
-    """A residual that is a Gaussian process with these parts; see `ResidualModel`."""
+    """Creates a residual model that is a Gaussian process with this basis and kernel; see `ResidualModel`."""
 
     def fit(data: TrainingData, start: Regression | None) -> Regression:
         scale = data.scale.copy()

@@ -12,12 +12,12 @@ from stepgap.step import Array
 @final
 @dataclass(frozen=True)
 class Kernel:
-    """k(r) of the distance r of two points, measured in length scales, with k(0) = 1.
+    """A kernel k(r), a function of the distance r of two points in length scales, with k(0) = 1.
 
     Both functions take r² instead of r, because some kernels need no root, and return an array of the same shape.
 
     Attributes:
-        name: What the literature calls it.
+        name: Its name in the literature.
         covariance: k.
         radial_derivative: (dk/dr) / r, which is finite where two points coincide.
     """

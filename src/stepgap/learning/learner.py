@@ -1,4 +1,4 @@
-"""What is known of the map's error at every step: a residual fitted to a log, monitored, and updated if wanted."""
+"""The state of learning at every step: a residual fitted to a log, monitored, and updated online if wanted."""
 
 from dataclasses import dataclass, replace
 from math import nan
@@ -19,11 +19,11 @@ from stepgap.step import Array, StepMap, StepRecord, StepStatus
 MONITORED_STEPS = 10
 """Number of latest steps over which a correction is compared with the nominal map."""
 SIGNIFICANCE = 2.0
-"""A correction is left out when it predicted worse than the nominal map by this number of standard errors."""
+"""A correction is not used while it predicts worse than the nominal map by this number of standard errors."""
 REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
 FITTED_PER_HOP = 150
-"""Number of steps that a fit can handle, at least, while the robot hops once."""
+"""A fit to this number of steps takes less time than one hop of the robot."""
 
 
 @final
@@ -38,7 +38,7 @@ class Monitor:
     advantages: tuple[float, ...] = ()
 
     def updated(self, nominal_error: Array, corrected_error: Array) -> "Monitor":
-        """After a step that the two maps predicted with these scaled errors; shape (n,)."""
+        """Returns the monitor after a step, given the scaled prediction errors (n,) of the two maps."""
         advantage = float(np.sum(nominal_error**2) - np.sum(corrected_error**2))
         return Monitor((*self.advantages, advantage)[-MONITORED_STEPS:])
 
@@ -54,7 +54,7 @@ class Monitor:
 @final
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """New hyper-parameters on their way.
+    """A fit of new hyper-parameters that does not replace the present residual yet.
 
     Attributes:
         residual: Fitted to the steps known when the fit began, and updated with those since.
@@ -68,24 +68,24 @@ class Refit:
 @final
 @dataclass(frozen=True, eq=False)
 class Learner:
-    """What is known between two steps of a deployment; `Learner.start` makes the first one, `after` the next one.
+    """State of learning between two steps of a deployment; `Learner.start` returns the first one, `after` the next one.
 
-    A correction that predicted the latest steps significantly worse than the nominal map is left out until it predicts
+    A correction that predicted the latest steps significantly worse than the nominal map is not used until it predicts
     better again. It is shifted by the estimated disturbance. A learner that learns online updates
     its residual with every step before the next one is planned, and also finds new hyper-parameters: the fit is
-    deferred, so that a `BackgroundThread` can compute `pending` while the robot hops, and its result is taken over a
-    fixed number of steps later. So the same steps give the same learner, however long a fit takes.
+    deferred, so that a `BackgroundThread` can compute `pending` while the robot hops, and its result is used from a
+    fixed number of steps later on. So the same steps give the same learner, however long a fit takes.
 
     Attributes:
         nominal: Map of the physics model.
-        settings: What models the error, and whether steps of this deployment are learnt from.
+        settings: Which residual model is used, and whether steps of this deployment are learned from.
         iteration: Number of the deployment.
         log: All steps known.
-        model: The residual without the history of the step to come.
+        model: The residual without the history of the next step.
         history: That history, as `observations` defines it; shape (2n + m + 1,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
-        steps_to_learn: Number of steps of this deployment that will still be learnt from.
-        disturbance: What depends on time and yaw, not on state and command.
+        steps_to_learn: Number of further steps of this deployment that will be learned from.
+        disturbance: Estimate of the error that depends on time and yaw, not on state and command.
         monitor: Comparison of the correction with the nominal map.
         refit: The fit that is running, if there is one.
         refit_from: Number of known steps from which the next fit may begin.
@@ -106,12 +106,12 @@ class Learner:
 
     @classmethod
     def start(cls, nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int) -> Self:
-        """The learner before a deployment.
+        """Returns the learner before a deployment.
 
         Args:
             nominal: Map of the physics model.
             log: Steps known before the deployment.
-            settings: What models the error, and whether steps of this deployment are learnt from.
+            settings: Which residual model is used, and whether steps of this deployment are learned from.
             iteration: Number of the deployment.
         """
         space = log.space
@@ -133,29 +133,29 @@ class Learner:
 
     @property
     def residual(self) -> Residual:
-        """Model of actual − nominal for the step to come."""
+        """Model of actual − nominal for the next step."""
         return self.model.conditioned_on(self.history)
 
     @property
     def yaw(self) -> float:
-        """Yaw at which the step to come starts [rad], NaN where it is not known."""
+        """Yaw at which the next step starts [rad], NaN if it is unknown."""
         last = self.log.last
         return last.record.yaw_after if last and last.iteration == self.iteration else nan
 
     @property
     def pending(self) -> Deferred[Residual] | None:
-        """The fit that a thread may compute before it is due."""
+        """The pending fit, which a thread may compute before it is due."""
         return self.refit and self.refit.residual
 
     def step_map(self) -> CorrectedMap:
-        """The map to plan the next step with."""
+        """Returns the map that plans the next step."""
         if self.monitor.worse:
             return CorrectedMap(self.nominal, no_residual(*self.model.sizes))
         residual, offset, share = self.residual, self.disturbance.offset(self.yaw), self.disturbance.std(self.yaw)
         return CorrectedMap(self.nominal, residual, offset, share * residual.noise_std)
 
     def after(self, logged: LoggedStep) -> "Learner":
-        """The learner after the step just executed."""
+        """Returns the learner after the step just executed."""
         record, log = logged.record, StepLog(self.log.space, [*self.log, logged])
         error, point = error_of(record, self.nominal), _point_of(record)
         failed = record.status != StepStatus.OK
@@ -169,19 +169,19 @@ class Learner:
             return learner._with_refit()
         residual, scale = self.residual, self.nominal.space.state_scale
         remaining = error - residual.mean(point)
-        innovation = remaining - self.disturbance.offset(self.yaw)  # of the correction as it is deployed
-        follows = self.settings.drift and residual.kind != "none"
+        innovation = remaining - self.disturbance.offset(self.yaw)  # of the deployed correction, with its offset
+        filtered = self.settings.drift and residual.kind != "none"
         learner = replace(
             learner,
             monitor=self.monitor.updated(error / scale, innovation / scale),
-            disturbance=self.disturbance.updated(remaining, self.yaw) if follows else self.disturbance,
+            disturbance=self.disturbance.updated(remaining, self.yaw) if filtered else self.disturbance,
         )
         if self.steps_to_learn > 0:
             learner = learner._updated(self.history, point, error)
         return learner._with_refit()
 
     def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
-        """After a step was learnt: in the present residual, in that of a fit that is due, or in a last fit to all."""
+        """Learns a step: it updates the present residual or that of a fit that is due, or ends with a fit to all."""
 
         def update(residual: Residual) -> Residual:
             return residual.conditioned_on(history).append(point, error)
@@ -199,7 +199,7 @@ class Learner:
         return replace(learner, model=update(self.model), refit=Refit(pending, self.refit.due))
 
     def _with_refit(self) -> "Learner":
-        """With a fit that begins now, if the number of steps has grown enough and no other one is running."""
+        """Begins a new fit if the number of steps has grown enough and no other fit is pending."""
         count = len(self.log)
         if self.refit or self.steps_to_learn == 0 or count < self.refit_from:
             return self
@@ -212,7 +212,7 @@ class Learner:
 def _fitted(
     nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int, start: Residual | None
 ) -> Residual:
-    """The residual of all steps known; the search for hyper-parameters begins at those of `start`."""
+    """Fits the residual to all known steps; the search for hyper-parameters starts at those of `start`."""
     errors = observe(log, nominal)
     kind = settings.residual if len(errors) else "none"
     if settings.drift and kind != "none":
@@ -220,7 +220,7 @@ def _fitted(
         residual = fit_residual(kind, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
         if residual.kind != "none":
             return residual
-        kind = "none"  # without a correction no disturbance is estimated: it is noise
+        kind = "none"  # without a correction no disturbance is estimated: it counts as noise
     return fit_residual(kind, errors, settings.lagged_inputs, settings.forgetting_time, start)
 
 

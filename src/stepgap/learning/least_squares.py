@@ -43,13 +43,13 @@ class LeastSquares:
 
 
 def fit_least_squares(factor: Factor, values: Array) -> LeastSquares:
-    """Fit the constant to values (N,)."""
+    """Fits the constant to values (N,)."""
     basis, whitened = factor.solve(np.stack([np.ones(len(values)), values]).T).T
     return _regress(factor, basis, whitened)
 
 
 def append_value(solved: LeastSquares, row: Array, pivot: float, value: float) -> LeastSquares:
-    """The fit with one more value, in O(N²).
+    """Updates a fit with one more value, in O(N²).
 
     Args:
         solved: The fit without it.

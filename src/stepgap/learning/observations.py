@@ -1,8 +1,9 @@
-"""What recorded steps say of the nominal map: its error at each of them, and what came before.
+"""Observations: the error of the nominal map at each recorded step, and the history of the step.
 
-The *history* of a step is what is known of earlier ones when it starts, one row of 2n + m + 1 numbers: error, applied
-command and state of the step before in the same deployment, and how many steps were recorded before it. All but
-the last are normalised by half the range, from its middle; the first step of a deployment has zeros there.
+The *history* of a step is the information on earlier steps when it starts, a row of 2n + m + 1 numbers: error, applied
+command and state of the step before in the same deployment, and the number of steps recorded before it. All but the
+last are normalised by half ranges, and states and commands are measured from the middle of the range. They are zero for
+the first step of a deployment.
 """
 
 from dataclasses import dataclass
@@ -22,13 +23,13 @@ class Observations:
     """Errors of the nominal map at N steps, in the order in which they happened.
 
     Attributes:
-        space: Names the coordinates, and gives the fixed scales in which they are measured.
+        space: Names and scales of the coordinates.
         state: State at the apex each step started from; shape (N, n).
         applied_command: Command the joints received; shape (N, m).
         error: Actual − nominal next state; shape (N, n).
-        history: What was known of earlier steps; shape (N, 2n + m + 1). None: only the order of the steps.
-        yaw: Yaw at which each step started [rad], NaN where it is not known; shape (N,). None: it is not known at all.
-        deployment: Number of the deployment it belongs to; shape (N,). None: all of them to one.
+        history: History of each step; shape (N, 2n + m + 1). None: only the order of the steps is known.
+        yaw: Yaw at which each step started [rad], NaN where it is unknown; shape (N,). None: all are unknown.
+        deployment: Number of the deployment of each step; shape (N,). None: all belong to one.
 
     Raises:
         ValueError: A wrong shape, or a number that is not finite.
@@ -54,7 +55,7 @@ class Observations:
         sizes = [len(part) for part in parts if part is not None]
         if len(set(sizes)) != 1:
             raise ValueError(
-                f"states, applied commands, errors, histories, yaws and deployments must be equally many, not {sizes}"
+                f"states, applied commands, errors, histories, yaws and deployments must have one length, not {sizes}"
             )
 
     def __len__(self) -> int:
@@ -74,9 +75,9 @@ class Observations:
 
 
 def observe(log: StepLog, nominal: StepMap) -> Observations:
-    """The nominal map's error at the steps of a log that ended with an apex, at the commands applied.
+    """Computes the nominal map's error at the steps of a log that ended with an apex, at the commands applied.
 
-    A step that the nominal map says must fail has no error, and is left out.
+    A step that fails on the nominal map has no error and is omitted.
     """
     error = log.next_state - nominal.evaluate(log.state, log.applied).next_state
     lagged = _lagged_quantities(nominal.space, error, log.applied, log.state)
@@ -91,8 +92,8 @@ def next_history(log: StepLog, nominal: StepMap, iteration: int) -> Array:
     """History of the step that follows a log; shape (2n + m + 1,).
 
     Args:
-        log: All steps before.
-        nominal: Map whose errors count.
+        log: All earlier steps.
+        nominal: The nominal map.
         iteration: Deployment that the step belongs to.
     """
     *_, last = [None, *log]
@@ -107,19 +108,19 @@ def history_after(record: StepRecord, error: Array, space: StepSpace, steps: int
     Args:
         record: The step before.
         error: The nominal map's error at it; shape (n,).
-        space: Of both.
-        steps: How many steps were recorded, the one before included.
+        space: Step space of both.
+        steps: Number of steps recorded, including the one before.
     """
     return np.append(_lagged_quantities(space, error, record.applied, record.state), steps)
 
 
 def error_of(record: StepRecord, nominal: StepMap) -> Array:
-    """Actual − nominal next state of one step, NaN where either has none; shape (n,)."""
+    """Actual − nominal next state of one step, NaN where one of them is missing; shape (n,)."""
     return record.next_state - nominal.evaluate(record.state, record.applied).next_state
 
 
 def _lagged_quantities(space: StepSpace, error: Array, applied_command: Array, state: Array) -> Array:
-    """What the history of the next step holds of this one; shape (…, 2n + m). An error that is not known is zero."""
+    """Part of the next step's history that describes this step; shape (…, 2n + m). An unknown error is zero."""
     command = space.point_of(applied_command)
     parts = [np.nan_to_num(error) / space.state_scale, command, (state - space.state_centre) / space.state_scale]
     return np.concatenate(parts, axis=-1)

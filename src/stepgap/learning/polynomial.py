@@ -2,9 +2,9 @@
 
 value = φ(point)ᵀ w + noise, where φ holds the monomials up to the degree. The conjugate prior (Gelman et
 al., Bayesian Data Analysis, Secs. 3.3 and 14.8) is weak: weights, in units of the value per half range of the
-inputs, are some `PRIOR_STD` standard deviations of the noise, and the variance of the noise is known as well as from
+inputs, are some `PRIOR_STD` standard deviations of the noise, and the prior of the noise's variance counts like
 `PRIOR_COUNT` values of standard deviation `NOISE_SCALE`. So one value is enough, and inputs that do not vary, or vary
-together, do no harm: the weights that they leave open stay open in the standard deviation.
+together, do no harm: weights that the data do not determine remain uncertain, and so do predictions with them.
 """
 
 import math
@@ -21,23 +21,23 @@ from stepgap.learning.regression import Parameter, Prediction, Regression, Resid
 from stepgap.step import Array
 
 PRIOR_STD = 30.0
-"""A priori standard deviation of a weight, in standard deviations of the noise."""
+"""Prior standard deviation of a weight, in standard deviations of the noise."""
 
 PRIOR_COUNT = 3.0
-"""Number of values that the prior of the noise counts for; with fewer, Student's t has no standard deviation."""
+"""Number of values that the prior of the noise is worth; with fewer, Student's t has no standard deviation."""
 
 NOISE_SCALE = 0.02
-"""A priori standard deviation of the noise of a step's error, in half ranges of the state."""
+"""Prior standard deviation of the noise of a step's error, in half ranges of the state."""
 
 
 class Moments(NamedTuple):
-    """Prior and data, added up; d_φ monomials.
+    """Sums over prior and data, for d_φ monomials.
 
     Attributes:
         information: 1 / PRIOR_STD² on the diagonal, + Σ φ φᵀ; shape (d_φ, d_φ).
         projection: Σ φ value; shape (d_φ,).
         squares: PRIOR_COUNT noise_scale² + Σ value².
-        degrees_of_freedom: PRIOR_COUNT + N, of the noise.
+        degrees_of_freedom: PRIOR_COUNT + N, those of the noise.
     """
 
     information: Array
@@ -46,7 +46,7 @@ class Moments(NamedTuple):
     degrees_of_freedom: float
 
     def plus(self, basis: Array, values: Array, counts: Array) -> "Moments":
-        """With more values (k,) at monomials (k, d_φ), each counted `counts` times (k,); negative ones remove."""
+        """Adds values (k,) at monomials (k, d_φ), each counted `counts` times (k,); negative counts remove values."""
         return Moments(
             self.information + (counts * basis.T) @ basis,
             self.projection + (counts * values) @ basis,
@@ -54,13 +54,13 @@ class Moments(NamedTuple):
             self.degrees_of_freedom + float(counts.sum()),
         )
 
-    def faded(self, prior: "Moments", share: float) -> "Moments":
-        """With data that count less, by this share, and the same prior."""
+    def discounted(self, prior: "Moments", factor: float) -> "Moments":
+        """Multiplies the weight of the data by a factor and keeps the prior."""
         return Moments(
-            prior.information + share * (self.information - prior.information),
-            share * self.projection,
-            prior.squares + share * (self.squares - prior.squares),
-            prior.degrees_of_freedom + share * (self.degrees_of_freedom - prior.degrees_of_freedom),
+            prior.information + factor * (self.information - prior.information),
+            factor * self.projection,
+            prior.squares + factor * (self.squares - prior.squares),
+            prior.degrees_of_freedom + factor * (self.degrees_of_freedom - prior.degrees_of_freedom),
         )
 
     def solve(self, basis: Array) -> tuple[Array, Array, float]:
@@ -74,17 +74,17 @@ class Moments(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class Polynomial(Regression):
-    """A polynomial conditioned on data; made by `fit_polynomial`.
+    """A polynomial conditioned on data; created by `fit_polynomial`.
 
-    Standard deviations are those of Student's t distribution, which are larger the fewer the values.
+    Standard deviations are those of Student's t distribution, which are larger for fewer values.
 
-    Of timed data the last input is in no monomial; instead older values count less, by a factor of 1/e for each unit of
-    time.
+    The time, which is the last input of timed data, is in no monomial. Instead older values count less, by a factor of
+    1/e for each unit of time.
 
     Attributes:
-        data: What it was fitted to.
+        data: Data that it was fitted to.
         degree: 0, 1 or 2.
-        moments: Prior and data, added up.
+        moments: Sums over prior and data.
     """
 
     data: TrainingData
@@ -103,7 +103,7 @@ class Polynomial(Regression):
 
     @property
     def noise_std(self) -> float:
-        """Standard deviation of a new value about the expected one, if the weights were known."""
+        """Standard deviation of a new value about the expected one, for known weights."""
         return math.sqrt(self._noise_variance)
 
     def mean(self, point: ArrayLike) -> Array:
@@ -126,7 +126,7 @@ class Polynomial(Regression):
         return np.divide(half, std, out=np.zeros_like(half), where=std != 0)
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Each value as predicted, with noise, from those outside its block, with the same prior."""
+        """Predictions, with noise, of each value from those outside its block, with the same prior."""
         basis, counts = self._basis(self.points), self._counts
         mean, std = np.empty(len(self.values)), np.empty(len(self.values))
         for block in blocks:
@@ -137,19 +137,19 @@ class Polynomial(Regression):
         return Prediction(mean, std)
 
     def append(self, point: ArrayLike, value: float) -> "Polynomial":
-        """The same prior, conditioned on one more value; costs as much as solving for the weights."""
+        """Conditions the polynomial on one more value; costs as much as solving for the weights."""
         point, moments = np.asarray(point, float), self.moments
         if self.data.timed and len(self.points):
-            moments = moments.faded(_prior(self.data, self.degree), float(np.exp(self.points[-1, -1] - point[-1])))
+            moments = moments.discounted(_prior(self.data, self.degree), float(np.exp(self.points[-1, -1] - point[-1])))
         moments = moments.plus(self._basis(point)[None], np.array([value]), np.ones(1))
         return replace(self, data=self.data.append(point, value), moments=moments)
 
     def to_dict(self) -> dict[str, Any]:
-        """Data and prior as JSON-ready numbers; everything else follows from them and the degree."""
+        """Converts data and prior to JSON-ready numbers; the rest follows from them and the degree."""
         return self.data.to_dict()
 
     def parameters(self) -> list[Parameter]:
-        """Noise, and value and slopes in the middle of the range of use."""
+        """Noise, and the value and slopes in the middle of the range of use."""
         slopes = [Parameter("slope in the middle", self.mean_gradient(self.data.centre), "value per input")]
         middle = Parameter("in the middle", float(self.mean(self.data.centre)), "value")
         return [*super().parameters(), middle, *(slopes if self.degree else [])]
@@ -174,12 +174,12 @@ class Polynomial(Regression):
 
     @property
     def _counts(self) -> Array:
-        """How much each value counts; shape (N,)."""
+        """Weight of each value; shape (N,)."""
         points = self.points
         return np.exp(points[:, -1] - points[-1:, -1]) if self.data.timed else np.ones(len(points))
 
     def _scaled(self, point: ArrayLike) -> Array:
-        """The inputs that monomials are made of; (…, d) to (…, d) or, if timed, (…, d − 1)."""
+        """Scaled inputs of the monomials; (…, d) to (…, d) or, if timed, (…, d − 1)."""
         scaled = self.data.scaled(point)
         return scaled[..., :-1] if self.data.timed else scaled
 
@@ -193,10 +193,10 @@ class Polynomial(Regression):
 
 
 def fit_polynomial(data: TrainingData, degree: int) -> Polynomial:
-    """Condition a polynomial on data.
+    """Conditions a polynomial on data.
 
     Args:
-        data: N may be zero.
+        data: The data; N may be zero.
         degree: 0, 1 or 2.
     """
     empty = Polynomial(data, degree, _prior(data, degree))
@@ -204,7 +204,7 @@ def fit_polynomial(data: TrainingData, degree: int) -> Polynomial:
 
 
 def _prior(data: TrainingData, degree: int) -> Moments:
-    """What is believed without data."""
+    """Moments of the prior, without data."""
     inputs = len(data.scale) - data.timed
     size = sum([1, inputs, inputs * (inputs + 1) // 2][: degree + 1])
     noise_scale = NOISE_SCALE * data.value_scale
@@ -227,8 +227,8 @@ def _monomials_gradient(x: Array, degree: int) -> Array:
     """∂monomial/∂x; (…, d) to (…, d_φ, d)."""
     d = x.shape[-1]
     (i, j), unit = np.triu_indices(d), np.eye(d)
-    bend = unit[i] * x[..., j, None] + unit[j] * x[..., i, None]
-    parts = [np.zeros((*x.shape[:-1], 1, d)), np.broadcast_to(unit, (*x.shape[:-1], d, d)), bend][: degree + 1]
+    products = unit[i] * x[..., j, None] + unit[j] * x[..., i, None]
+    parts = [np.zeros((*x.shape[:-1], 1, d)), np.broadcast_to(unit, (*x.shape[:-1], d, d)), products][: degree + 1]
     return np.concatenate(parts, axis=-2)
 
 
@@ -241,7 +241,7 @@ def _from_dict(saved: Mapping[str, Any], degree: int) -> Polynomial:
 
 
 def _model(name: str, degree: int, description: str) -> ResidualModel:
-    """The residual of a degree."""
+    """Creates the residual model of a degree."""
     fit, from_dict = partial(_fit, degree=degree), partial(_from_dict, degree=degree)
     description = f"{description}, fitted by Bayesian linear regression"
     return ResidualModel(name, description, fit, from_dict, candidate=True, complexity=degree + 1)

@@ -1,8 +1,8 @@
-"""The seam for residual models: a model of one number, the residual of one state coordinate, and how it is fitted.
+"""The interface of residual models: a regression for the residual of one state coordinate, and how it is fitted.
 
 A `ResidualModel` is a plug-in: it has a name, and fits a `Regression` to the `TrainingData` of each state coordinate.
-`BatchRegression` does most of the work for a model that is computed from all data at once; docs/own_residual.md shows
-one.
+`BatchRegression` does most of the work for a model that is computed from all data at once; docs/own_residual.md has an
+example.
 """
 
 from abc import ABC, abstractmethod
@@ -26,12 +26,12 @@ class Prediction(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """A number that describes a regression, shown by the report.
+    """A number that describes a regression, for the report.
 
     Attributes:
-        name: In words, such as "length scale".
+        name: Name for the report, such as "length scale".
         value: One number, or one for each of the d inputs; shape (d,).
-        unit: That of the regression's values, of each input, of values per input, or none.
+        unit: Unit of the regression's values, of each input, of values per input, or none.
         meaning: A sentence that explains it, if it needs one.
     """
 
@@ -44,10 +44,10 @@ class Parameter(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """What a regression is fitted to: N values of the residual of one state coordinate, in their order.
+    """Data that a regression is fitted to: N values of the residual of one state coordinate, in their order.
 
     Attributes:
-        points: Inputs: state, command and history inputs side by side; shape (N, d).
+        points: Inputs: state, command and history inputs, concatenated; shape (N, d).
         values: Shape (N,).
         centre: Middle of the range of use of each input; shape (d,).
         scale: Half that range; shape (d,).
@@ -79,27 +79,27 @@ class TrainingData:
             raise ValueError("value_scale must be positive and finite")
 
     def scaled(self, point: ArrayLike) -> Array:
-        """Points (…, d) measured from the centre in half ranges; shape (…, d)."""
+        """Converts points (…, d) to half ranges from the centre; shape (…, d)."""
         return (np.asarray(point, float) - self.centre) / self.scale
 
     def append(self, point: ArrayLike, value: float) -> "TrainingData":
-        """The data with one more point (d,) and its value."""
+        """Returns the data with one more point (d,) and its value."""
         points = np.vstack([self.points, np.asarray(point, float)])
         return replace(self, points=points, values=np.append(self.values, value))
 
     def without(self, block: slice) -> "TrainingData":
-        """The data outside a block."""
+        """Returns the data outside a block."""
         kept = np.delete(np.arange(len(self.values)), block)
         return replace(self, points=self.points[kept], values=self.values[kept])
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready data, which `from_dict` reads."""
+        """Converts the data to JSON-ready numbers, which `from_dict` reads."""
         arrays = {name: getattr(self, name).tolist() for name in ("points", "values", "centre", "scale")}
         return {**arrays, "value_scale": self.value_scale, "timed": self.timed}
 
     @staticmethod
     def from_dict(saved: Mapping[str, Any]) -> "TrainingData":
-        """The data that `to_dict` saved; raises ValueError, which names the wrong key."""
+        """Restores the data that `to_dict` saved; a ValueError names the wrong key."""
         return TrainingData(
             numbers(saved, "points", 2),
             numbers(saved, "values", 1),
@@ -111,9 +111,9 @@ class TrainingData:
 
 
 class Regression(ABC):
-    """Predicts a value from a point of d inputs, given the data that it was fitted to.
+    """A regression: it predicts a value from a point of d inputs, given the data that it was fitted to.
 
-    Immutable: `append` gives another one. Points have shape (…, d); one that is not a number gives NaN.
+    Immutable: `append` returns a new one. Points have shape (…, d); a point that is not finite gives NaN.
     """
 
     @property
@@ -149,19 +149,19 @@ class Regression(ABC):
 
     @abstractmethod
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Each of the N values as predicted, with noise, from those outside its block, at the same hyper-parameters.
+        """Predictions, with noise, of each of the N values from those outside its block, at the same hyper-parameters.
 
         Args:
-            blocks: Consecutive parts of the N values. One that contains all of them leaves nothing to predict from.
+            blocks: Consecutive parts of the N values. A block of all values leaves no data for its prediction.
         """
 
     @abstractmethod
     def append(self, point: ArrayLike, value: float) -> "Regression":
-        """The same model with one more value, at the same hyper-parameters."""
+        """Conditions the model on one more value, at the same hyper-parameters."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready data, which `ResidualModel.from_dict` reads."""
+        """Converts the regression to JSON-ready data, which `ResidualModel.from_dict` reads."""
 
     @property
     def inputs(self) -> int:
@@ -173,21 +173,21 @@ class Regression(ABC):
         return Prediction(self.mean(point), np.hypot(self.std(point), self.noise_std))
 
     def parameters(self) -> list[Parameter]:
-        """What a person wants to know of it besides how well it predicts."""
+        """Parameters for the report."""
         meaning = "Noise is the scatter that the model expects of a hop repeated under equal conditions."
         return [Parameter("noise", self.noise_std, "value", meaning)]
 
 
 @dataclass(frozen=True, eq=False)
 class BatchRegression(Regression):
-    """A regression that is computed from all its data at once, so that other data give another one.
+    """A regression that is computed from all its data at once.
 
-    A subclass is a frozen dataclass too. Its further fields are hyper-parameters; everything else must follow from them
-    and the data, for instance in a `cached_property`. `append` and `left_out` then need not be written: they put other
-    data in the place of `data`.
+    A subclass is a frozen dataclass, too. Its further fields are hyper-parameters; everything else must follow from
+    them and the data, for instance in a `cached_property`. `append` and `left_out` then need not be implemented: they
+    replace `data`.
 
     Attributes:
-        data: What it was fitted to.
+        data: Data that it was fitted to.
     """
 
     data: TrainingData
@@ -203,7 +203,7 @@ class BatchRegression(Regression):
         return self.data.values
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """As of every regression; costs as much as computing the model once for each block."""
+        """Predicts each value from those outside its block; costs as much as computing the model once per block."""
         mean, std = np.full(len(self.values), np.nan), np.full(len(self.values), np.inf)
         for block in blocks:
             if len(self.values[block]) < len(self.values):
@@ -212,25 +212,25 @@ class BatchRegression(Regression):
         return Prediction(mean, std)
 
     def append(self, point: ArrayLike, value: float) -> Self:
-        """As of every regression; costs as much as computing the model once."""
+        """Conditions the model on one more value; costs as much as computing the model once."""
         return replace(self, data=self.data.append(point, value))
 
 
 @final
 @dataclass(frozen=True)
 class ResidualModel:
-    """A residual that can be chosen by its name: what an entry point of the group `stepgap.residuals` refers to.
+    """A residual model that is selected by its name; an entry point of the group `stepgap.residuals` refers to it.
 
     Attributes:
-        name: In settings, files and reports; that of its entry point.
-        description: What models the error of each state coordinate, for the report, such as "a quadratic polynomial".
-        fit: The regression of one state coordinate. Its arguments are the data, at least one value, and None or a
+        name: Name in settings, files and reports; that of its entry point.
+        description: Description of the regression for the report, such as "a quadratic polynomial".
+        fit: Fits the regression of one state coordinate. Its arguments are the data, at least one value, and None or a
             regression of this model fitted to fewer data, from which a search for hyper-parameters may start.
-        from_dict: The regression that `Regression.to_dict` saved; it raises ValueError, which names the wrong key.
+        from_dict: Restores the regression that `Regression.to_dict` saved; its ValueError names the wrong key.
         lagged_inputs: Inputs from the step before that it always has; settings may add others.
         candidate: Whether `auto` may choose it.
-        complexity: From simple to complex: 0 none, 1 constant, 2 linear, 3 quadratic, 4 to 6 Gaussian processes.
-            Residuals are shown in this order, and of equally good ones the simplest is taken.
+        complexity: Rank from simple to complex: 0 none, 1 constant, 2 linear, 3 quadratic, 4 to 6 Gaussian processes.
+            Residuals are listed in this order, and among equally good ones the simplest is chosen.
     """
 
     name: str

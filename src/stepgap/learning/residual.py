@@ -17,10 +17,10 @@ from stepgap.step import Array
 @final
 @dataclass(frozen=True)
 class HistoryInputs:
-    """Inputs of a residual besides state and command: what happened before the step.
+    """Inputs of a residual besides state and command: they depend on earlier steps.
 
     Attributes:
-        lagged_inputs: Quantities of the step before.
+        lagged_inputs: Which quantities of the step before are inputs.
         forgetting_time: Number of steps after which a step's influence has faded; inf: it never fades.
     """
 
@@ -40,7 +40,7 @@ class HistoryInputs:
         return isfinite(self.forgetting_time)
 
     def of(self, history: Array, state_size: int) -> Array:
-        """The inputs that a history, which `observations` defines, gives; (…, 2n + m + 1) to (…, c)."""
+        """Selects the inputs from a history as `observations` defines it; (…, 2n + m + 1) to (…, c)."""
         used = {"none": 0, "previous_error": state_size, "previous_step": history.shape[-1] - 1}[self.lagged_inputs]
         time = history[..., -1:] / self.forgetting_time
         return np.concatenate([history[..., :used], time if self.timed else time[..., :0]], axis=-1)
@@ -49,17 +49,17 @@ class HistoryInputs:
 @final
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Predicts actual − nominal of the next state, each coordinate by a regression of its own.
+    """Predicts actual − nominal of the next state, with one regression for each coordinate.
 
-    A point is a state and a command side by side, shape (…, n + m). A residual with history inputs must be conditioned
-    on the history of the step first, by `conditioned_on`: then it is a function of points again.
+    A point is the concatenation of a state and a command, shape (…, n + m). A residual with history inputs must first
+    be conditioned on the history of the step, by `conditioned_on`: then it is a function of points again.
 
     Attributes:
-        model: What the regressions are.
-        regressions: One for each of the n state coordinates, of the same n + m + c inputs.
+        model: Model of the regressions.
+        regressions: One for each of the n state coordinates, with the same n + m + c inputs.
         command_size: m.
         history_inputs: Which c inputs there are besides state and command.
-        history_values: Those c inputs, once they are known.
+        history_values: The values of those c inputs; None until they are known.
     """
 
     model: ResidualModel
@@ -95,7 +95,7 @@ class Residual:
         return self.kind if lagged == "none" else f"{self.kind} with {lagged}"
 
     def conditioned_on(self, history: Array) -> "Residual":
-        """The residual of the step that has this history (2n + m + 1,), as a function of state and command."""
+        """Returns the residual of the step with this history (2n + m + 1,), a function of state and command."""
         if self.history_inputs == HistoryInputs():
             return self
         return replace(self, history_values=self.history_inputs.of(np.asarray(history, float), len(self.regressions)))
@@ -134,7 +134,7 @@ class Residual:
         return np.stack(gradients, axis=-2)[..., : sum(self.sizes)]
 
     def append(self, point: ArrayLike, error: ArrayLike) -> "Residual":
-        """The residual with one more step learnt, with the history it is conditioned on, at the same hyper-parameters.
+        """Learns one more step, with the history it is conditioned on, at the same hyper-parameters.
 
         Args:
             point: State and applied command of the step; shape (n + m,).
@@ -145,7 +145,7 @@ class Residual:
         return replace(self, regressions=tuple(each.append(inputs, float(value)) for each, value in pairs))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready data, which `residual_from_dict` reads; the history that it is conditioned on is not kept."""
+        """Converts the residual to JSON-ready data, which `residual_from_dict` reads; `history_values` is not kept."""
         return {
             "kind": self.kind,
             "command_size": self.command_size,
@@ -155,7 +155,7 @@ class Residual:
         }
 
     def _inputs(self, point: ArrayLike) -> Array:
-        """A point with its history inputs; shape (…, n + m + c)."""
+        """Points with their history inputs; shape (…, n + m + c)."""
         point = np.asarray(point, float)
         if self.history_values is None:
             if self.history_inputs != HistoryInputs():
@@ -165,12 +165,12 @@ class Residual:
 
 
 def no_residual(state_size: int, command_size: int) -> Residual:
-    """The nominal map as it is."""
+    """Returns the residual that is zero: it does not correct the nominal map."""
     return Residual(NONE, (Zero(state_size + command_size),) * state_size, command_size)
 
 
 def join_points(state: ArrayLike, command: ArrayLike) -> Array:
-    """State (…, n) and command (…, m), broadcast over their leading axes, side by side; shape (…, n + m)."""
+    """Concatenates states (…, n) and commands (…, m), which broadcast over their leading axes; shape (…, n + m)."""
     state, command = np.asarray(state, float), np.asarray(command, float)
     n, m = state.shape[-1], command.shape[-1]
     leading = np.broadcast(state[..., :1], command[..., :1]).shape[:-1]

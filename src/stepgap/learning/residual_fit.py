@@ -1,4 +1,4 @@
-"""Residuals from observations: of a given model, or of the one that predicts best what it was not fitted to."""
+"""Fits residuals to observations: with a given model, or with the one of the best held-out predictions."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs
 from stepgap.learning.zero import NONE
 
 SELECTION_FOLDS = 5
-"""Contiguous parts of the record, each predicted from the others, by which `auto` chooses."""
+"""Number of contiguous parts of the record, each predicted from the others, by which `auto` chooses."""
 
 
 def fit_residual(
@@ -27,14 +27,14 @@ def fit_residual(
     forgetting_time: float = inf,
     start: Residual | None = None,
 ) -> Residual:
-    """Fit a model of the nominal map's error (Eq. 12).
+    """Fits a model of the nominal map's error (Eq. 12).
 
-    `auto` takes what predicts best by `held_out_score`: first the model, of all installed candidates and the simplest
-    of equally good ones; then the lagged inputs for that model.
+    `auto` selects by the best `held_out_score`: first the model among all installed candidates, the simplest of equally
+    good ones; then the lagged inputs of that model.
 
     Args:
         residual: Name of an installed model, `auto`, or a model itself.
-        observations: What to learn from.
+        observations: Observations to learn from.
         lagged_inputs: Inputs from the step before; those that the model always has are added.
         forgetting_time: Number of steps after which a step's influence has faded; inf: it never fades.
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
@@ -64,18 +64,18 @@ def fit_residual(
 
 
 def held_out_score(residual: Residual, observations: Observations, folds: int = SELECTION_FOLDS) -> float:
-    """How well the errors are predicted, each from those outside its contiguous part of the record.
+    """Score of a residual in cross-validation: each error is predicted from those outside its part of the record.
 
-    Neighbouring steps are alike. So a step left out alone is as good as known to a flexible model that follows its
-    neighbours; the steps of the next deployment have none, nor has the middle of a part left out.
+    The parts are contiguous because neighbouring steps are alike: a flexible model would predict a single held-out step
+    well from its neighbours. The steps of the next deployment have no such neighbours, nor has the middle of a part.
 
     Args:
-        residual: Fitted to the observations.
+        residual: Residual fitted to the observations.
         observations: N steps.
-        folds: How many parts; at most N.
+        folds: Number of parts; at most N.
 
     Returns:
-        Mean log density of an error, summed over the coordinates; −inf where something is not predicted.
+        Mean log predictive density of an error, summed over the coordinates; −inf where a prediction is missing.
     """
     parts = np.array_split(np.arange(len(observations)), min(folds, len(observations)))
     blocks, score = [slice(part[0], part[-1] + 1) for part in parts], 0.0
@@ -86,11 +86,11 @@ def held_out_score(residual: Residual, observations: Observations, folds: int = 
 
 
 def residual_from_dict(data: Mapping[str, Any]) -> Residual:
-    """The residual that `to_dict` saved, by the installed model that it names.
+    """Restores the residual that `to_dict` saved, with the installed model that it names.
 
     Raises:
         InputError: The model is not installed, or cannot be used.
-        ValueError: A key is missing or holds something else than it should; the message names it.
+        ValueError: A key is missing or its value is not valid; the message names it.
     """
     kind = data.get("kind")
     if not isinstance(kind, str):
@@ -106,24 +106,24 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
 
 
 def names_without_lagged_inputs() -> tuple[str, ...]:
-    """Names of the installed residuals of state and command alone, from simple to complex; then `auto`."""
+    """Names of the installed residuals without lagged inputs, from simple to complex; then `auto`."""
     return (*(model.name for model in residual_models() if model.lagged_inputs == "none"), AUTO)
 
 
 def _candidates(observations: Observations) -> list[ResidualModel]:
-    """Among which `auto` chooses, from simple to complex: those whose inputs are known."""
+    """Models among which `auto` chooses, from simple to complex: those whose inputs are known."""
     known = LAGGED_INPUTS[:1] if observations.history is None else LAGGED_INPUTS
     return [model for model in residual_models() if model.candidate and model.lagged_inputs in known]
 
 
 def _history_inputs(model: ResidualModel, lagged_inputs: LaggedInputs, forgetting_time: float) -> HistoryInputs:
-    """The inputs asked for and those that the model always has; each of `LAGGED_INPUTS` includes the one before it."""
+    """The requested inputs and those that the model always has; each of `LAGGED_INPUTS` includes the one before it."""
     widest = max(LAGGED_INPUTS.index(lagged_inputs), LAGGED_INPUTS.index(model.lagged_inputs))
     return HistoryInputs(LAGGED_INPUTS[widest], forgetting_time)
 
 
 def _best(fits: Sequence[Residual], observations: Observations) -> Residual:
-    """The one that predicts best; of equally good ones the first."""
+    """The residual with the best held-out score; the first of equally good ones."""
     if len(fits) == 1:
         return fits[0]
     return max(fits, key=lambda residual: held_out_score(residual, observations))
@@ -132,7 +132,7 @@ def _best(fits: Sequence[Residual], observations: Observations) -> Residual:
 def _fit(
     model: ResidualModel, history_inputs: HistoryInputs, observations: Observations, start: Residual | None
 ) -> Residual:
-    """A residual of one model."""
+    """Fits a residual of one model."""
     if start is None or start.kind != model.name or start.history_inputs != history_inputs:
         starts: Sequence[Regression | None] = [None] * len(observations.space.state)
     else:
@@ -143,7 +143,7 @@ def _fit(
 
 
 def training_data(observations: Observations, history_inputs: HistoryInputs, coordinate: int) -> TrainingData:
-    """What the regression of one state coordinate is fitted to."""
+    """Training data of the regression of one state coordinate."""
     space, points = observations.space, observations.points(history_inputs)
     others = points.shape[1] - len(space.state) - len(space.command)
     return TrainingData(

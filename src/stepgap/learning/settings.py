@@ -1,4 +1,4 @@
-"""The user's settings of learning; apart from the models themselves, which take time to import."""
+"""The user's settings of learning; they are apart from the models, which take time to import."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -12,18 +12,18 @@ RESIDUALS: Final = "stepgap.residuals"
 """Entry points of this group are residual models; their names are those of the setting `residual`."""
 
 AUTO: Final = "auto"
-"""The residual that takes whichever installed candidate predicts best."""
+"""Name of the residual that selects the installed candidate with the best predictions."""
 
 LaggedInputs = Literal["none", "previous_error", "previous_step"]
 """Quantities of the step before that are inputs: none, its error, or its error, applied command and state."""
 
 LAGGED_INPUTS: tuple[LaggedInputs, ...] = get_args(LaggedInputs)
-"""Their names."""
+"""All values of `LaggedInputs`."""
 
 
 @dataclass(frozen=True)
 class LearningSettings:
-    """Which residual model is learned, when, and from which inputs.
+    """Settings of the residual model: its kind, its inputs, and when it is learned.
 
     Attributes:
         residual: Name of the installed residual model of the map's error from the first redeployment on, or `auto`.
@@ -31,7 +31,7 @@ class LearningSettings:
             steps were known before.
         tolerance: Redeploying stops when the tracking error has not fallen by this fraction of the
             best so far; judged from the second redeployment on.
-        lagged_inputs: Quantities of the step before that are inputs, too; `auto` takes those that predict best.
+        lagged_inputs: Quantities of the step before that are inputs, too; `auto` selects those that predict best.
         forgetting_time: Number of steps after which a step's influence has faded; inf: it never fades.
         drift: Whether a correction is shifted during a deployment by its recent errors and those near the same yaw,
             and whether the yaw-dependent part of earlier deployments is removed before a residual is fitted.

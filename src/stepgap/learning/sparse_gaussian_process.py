@@ -1,6 +1,6 @@
-"""Gaussian process of many steps: variational inducing points stand for the data.
+"""Sparse Gaussian process for many steps: variational inducing points represent the data.
 
-The model of `gaussian_process`, and the best approximation of its posterior among those that know f at M inducing
+The model is that of `gaussian_process`, with the best approximation of its posterior that depends on f at M inducing
 points only (Titsias, Variational Learning of Inducing Variables in Sparse Gaussian Processes, 2009, Eqs. 6, 10).
 With the features φ = (L⁻¹k, linear features, 1) of a point, where k is its covariance with the inducing points and
 L Lᵀ that of these among each other, it is a linear regression on φ (RW Sec. 2.1) with the precision
@@ -34,22 +34,22 @@ from stepgap.learning.kernel import MATERN_52, Kernel
 from stepgap.step import Array
 
 EXACT_SIZE = 2000
-"""Most points for which `fit_process` takes the exact process."""
+"""Largest number of points for which `fit_process` returns the exact process."""
 
 SEARCH_SIZE = 1000
-"""Points from which `fit_sparse` takes the hyper-parameters, by an exact fit."""
+"""Number of points to which `fit_sparse` fits the hyper-parameters, by an exact fit."""
 
 INDUCING_SIZES = (50, 100, 200, 400, 800)
 """Numbers of inducing points that `fit_sparse` tries, in turn."""
 
 LEAST_GAIN = 0.005
-"""Gain of the mean log predictive density of held-out values that is worth twice as many inducing points [nats]."""
+"""Least gain of the mean log predictive density of held-out values that justifies more inducing points [nats]."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class WeightPosterior:
-    """Weights of the features given the data; both sums run over the points, so that one more is easily added.
+    """Posterior of the weights of the features; its attributes are sums over the points, to which one can be added.
 
     Attributes:
         precision: A, its upper triangle; shape (F, F) with F = M + d + 1.
@@ -73,14 +73,14 @@ class WeightPosterior:
 @final
 @dataclass(frozen=True, eq=False)
 class SparseGaussianProcess(GaussianProcess):
-    """A Gaussian process conditioned on many data; made by `condition_sparse` or `fit_sparse`.
+    """A Gaussian process conditioned on many data; created by `condition_sparse` or `fit_sparse`.
 
     The cost of a query grows with M² instead of N².
 
     Attributes:
-        inducing: Inputs at which f stands for the data; shape (M, d).
+        inducing: Inducing points; shape (M, d).
         inducing_factor: Cholesky factor of their covariance / signal²; shape (M, M).
-        posterior: Of the weights at these hyper-parameters.
+        posterior: Posterior of the weights at these hyper-parameters.
     """
 
     inducing: Array
@@ -93,22 +93,22 @@ class SparseGaussianProcess(GaussianProcess):
         return float(self.posterior.mean[-1])
 
     def append(self, point: ArrayLike, value: float) -> "SparseGaussianProcess":
-        """The process given one more point, at the same inducing points, in O(M³) whatever N."""
-        new, value_, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
-        features, old = self._features(new)[:, 0], self.posterior
+        """Conditions the process on one more point, at the same inducing points, in O(M³), independent of N."""
+        new_point, new_value, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
+        features, old = self._features(new_point)[:, 0], self.posterior
         posterior = WeightPosterior(
             old.precision + np.outer(features, features) / self._noise_ratio,
-            old.moment + features * value_[0] / self._noise_ratio,
+            old.moment + features * new_value[0] / self._noise_ratio,
         )
         return replace(
             self,
-            points=np.concatenate([self.points, new]),
-            values=np.concatenate([self.values, value_]),
+            points=np.concatenate([self.points, new_point]),
+            values=np.concatenate([self.values, new_value]),
             posterior=posterior,
         )
 
     def leave_one_out(self) -> tuple[Array, Array]:
-        """As `GaussianProcess.leave_one_out`, at the same inducing points."""
+        """Leave-one-out predictions, at the same inducing points."""
         signal, noise, ratio = self.hyper_parameters.signal_std, self.hyper_parameters.noise_std, self._noise_ratio
         features = self._features(self.points)
         leverage = (self.posterior.factor.solve(features) ** 2).sum(axis=0) / ratio
@@ -118,29 +118,29 @@ class SparseGaussianProcess(GaussianProcess):
         return self.values - error / kept, np.hypot(signal * np.sqrt(variance), noise)
 
     def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
-        """As `GaussianProcess.leave_out`, at the same inducing points."""
+        """Leave-block-out predictions, at the same inducing points."""
         signal, noise, ratio = self.hyper_parameters.signal_std, self.hyper_parameters.noise_std, self._noise_ratio
-        features, known = self._features(self.points), self.posterior
+        features, posterior = self._features(self.points), self.posterior
         mean, variance = np.full(len(self.values), np.nan), self._unexplained(features)
         for block in blocks:
             inside = features[:, block]
             others = WeightPosterior(
-                known.precision - inside @ inside.T / ratio, known.moment - inside @ self.values[block] / ratio
+                posterior.precision - inside @ inside.T / ratio, posterior.moment - inside @ self.values[block] / ratio
             )
             mean[block] = others.mean @ inside
             variance[block] += (others.factor.solve(inside) ** 2).sum(axis=0)
         return mean, np.hypot(signal * np.sqrt(variance), noise)
 
     def to_dict(self) -> dict[str, Any]:
-        """Data, hyper-parameters and inducing points as JSON-ready numbers."""
+        """Converts data, hyper-parameters and inducing points to JSON-ready numbers."""
         return {"inducing": self.inducing.tolist(), **super().to_dict()}
 
     @staticmethod
     def from_dict(data: Mapping[str, Any], kernel: Kernel = MATERN_52) -> "SparseGaussianProcess":
-        """The process that `to_dict` saved.
+        """Restores the process that `to_dict` saved.
 
         Raises:
-            ValueError: A key is missing, or holds anything but finite numbers of the right size and sign.
+            ValueError: A key is missing, or its value is not finite numbers of the right size and sign.
         """
         arrays, inducing = saved_data(data), numbers(data, "inducing", 2)
         return condition_sparse(*arrays, saved_hyper_parameters(data), inducing, kernel)
@@ -160,7 +160,7 @@ class SparseGaussianProcess(GaussianProcess):
 
     def _variance(self, query: Array) -> Array:
         features = self._features(query)
-        # The last feature is the constant, which the factor eliminates last: without it, β counts as exact.
+        # The last feature is the constant, which the factor eliminates last: without it, β is treated as exact.
         return self._unexplained(features) + (self.posterior.factor.solve(features)[:-1] ** 2).sum(axis=0)
 
     def _kriging_variance(self, query: Array) -> Array:
@@ -178,7 +178,7 @@ class SparseGaussianProcess(GaussianProcess):
         return self._gradient_of(query, features, self.posterior.factor.solve(features))
 
     def _gradient_of(self, query: Array, features: Array, whitened: Array) -> Array:
-        """½ ∂variance/∂query [signal²], given the features' share of the variance as squares (F, Q); shape (Q, d)."""
+        """½ ∂variance/∂query [signal²], given factor⁻¹ φ, whose squares sum to a part of it (F, Q); shape (Q, d)."""
         covariance, size = self._covariance, len(self.inducing)
         response = self.posterior.factor.solve_transposed(whitened)
         weights = self.inducing_factor.solve_transposed(features[:size] - response[:size]).T
@@ -190,7 +190,7 @@ class SparseGaussianProcess(GaussianProcess):
         return _features(self._covariance, self.inducing_factor, query)
 
     def _unexplained(self, features: Array) -> Array:
-        """Variance of f that the inducing points leave even if known [signal²]; shape (Q,)."""
+        """Variance of f given f at the inducing points [signal²]; shape (Q,)."""
         return np.maximum(1 - (features[: len(self.inducing)] ** 2).sum(axis=0), 0)
 
 
@@ -202,7 +202,7 @@ def condition_sparse(
     inducing: ArrayLike,
     kernel: Kernel = MATERN_52,
 ) -> SparseGaussianProcess:
-    """Sparse Gaussian process given the data, at fixed hyper-parameters and inducing points.
+    """Conditions a sparse Gaussian process on the data, at fixed hyper-parameters and inducing points.
 
     Args:
         points: Shape (N, d), N ≥ 1.
@@ -235,11 +235,11 @@ def fit_sparse(
     value_scale: float | None = None,
     **search: Unpack[Search],
 ) -> SparseGaussianProcess:
-    """Sparse Gaussian process whose hyper-parameters an exact fit to some of the points chose.
+    """Fits a sparse Gaussian process; its hyper-parameters are those of an exact fit to some of the points.
 
-    Inducing points are chosen among the points, each where the others leave most variance (Burt and others,
-    Convergence of Sparse Variational Inference in Gaussian Processes Regression, 2020); there are as many as
-    predict held-out values, every fifth, better.
+    Each inducing point is the point of largest variance given those before it (Burt and others, Convergence of
+    Sparse Variational Inference in Gaussian Processes Regression, 2020). Their number grows as long as this
+    improves the prediction of held-out values, every fifth one.
 
     Args:
         points: Shape (N, d), N ≥ 1.
@@ -272,16 +272,16 @@ def fit_process(
     value_scale: float | None = None,
     **search: Unpack[Search],
 ) -> GaussianProcess:
-    """`fit_gaussian_process`, or `fit_sparse` for more than `EXACT_SIZE` points."""
+    """Fits by `fit_gaussian_process`, or by `fit_sparse` for more than `EXACT_SIZE` points."""
     fit = fit_sparse if len(np.asarray(values)) > EXACT_SIZE else fit_gaussian_process
     return fit(points, values, input_scale, value_scale, **search)
 
 
 def process_from_dict(data: Mapping[str, Any], kernel: Kernel = MATERN_52) -> GaussianProcess:
-    """The process, exact or sparse, that `to_dict` saved.
+    """Restores the process, exact or sparse, that `to_dict` saved.
 
     Raises:
-        ValueError: A key is missing, or holds anything but finite numbers of the right size and sign.
+        ValueError: A key is missing, or its value is not finite numbers of the right size and sign.
     """
     kind = SparseGaussianProcess if "inducing" in data else ExactGaussianProcess
     return kind.from_dict(data, kernel)
@@ -290,9 +290,9 @@ def process_from_dict(data: Mapping[str, Any], kernel: Kernel = MATERN_52) -> Ga
 def spread_points(
     points: Array, input_scale: Array, hyper_parameters: HyperParameters, count: int, kernel: Kernel = MATERN_52
 ) -> Array:
-    """At most `count` of the points, each where those before it leave most variance of f; shape (M, d).
+    """Selects at most `count` points, each where the variance of f given those before it is largest; shape (M, d).
 
-    This is a Cholesky factorisation with pivots; it ends where only rounding remains.
+    This is a pivoted Cholesky factorisation; it ends where only rounding errors remain.
     """
     scaled = points / (input_scale * hyper_parameters.length_scale)
     columns = np.empty((count, len(points)))
@@ -311,8 +311,8 @@ def spread_points(
 
 def _features(covariance: Covariance, factor: Factor, query: Array) -> Array:
     """φ = (L⁻¹k, linear features, 1) of queries (Q, d); shape (F, Q)."""
-    known = factor.solve(covariance.cross_covariance(query).T)
-    return np.concatenate([known, covariance.linear_features(query).T, np.ones((1, len(query)))])
+    whitened = factor.solve(covariance.cross_covariance(query).T)
+    return np.concatenate([whitened, covariance.linear_features(query).T, np.ones((1, len(query)))])
 
 
 def _score(process: SparseGaussianProcess, points: Array, values: Array) -> float:

@@ -11,16 +11,16 @@ from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
 @dataclass(frozen=True, eq=False)
 class LoggedStep:
-    """One executed step with what was wanted and predicted of it; one row of `steps.csv`.
+    """One executed step with its target and prediction; one row of `steps.csv`.
 
     Attributes:
         iteration: Deployment it belongs to, from 0.
-        step: Its number within the deployment, from 1; calibrating steps come before, up to number 0.
-        target: State wanted at its end; of a calibrating step the one predicted; shape (n,).
-        predicted: State that the controller's map predicted for the command asked; NaN where it knew no
+        step: Its number within the deployment, from 1; exploration steps come before, up to number 0.
+        target: State wanted at its end; for an exploration step the predicted one; shape (n,).
+        predicted: State that the controller's map predicted for the command; NaN where the controller found no
             command that makes a step; shape (n,).
         std: Standard deviation of that prediction, zero for a map without one; shape (n,).
-        record: What happened.
+        record: Record of the execution.
     """
 
     iteration: int
@@ -36,7 +36,7 @@ class StepLog:
 
     Args:
         space: Names of their state and command.
-        steps: Those in it.
+        steps: The steps of the log.
     """
 
     def __init__(self, space: StepSpace, steps: Iterable[LoggedStep] = ()):
@@ -50,7 +50,7 @@ class StepLog:
         return iter(self._steps)
 
     def __add__(self, steps: Iterable[LoggedStep]) -> "StepLog":
-        """These steps, then others."""
+        """Returns a log of these steps followed by others."""
         return StepLog(self.space, (*self._steps, *steps))
 
     @property
@@ -63,32 +63,32 @@ class StepLog:
         return StepLog(self.space, (logged for logged in self._steps if logged.iteration == iteration))
 
     def tracking(self) -> "StepLog":
-        """The steps that tracked the reference; calibrating ones, up to number 0, had targets of their own."""
+        """The steps that tracked the reference; exploration steps, up to number 0, had other targets."""
         return StepLog(self.space, (logged for logged in self._steps if logged.step > 0))
 
     def completed(self) -> "StepLog":
-        """The steps that ended with an apex: those that can be learnt from."""
+        """The steps that ended with an apex: those that can be learned from."""
         return StepLog(self.space, (logged for logged in self._steps if logged.record.status == StepStatus.OK))
 
     @property
     def iterations(self) -> list[int]:
-        """Numbers of the deployments in it, rising."""
+        """Numbers of the deployments in it, in ascending order."""
         return sorted({logged.iteration for logged in self._steps})
 
     @property
     def falls(self) -> int:
-        """How many steps did not end with an apex."""
+        """Number of steps that did not end with an apex."""
         return sum(logged.record.status != StepStatus.OK for logged in self._steps)
 
     @property
     def yaw(self) -> Array:
-        """Yaw at the start of each step [rad], NaN where it is not known; shape (N,)."""
+        """Yaw at the start of each step [rad], NaN where it is unknown; shape (N,)."""
         before = np.roll([logged.record.yaw_after for logged in self._steps], 1)
         return np.where(self.follows, before, np.nan)
 
     @property
     def follows(self) -> NDArray[np.bool_]:
-        """Whether each step came right after the one before it here; shape (N,)."""
+        """Whether each step directly followed the one before it in this log; shape (N,)."""
         numbers = self.deployment, np.array([logged.step for logged in self._steps], int)
         same, next_one = (np.diff(number, prepend=number[:1]) for number in numbers)
         return (same == 0) & (next_one == 1)
@@ -134,9 +134,9 @@ class StepLog:
 
 
 def joined(logs: Sequence[StepLog]) -> StepLog:
-    """The steps of one or more logs, one after the other, their deployments numbered through."""
-    whole = StepLog(logs[0].space)
+    """Concatenates one or more logs and numbers their deployments consecutively."""
+    merged = StepLog(logs[0].space)
     for log in logs:
-        first = max(whole.iterations, default=-1) + 1
-        whole += [replace(logged, iteration=logged.iteration + first) for logged in log]
-    return whole
+        first = max(merged.iterations, default=-1) + 1
+        merged += [replace(logged, iteration=logged.iteration + first) for logged in log]
+    return merged

@@ -1,4 +1,4 @@
-"""Steps to learn from, side by side as arrays, wherever they were recorded."""
+"""Steps to learn from as arrays, from any source."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,12 +20,12 @@ class StepTable:
     Attributes:
         space: Names, units and ranges.
         state: State before each step; shape (N, n).
-        command: Command applied, or what stands for it; shape (N, m).
+        command: Command applied, or a substitute for it; shape (N, m).
         next_state: State after it; shape (N, n).
         target: State wanted after it; None if unknown; shape (N, n).
         predicted: Next state as the nominal map predicted it; None if unknown; shape (N, n).
         deployment: Number of the deployment it belongs to; shape (N,).
-        left_out: Rows that are not here, counted by reason in words; no zeros.
+        left_out: Number of excluded rows by reason, such as "that ended without an apex"; no zeros.
     """
 
     space: StepSpace
@@ -48,7 +48,7 @@ class StepTable:
         return self.next_state - self.predicted
 
     def with_predictions(self, predicted: Array, why_not: str) -> "StepTable":
-        """The steps of which the next state is predicted; shape (N, n), NaN where there is no prediction."""
+        """Returns the steps with predictions of the next state; shape (N, n), NaN where there is no prediction."""
         known = np.isfinite(predicted).all(axis=1)
         failed = int((~known).sum())
         return StepTable(
@@ -64,7 +64,7 @@ class StepTable:
 
 
 def tabulate(log: StepLog) -> StepTable:
-    """The completed steps of a log, without predictions: those in it may be of a corrected map."""
+    """Converts the completed steps of a log; its predictions are omitted: they may be those of a corrected map."""
     known = log.completed()
     left_out = {"that ended without an apex": log.falls} if log.falls else {}
     return StepTable(
@@ -73,5 +73,5 @@ def tabulate(log: StepLog) -> StepTable:
 
 
 def describe_left_out(left_out: Mapping[str, int]) -> str:
-    """The rows left out and why, in words."""
+    """Formats the numbers of excluded rows and their reasons."""
     return ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count) or "none"

@@ -1,7 +1,7 @@
-"""How well each residual predicts steps that it was not fitted to, and whether that is more than chance.
+"""Cross-validation: how well each residual predicts held-out steps, and whether differences are significant.
 
-Neighbouring steps are alike, so that contiguous blocks are held out, or whole deployments, never single steps; and so
-that the standard errors count blocks, not steps.
+Neighbouring steps are alike. So contiguous blocks are held out, or complete deployments, never single steps; and the
+standard errors count blocks, not steps.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,24 +23,24 @@ from stepgap.learning.step_table import Labels, StepTable
 from stepgap.step import Array
 
 FOLDS = 10
-"""Parts that are held out in turn; standard errors are taken over at least as many blocks."""
+"""Number of parts that are held out in turn; standard errors are computed from at least as many blocks."""
 
 LEAST_STEPS: Final = 2 * FOLDS
-"""Fewest steps from which residuals can be compared."""
+"""Least number of steps for a comparison of residuals."""
 
 CERTAIN: Final = 2.0
-"""Standard errors by which one residual must at least be better than another to be called better."""
+"""Least difference, in standard errors, for one residual to be called better than another."""
 
 SIGNIFICANCE_LEVEL: Final = 0.05
-"""Of calling different what is not, if the scores of blocks were independent and normal."""
+"""Probability of calling equal residuals different, for independent and normal scores of blocks."""
 
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """Which steps are held out together.
+    """Assignment of the steps to folds.
 
     Attributes:
-        whole_deployments: Whether a fold consists of whole deployments; otherwise it is a contiguous block.
+        whole_deployments: Whether a fold consists of complete deployments; otherwise it is a contiguous block.
         fold: Number of the fold in which each step is held out; shape (N,).
         block: Number of the contiguous block, within a fold, that it counts with in standard errors; shape (N,).
     """
@@ -51,12 +51,12 @@ class Folds:
 
     @property
     def count(self) -> int:
-        """How many folds."""
+        """Number of folds."""
         return int(self.fold.max()) + 1
 
 
 def contiguous_folds(steps: int, number: int = FOLDS) -> Folds:
-    """Equal parts of the steps in their order; 2 ≤ number ≤ steps."""
+    """Divides the steps, in their order, into equal parts; 2 ≤ number ≤ steps."""
     if not 2 <= number <= steps:
         raise ValueError(f"{number} folds of {steps} steps; there must be at least 2, and a step for each")
     parts = max(1, min(-(-FOLDS // number), steps // number))
@@ -65,7 +65,7 @@ def contiguous_folds(steps: int, number: int = FOLDS) -> Folds:
 
 
 def deployment_folds(deployment: Labels) -> Folds:
-    """One fold for each deployment; if there are more than `FOLDS`, one for each of `FOLDS` groups of them."""
+    """Makes one fold of each deployment; if there are more than `FOLDS`, one of each of `FOLDS` groups of them."""
     names, position = np.unique(deployment, return_inverse=True)
     if len(names) < 2:
         raise ValueError("only one deployment; there must be at least 2")
@@ -81,13 +81,13 @@ def deployment_folds(deployment: Labels) -> Folds:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """What a residual predicted of steps that it was not fitted to.
+    """Predictions of a residual at held-out steps.
 
     Attributes:
-        kind: Which residual.
+        kind: Name of the residual.
         error: Actual − nominal next state; shape (N, n).
-        mean: What the residual predicted of it; shape (N, n).
-        std: Standard deviation with noise, zero for a residual that has none; shape (N, n).
+        mean: Predicted error; shape (N, n).
+        std: Standard deviation with noise, zero for a residual without one; shape (N, n).
         seconds: Time of one fit [s].
     """
 
@@ -122,12 +122,12 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Reduction:
-    """By which fraction one residual's error is smaller than another's.
+    """Fraction by which one residual's error is smaller than another's.
 
     Attributes:
-        value: Of the root-mean-square error; negative if it is larger, −∞ where the other has none.
-        standard_error: From jackknifing blocks.
-        blocks: How many.
+        value: Reduction of the root-mean-square error; negative if it is larger, −∞ if the other error is zero.
+        standard_error: Standard error by the jackknife over blocks.
+        blocks: Number of blocks.
     """
 
     value: float
@@ -143,45 +143,45 @@ class Reduction:
 
 
 def reduction(one: HeldOut, other: HeldOut, block: Labels, coordinates: Sequence[int]) -> Reduction:
-    """By how much `one` is better than `other`, paired step by step.
+    """Computes by how much `one` is better than `other`, paired step by step.
 
-    Over several coordinates: of the root of the mean, over coordinates, of the ratios of the squared errors, so that
-    units do not matter.
+    For several coordinates it is the reduction of the root of the mean, over coordinates, of the ratios of the squared
+    errors, so that units do not matter.
     """
     columns, blocks = list(coordinates), int(block.max()) + 1
     sums = [np.zeros((blocks, len(columns))) for _ in range(2)]
     for total, held_out in zip(sums, (one, other), strict=True):
         np.add.at(total, block, held_out.remaining[:, columns] ** 2)
-    of_all = _reduction(*(total.sum(axis=0) for total in sums))
+    value = _reduction(*(total.sum(axis=0) for total in sums))
     without = np.array([_reduction(*(np.delete(total, out, 0).sum(axis=0) for total in sums)) for out in range(blocks)])
     spread = float(np.sum((without - without.mean()) ** 2)) if np.isfinite(without).all() else np.inf
-    return Reduction(of_all, sqrt((blocks - 1) / blocks * spread), blocks)
+    return Reduction(value, sqrt((blocks - 1) / blocks * spread), blocks)
 
 
 def _reduction(one: Array, other: Array) -> float:
-    """Of sums of squares, coordinate by coordinate."""
+    """Reduction from the sums of squares of each coordinate."""
     ratio = [1.0 if a == b else a / b if b > 0 else np.inf for a, b in zip(one, other, strict=True)]
     return 1 - sqrt(np.mean(ratio))
 
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """How well every residual predicts the steps held out.
+    """Result of the cross-validation of several residuals.
 
     Attributes:
         folds: Which steps were held out together.
-        held_out: By kind, from simple to complex.
+        held_out: Predictions by name of the residual, from simple to complex.
     """
 
     folds: Folds
     held_out: Mapping[str, HeldOut]
 
     def reduction(self, kind: str, other: str, coordinates: Sequence[int]) -> Reduction:
-        """By how much one residual is better than another in these state coordinates."""
+        """Computes by how much one residual is better than another in these state coordinates."""
         return reduction(self.held_out[kind], self.held_out[other], self.folds.block, coordinates)
 
     def best(self, coordinates: Sequence[int]) -> str:
-        """The residual to use: from `none` on, each that is certainly better than the simpler one before."""
+        """Selects the residual: starts with `none` and takes each more complex one that is certainly better."""
         chosen, *others = self.held_out
         for kind in others:
             if self.reduction(kind, chosen, coordinates).certain:
@@ -189,7 +189,7 @@ class Validation:
         return chosen
 
     def nearest(self, other: str, coordinates: Sequence[int]) -> str:
-        """The residual with the least error among those that are not `other`."""
+        """The residual with the least error, without `other`."""
         others: list[str] = [kind for kind in self.held_out if kind != other]
         return max(others, key=lambda kind: self.reduction(kind, other, coordinates).value)
 
@@ -200,13 +200,13 @@ def validate(
     folds: Folds,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
 ) -> Validation:
-    """Hold out every fold from every residual.
+    """Holds out every fold from every residual.
 
     Args:
-        kinds: Residuals, from simple to complex.
-        steps: With predictions of the nominal map.
+        kinds: Names of the residuals, from simple to complex.
+        steps: Steps with predictions of the nominal map.
         folds: Which steps are held out together.
-        on_fit: Called with the number of fits done and the number of all.
+        on_fit: Called with the number of fits done and the number of all fits.
     """
     held_out, done = {}, count(1)
     for kind in kinds:
@@ -215,7 +215,7 @@ def validate(
 
 
 def fit_steps(kind: str, steps: StepTable, rows: NDArray[np.bool_] | None = None) -> Residual:
-    """A residual fitted to some of the steps, or to all; shape of `rows` (N,)."""
+    """Fits a residual to some of the steps, or to all; shape of `rows` (N,)."""
     kept = slice(None) if rows is None else rows
     return fit_residual(kind, Observations(steps.space, steps.state[kept], steps.command[kept], steps.error[kept]))
 

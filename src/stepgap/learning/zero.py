@@ -1,4 +1,4 @@
-"""The residual that corrects nothing: the nominal map as it is."""
+"""The residual that is zero: it does not correct the nominal map."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,11 +17,11 @@ from stepgap.step import Array
 @final
 @dataclass(frozen=True)
 class Zero(Regression):
-    """No correction: zero, and without any doubt.
+    """A regression without correction: its mean and standard deviation are zero.
 
     Attributes:
         size: Number of inputs d.
-        noise: How far noisy values lie from zero; 0 where that is not known.
+        noise: Standard deviation of noisy values about zero; 0 if it is unknown.
     """
 
     size: int
@@ -29,46 +29,46 @@ class Zero(Regression):
 
     @property
     def points(self) -> Array:
-        """It keeps none; shape (0, d)."""
+        """Inputs that it was fitted to, which are not kept; shape (0, d)."""
         return np.empty((0, self.size))
 
     @property
     def values(self) -> Array:
-        """It keeps none; shape (0,)."""
+        """Values that it was fitted to, which are not kept; shape (0,)."""
         return np.empty(0)
 
     @property
     def noise_std(self) -> float:
-        """As given."""
+        """Standard deviation of a new value about the expected one."""
         return self.noise
 
     def mean(self, point: ArrayLike) -> Array:
-        """Zero; shape (…)."""
+        """Expected value, which is zero; shape (…)."""
         return np.where(np.isfinite(point).all(axis=-1), 0.0, np.nan)
 
     def mean_gradient(self, point: ArrayLike) -> Array:
-        """Zero; shape (…, d)."""
+        """∂mean/∂point, which is zero; shape (…, d)."""
         return np.where(np.isfinite(point).all(axis=-1, keepdims=True), np.zeros(np.shape(point)), np.nan)
 
     def std(self, point: ArrayLike) -> Array:
-        """Zero; shape (…)."""
+        """Standard deviation, which is zero; shape (…)."""
         return self.mean(point)
 
     def std_gradient(self, point: ArrayLike) -> Array:
-        """Zero; shape (…, d)."""
+        """∂std/∂point, which is zero; shape (…, d)."""
         return self.mean_gradient(point)
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
-        """Zero, with the noise of all values."""
+        """Predictions of zero, with the noise of all values."""
         size = blocks[-1].stop
         return Prediction(np.zeros(size), np.full(size, self.noise))
 
     def append(self, point: ArrayLike, value: float) -> "Zero":  # noqa: ARG002
-        """The same."""
+        """Returns itself; it keeps no data."""
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        """The number of inputs, and the noise."""
+        """Converts the number of inputs and the noise to JSON-ready numbers."""
         return {"inputs": self.size, "noise_std": self.noise}
 
 

@@ -1,1 +1,1 @@
-"""What executes a step: the model itself (`ModelPlant`) or the 1 kHz loop on a rig (`RigPlant`)."""
+"""Plants, which execute steps: the model itself (`ModelPlant`) or the 1 kHz loop on a rig (`RigPlant`)."""

@@ -1,4 +1,4 @@
-"""A plant that is a `StepMap` with noise: fast tests, and experiments without a rig."""
+"""A plant that is a `StepMap` with noise, for fast tests and for experiments without a rig."""
 
 import numpy as np
 
@@ -10,10 +10,10 @@ class ModelPlant(Plant):
     """Executes steps by evaluating a map and adding noise.
 
     Args:
-        step_map: What the plant really does.
+        step_map: True map of the plant.
         start_state: State at the first apex; shape (n,).
-        noise: Standard deviation of what is added to every next state; shape (n,).
-        rng: Draws the noise.
+        noise: Standard deviation of the noise that is added to every next state; shape (n,).
+        rng: Random generator that draws the noise.
     """
 
     def __init__(self, step_map: StepMap, start_state: Array, noise: Array, rng: np.random.Generator):
@@ -22,11 +22,11 @@ class ModelPlant(Plant):
 
     @property
     def space(self) -> StepSpace:
-        """That of the map."""
+        """Names, units and ranges of the map."""
         return self._map.space
 
     def start(self) -> Array:
-        """Goes to the start state."""
+        """Sets and returns the start state."""
         self._state = self._start
         return self._state
 
@@ -40,4 +40,4 @@ class ModelPlant(Plant):
         return record
 
     def stop(self) -> None:
-        """Nothing to be stopped."""
+        """Does nothing: nothing moves."""

@@ -1,4 +1,4 @@
-"""The seam to whatever executes a step."""
+"""The interface of a plant, which executes steps."""
 
 from abc import ABC, abstractmethod
 from typing import Self
@@ -9,18 +9,18 @@ from stepgap.step import Array, StepRecord, StepSpace
 class Plant(ABC):
     """Executes steps, one deployment at a time.
 
-    `with plant:` brings it to life and in every case stops it; inside, `start` gives the first apex
+    Use it as a context manager, which stops it in every case; inside, `start` returns the state at the first apex
     and `take_step` runs from the present apex to the next.
     """
 
     @property
     @abstractmethod
     def space(self) -> StepSpace:
-        """Names, units and ranges of what it takes and gives."""
+        """Names, units and ranges of its states and commands."""
 
     @property
     def fault(self) -> str:
-        """Why the last deployment ended before its time, where the plant can say more than the status of the step."""
+        """Why the last deployment was aborted, if the plant knows more than the status of the step; else empty."""
         return ""
 
     @abstractmethod
@@ -36,7 +36,7 @@ class Plant(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Brings the robot to rest without torque; may be called twice."""
+        """Brings the robot to rest and switches torque off; may be called twice."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""Steps a rig in the calling process: read, compute the tick, write, as fast as the rig can."""
+"""A plant with a rig in the calling process: it reads, computes the tick and writes, as fast as the rig can."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,15 +16,15 @@ STEP_ENDED, FAILED, _UNREADABLE = (
 
 
 class RigPlant(Plant):
-    """Steps a rig with the control of its robot; time must be able to stand still between its ticks.
+    """Executes steps on a rig with the control of its robot; the rig's time must stop between two ticks.
 
-    A step ends, and the next command is due, when the robot's control says so; for a hopper that is when the apex has
+    The robot's control determines when a step ends and the next command is due. For a hopper that is when the apex has
     just been passed, and the command acts after the following mid-stance. The applied command is the one within bounds,
-    less what the drives and the safety limits took from the torques while it acted.
+    less the part that the drives and the safety limits took from the torques while it acted.
 
     Args:
-        rig: What moves.
-        robot_control: How its robot is controlled.
+        rig: The rig.
+        robot_control: Control of its robot.
         on_tick: Called with every tick as the control records it, for logs.
     """
 
@@ -35,53 +35,53 @@ class RigPlant(Plant):
         self._begin()
 
     def _begin(self) -> None:
-        """A new deployment, nothing remembered."""
+        """Resets control and time for a new deployment."""
         self._control = self._robot_control.control(self._rig)
         self._time, self._applied, self._status, self._fault = 0.0, (0.0, 0.0), StepStatus.OK, ""
 
     @property
     def space(self) -> StepSpace:
-        """That of its robot."""
+        """Names, units and ranges of its robot."""
         return self._space
 
     @property
     def fault(self) -> str:
-        """What the rig said when it stopped; empty while it has not."""
+        """Message of the rig's fault; empty if there was none."""
         return self._fault
 
     def start(self) -> Array:
-        """Connects, holds the landing posture until the robot is let go, and hops once without command.
+        """Connects, holds the landing posture until the robot is released, and hops once without command.
 
         Raises:
-            RigFault: The rig cannot be had, or the first hop failed.
+            RigFault: The rig cannot be connected, or the first hop failed.
         """
         self._rig.connect()
         self._begin()
         self._state = self._step((0.0,) * len(self._space.command)).state
         if self._status != StepStatus.OK:
-            said = f" ({self._fault})" if self._fault else ""
+            detail = f" ({self._fault})" if self._fault else ""
             raise RigFault(
-                f"the first hop failed: {self._status.label}{said}: {ADVICE[self._status]}; "
-                "on the twin, see whether the differences in [gap] leave a robot that can hop"
+                f"the first hop failed: {self._status.label}{detail}: {ADVICE[self._status]}; "
+                "on the twin, check whether a robot with the differences in [gap] can hop"
             )
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:
-        """Hops once; a fall, a fault or a safety stop is a record without a next state, and torque is off."""
-        asked = np.asarray(command, float)
-        within = np.clip(asked, self._space.command_lower, self._space.command_upper)
+        """Hops once; after a fall, a fault or a safety stop the record has no next state, and torque is off."""
+        command = np.asarray(command, float)
+        within = np.clip(command, self._space.command_lower, self._space.command_upper)
         state = self._state
         if np.isnan(within).any():
             self._status = StepStatus.INVALID
         self._state, _, lost, yaw = self._step(tuple(within.tolist()))
-        return StepRecord(state, asked, within - lost, self._state, self._status, yaw)
+        return StepRecord(state, command, within - lost, self._state, self._status, yaw)
 
     def stop(self) -> None:
-        """Torque off."""
+        """Switches torque off."""
         self._rig.close()
 
     def _step(self, command: tuple[float, ...]) -> FinishedStep:
-        """Ticks from just after an apex to just after the next; NaN where there is none."""
+        """Runs the ticks of one step, from just after an apex to just after the next; its result."""
         rig, control, on_tick = self._rig, self._control, self._on_tick
         order, applied = Order(Mode.STEP, 1.0, command), self._applied
         try:
@@ -89,7 +89,7 @@ class RigPlant(Plant):
                 reading = rig.read()
                 torques, flags = control.tick(self._time, reading, order, applied, rig.health)
                 if flags & _UNREADABLE:
-                    raise RigFault(f"the sensors tell what is no number: {reading}")
+                    raise RigFault(f"a sensor value is not finite: {reading}")
                 applied = rig.write(torques)
                 self._time += self._tick_time
                 if on_tick:

@@ -1,7 +1,7 @@
-"""The seam to what a robot computes in a tick: reading and order in, torques out.
+"""The interface of a robot's control in a tick: reading and order in, torques out.
 
-Plants know a robot through its `TickControl` and its `StepSpace` and through nothing else: which sensors there are, how
-the state is estimated and what the torques are is the robot's own affair.
+Plants know a robot only by its `TickControl` and its `StepSpace`: its sensors, state estimation and control laws are
+hidden behind them.
 """
 
 from abc import ABC, abstractmethod
@@ -15,12 +15,12 @@ from stepgap.step import Array, StepSpace, StepStatus
 
 
 class Mode(IntEnum):
-    """What the robot is to do during a tick."""
+    """Task of the robot during a tick."""
 
     LIMP = 0
-    """Nothing: the torques of the present step are computed for the log, none is asked for."""
+    """No task: the torques of the present step are computed for the log only."""
     POSTURE = 1
-    """Hold the posture from which it is released, with a share of the torque."""
+    """Hold the posture from which it is released, with a fraction of the torque."""
     STEP = 2
     """Step with the command."""
     LAND = 3
@@ -28,30 +28,30 @@ class Mode(IntEnum):
 
 
 class TickFlag(IntFlag):
-    """What a tick has found."""
+    """Events of a tick."""
 
     NOTHING = 0
     STEP_ENDED = 1
     """The step has just ended, `finished_step` has the result, and the next command is due."""
     FAILED = 2
-    """The step has failed; `status` says why."""
+    """The step has failed; `status` is the reason."""
     STOPPED = 4
     """The safety function has stopped the robot."""
     BRAKES = 8
-    """It has, and the motors brake."""
+    """The safety function has stopped the robot, and the motors brake."""
     TAKES_COMMAND = 16
-    """A command that comes with the next tick acts in full."""
+    """A command in the next tick's order will act in full."""
     UNREADABLE = 32
     """A sensor value is not finite, so the tick was not computed."""
 
 
 class Order(NamedTuple):
-    """What is asked of the robot during a tick.
+    """Order for the robot during a tick.
 
     Attributes:
-        mode: What to do.
-        share: Of the torque in POSTURE; of the time that landing may take that has passed in LAND. From 0 to 1.
-        command: Of the step, within bounds; NaN while there is none. The first one that comes in time acts.
+        mode: Task of the robot.
+        share: Fraction of the torque in POSTURE; fraction of the landing time that has passed in LAND. From 0 to 1.
+        command: Command of the step, within bounds; NaN while there is none. The first one that comes in time acts.
     """
 
     mode: Mode
@@ -60,17 +60,17 @@ class Order(NamedTuple):
 
 
 NO_COMMAND = (float("nan"), float("nan"))
-"""A command that is not there yet."""
+"""Command of an order without a command."""
 
 
 class FinishedStep(NamedTuple):
-    """What is known of a step that has ended.
+    """Result of a step that has ended.
 
     Attributes:
-        state: At its end; shape (n,), NaN of a step that failed.
-        command: The command that acted; shape (m,), NaN where none came in time.
-        lost: Part of the command that limits took away on the way there; shape (m,).
-        yaw: Of the robot at its end [rad]; NaN of a step that failed.
+        state: State at its end; shape (n,), NaN for a failed step.
+        command: Command that acted; shape (m,), NaN if none came in time.
+        lost: Part of the command that limits removed during the step; shape (m,).
+        yaw: Yaw of the robot at its end [rad]; NaN for a failed step.
     """
 
     state: Array
@@ -80,7 +80,7 @@ class FinishedStep(NamedTuple):
 
 
 class TickControl(ABC):
-    """A robot's estimator, torque laws and safety function, and what they remember from tick to tick."""
+    """A robot's state estimator, control laws and safety function, with their state from tick to tick."""
 
     @property
     @abstractmethod
@@ -100,12 +100,12 @@ class TickControl(ABC):
         """Computes a tick.
 
         Args:
-            time: When it began, since the start [s].
+            time: Time at which it began, since the start [s].
             reading: The sensor values.
-            order: What is asked of the robot.
-            applied: Torques that were really applied since the tick before [N·m].
-            health: How the tick itself went.
-            age: By how much the reading is older than the tick [s]; of no account for one that is stale.
+            order: Order for the robot.
+            applied: Torques that were actually applied since the tick before [N·m].
+            health: Errors of communication and timing in the tick.
+            age: Age of the reading at the start of the tick [s]; not used for a stale one.
 
         Returns:
             Torques that may be written [N·m], and the sum of the `TickFlag`s.
@@ -113,19 +113,19 @@ class TickControl(ABC):
 
     @abstractmethod
     def row(self, applied: Torques) -> Sequence[float]:
-        """The row of the last tick for the log, with the torques that were applied [N·m]; fields as in `units`."""
+        """Log row of the last tick, with the torques that were applied [N·m]; fields as in `units`."""
 
     @abstractmethod
     def record(self, applied: Torques) -> Any:
-        """The last tick for whoever looks on, with the torques that were applied [N·m]."""
+        """Record of the last tick for observers, with the torques that were applied [N·m]."""
 
     @abstractmethod
     def finished_step(self) -> FinishedStep:
-        """The step that ended with the last tick."""
+        """Result of the step that ended with the last tick."""
 
     @abstractmethod
     def failed_step(self, applied: Torques | None) -> FinishedStep:
-        """The step that is broken off after the last tick.
+        """Result of the step that is aborted after the last tick.
 
         Args:
             applied: Torques that were applied after that tick [N·m]; None if none were.
@@ -134,16 +134,16 @@ class TickControl(ABC):
     @property
     @abstractmethod
     def status(self) -> StepStatus:
-        """OK while the robot steps; else why it does not."""
+        """OK while the robot steps; else the reason why it does not."""
 
     @property
     @abstractmethod
     def stopped(self) -> str:
-        """Why the safety function stopped the robot, in words; empty while it has not."""
+        """Reason why the safety function stopped the robot; empty if it has not."""
 
 
 class RobotControl(ABC):
-    """How a robot is controlled, whatever rig it stands on; it can be pickled, for a process of its own."""
+    """Control of a robot, independent of its rig; it can be pickled, for use in another process."""
 
     @property
     @abstractmethod
@@ -157,12 +157,12 @@ class RobotControl(ABC):
 
     @abstractmethod
     def control(self, rig: Rig) -> TickControl:
-        """The control of a rig at the beginning of a deployment, compiled: no tick takes longer than the others."""
+        """Creates the control of a rig for a deployment; all its code is compiled before the first tick."""
 
     @abstractmethod
     def limp_limits(self, rig: Rig) -> RigLimits:
-        """Limits of a rig whose motors get no torque: its bus stops it, but neither pose nor speed of the robot."""
+        """Limits of a rig whose motors get no torque: those of its bus, but neither those of pose nor of speed."""
 
     @abstractmethod
     def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
-        """What a logged tick says of the robot, for a person to read; fields as in `units`."""
+        """Describes the robot in a logged tick, as texts by name; fields as in `units`."""

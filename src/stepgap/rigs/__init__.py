@@ -1,1 +1,4 @@
-"""What moves: sensor counts in, torques out. `Rig` is the seam; the twin and the EtherCAT drives implement it."""
+"""Rigs: the hardware of a robot, or a simulation of it; they give sensor counts and take torques.
+
+`Rig` is the interface, which the twin, the EtherCAT drives and the moteus controllers implement.
+"""

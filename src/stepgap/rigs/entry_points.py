@@ -16,15 +16,16 @@ def rig_names() -> tuple[str, ...]:
 
 
 def load_rig(name: str, settings: Path, robot: object) -> Rig:
-    """The rig with a name, not yet connected.
+    """Creates a rig by its name, not yet connected.
 
     Args:
-        name: Of its entry point.
+        name: Name of its entry point.
         settings: File that describes the rig; the rig reads it.
-        robot: The robot the rig is taken to be.
+        robot: Parameters of the robot that the rig is expected to be.
 
     Raises:
-        InputError: There is no such rig, what it needs is not installed, it is none, or its settings are not right.
+        InputError: There is no such rig, a package that it needs is not installed, it is not a rig, or its settings are
+            not valid.
     """
     make = load_plugin(GROUP, "rig", name, callable, "callable with (settings, robot)")
     rig = make(settings, robot)

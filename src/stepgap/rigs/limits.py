@@ -1,4 +1,4 @@
-"""How many bad ticks in a row a rig may have before it must stop."""
+"""Limits of consecutive bad ticks, beyond which a rig must stop."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,12 @@ from stepgap.base.ranges import require
 
 @dataclass(frozen=True, kw_only=True)
 class RigLimits:
-    """Budgets of bad ticks; each robot adds what its motors and joints may do.
+    """Limits of consecutive bad ticks; each robot adds the limits of its motors and joints.
 
     Attributes:
-        lost_frames: Frames in a row that may be lost.
-        stale_ticks: Ticks in a row whose reading may be that of the tick before.
-        late_ticks: Ticks in a row that may be missed.
+        lost_frames: Largest number of consecutive lost frames.
+        stale_ticks: Largest number of consecutive ticks that repeat the reading of the tick before.
+        late_ticks: Largest number of consecutive missed ticks.
     """
 
     lost_frames: int = 2
@@ -25,4 +25,4 @@ class RigLimits:
 
 
 MOST_LATE_TICKS = 50
-"""Largest budget of missed ticks in a row."""
+"""Largest value of `late_ticks`."""

@@ -1,4 +1,4 @@
-"""A rig whose motors get no torque, whoever asks: to measure, to calibrate, to try everything else."""
+"""A rig whose motors get no torque, whatever is commanded: for measurements, calibration and trials."""
 
 from ctypes import c_longlong
 from dataclasses import dataclass, field
@@ -11,26 +11,26 @@ from stepgap.rigs.rig import Health, Reading, Rig, SensorModel, Torques
 
 @dataclass(frozen=True)
 class FrameCount:
-    """Counts lost frames in the process that has the rig, for the one that started that process."""
+    """Counts lost frames in the process of the rig, for the process that started it."""
 
     memory: Any = field(default_factory=lambda: RawValue(c_longlong, 0))
 
     @property
     def lost(self) -> int:
-        """Frames so far."""
+        """Number of lost frames so far."""
         return self.memory.value
 
     def count(self) -> None:
-        """One more."""
+        """Counts one more lost frame."""
         self.memory.value += 1
 
 
 class LimpRig(Rig):
-    """Reads a rig and writes it zero torque, within limits of its own.
+    """Reads a rig and always writes zero torque.
 
     Args:
-        rig: What is read.
-        limits: What stops it: lost frames and drives that fail, but neither pose nor speed of the robot.
+        rig: The rig to read.
+        limits: Limits that stop it: those of lost frames, but neither those of pose nor of speed.
         frames: Counts the lost frames.
     """
 
@@ -39,25 +39,25 @@ class LimpRig(Rig):
 
     @property
     def sensor_model(self) -> SensorModel:
-        """The rig's."""
+        """Sensor model of the rig."""
         return self._rig.sensor_model
 
     @property
     def limits(self) -> RigLimits:
-        """As given."""
+        """Limits as given."""
         return self._limits
 
     @property
     def health(self) -> Health:
-        """The rig's."""
+        """Health of the rig."""
         return self._rig.health
 
     def connect(self) -> None:
-        """As the rig does."""
+        """Connects the rig."""
         self._rig.connect()
 
     def read(self) -> Reading:
-        """As the rig does."""
+        """Reads the rig and counts a lost frame."""
         try:
             return self._rig.read()
         finally:
@@ -65,9 +65,9 @@ class LimpRig(Rig):
                 self._frames.count()
 
     def write(self, torques: Torques) -> Torques:
-        """Writes zero torque, whatever is asked."""
+        """Writes zero torque instead of the given torques."""
         return self._rig.write((0.0,) * len(torques))
 
     def close(self) -> None:
-        """As the rig does."""
+        """Closes the rig."""
         self._rig.close()

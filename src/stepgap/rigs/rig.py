@@ -1,4 +1,4 @@
-"""The seam to whatever moves: sensor counts in, torques out."""
+"""The interface of a rig: sensor counts in, torques out."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from stepgap.base.errors import StepGapError
 from stepgap.rigs.limits import RigLimits
 
 Reading = tuple[float, ...]
-"""What the sensors say at one tick: counts and forces, in an order that the robot defines."""
+"""Sensor values of one tick: counts and forces, in an order that the robot defines."""
 
 Torques = tuple[float, ...]
 """One torque per motor [N·m], in an order that the robot defines."""
@@ -16,12 +16,12 @@ Torques = tuple[float, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class SensorModel:
-    """When a rig's sensors are read; each robot adds how to read their counts.
+    """Timing of a rig's sensors; each robot adds the conversion of their counts.
 
     Attributes:
         tick: Time between two reads [s].
-        frames_per_tick: Frames of a bus in a tick; those between two ticks repeat the torques.
-        sampled_at_write: A reading is of the moment of the last write, whose frame brings it back, not of the read.
+        frames_per_tick: Frames of a bus per tick; those between two ticks repeat the torques.
+        sampled_at_write: A reading was sampled at the last write, whose frame returned it, not at the read.
     """
 
     tick: float
@@ -30,13 +30,13 @@ class SensorModel:
 
 
 class Health(NamedTuple):
-    """How a tick itself went.
+    """Errors of communication and timing in a tick.
 
     Attributes:
-        frame_lost: The bus gave no valid frame.
+        frame_lost: The bus returned no valid frame.
         stale: The reading is that of the tick before.
-        late: Whole ticks by which this one began past its due time.
-        emergency_stop: Somebody asked for the software stop.
+        late: Number of complete ticks by which this one began after its due time.
+        emergency_stop: The software stop was requested.
     """
 
     frame_lost: bool = False
@@ -46,14 +46,14 @@ class Health(NamedTuple):
 
 
 HEALTHY = Health()
-"""A tick without complaint."""
+"""A tick without errors."""
 
 LOST = Health(frame_lost=True, stale=True)
 """A tick whose frame was lost, so that the reading is that of the tick before."""
 
 
 class RigFault(StepGapError):
-    """The rig stopped: torque is off and stays off."""
+    """Error of a rig that has stopped: torque is off and remains off."""
 
 
 class Rig(ABC):
@@ -65,33 +65,33 @@ class Rig(ABC):
     @property
     @abstractmethod
     def sensor_model(self) -> SensorModel:
-        """How to read the counts."""
+        """Timing of the sensors and conversion of their counts."""
 
     @property
     def limits(self) -> RigLimits | None:
-        """What its motors and joints may do; None where nothing but the robot's torque limit is known."""
+        """Limits of its motors, joints and ticks; None where only the robot's torque limit is known."""
         return None
 
     @abstractmethod
     def connect(self) -> None:
-        """Makes the rig ready to tick, motors limp."""
+        """Prepares the rig for the first tick, without torque."""
 
     @abstractmethod
     def read(self) -> Reading:
-        """Sensor values at the present tick.
+        """Reads the sensor values of the present tick.
 
         Raises:
-            RigFault: No valid values can be had.
+            RigFault: There are no valid values.
         """
 
     @property
     def health(self) -> Health:
-        """How the last `read` went: whoever may repeat a reading says so here; all else is a `RigFault`."""
+        """Health of the last `read`: a rig that repeats a reading reports it here; other errors are a `RigFault`."""
         return HEALTHY
 
     @abstractmethod
     def write(self, torques: Torques) -> Torques:
-        """Commands the motor torques for one tick [N·m] and returns those really applied.
+        """Commands the motor torques for one tick [N·m] and returns those actually applied.
 
         Raises:
             RigFault: A torque is not finite, or the drives refuse it.
@@ -99,7 +99,7 @@ class Rig(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Torque off, resources released; may be called twice."""
+        """Switches torque off and releases the resources; may be called twice."""
 
     def __enter__(self) -> Self:
         self.connect()

@@ -1,34 +1,34 @@
-"""A rig without hardware whose sensors never change: what the machine itself can do is measured with it."""
+"""A rig without hardware whose sensors never change, for measuring the timing of the computer alone."""
 
 from stepgap.rigs.rig import Reading, Rig, SensorModel, Torques
 
 
 class StillRig(Rig):
-    """Gives the same reading at every tick and takes any torque.
+    """Returns the same reading at every tick and accepts any torque.
 
     Args:
-        layout: How to read the counts.
+        sensor_model: Timing of the sensors and conversion of their counts.
         reading: The counts.
     """
 
-    def __init__(self, layout: SensorModel, reading: Reading):
-        self._layout, self._reading = layout, reading
+    def __init__(self, sensor_model: SensorModel, reading: Reading):
+        self._sensor_model, self._reading = sensor_model, reading
 
     @property
     def sensor_model(self) -> SensorModel:
-        """How to read the counts."""
-        return self._layout
+        """Timing of the sensors and conversion of their counts."""
+        return self._sensor_model
 
     def connect(self) -> None:
-        """There is nothing to connect."""
+        """Does nothing: there is no hardware."""
 
     def read(self) -> Reading:
-        """Always the same."""
+        """Returns the constant reading."""
         return self._reading
 
     def write(self, torques: Torques) -> Torques:
-        """Nothing moves; the torques as asked [N·m]."""
+        """Returns the given torques [N·m]; nothing moves."""
         return torques
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Does nothing: there is no hardware."""

@@ -1,4 +1,4 @@
-"""`stepgap rig` on an emulated ring, with all its processes; nothing here depends on how fast the machine is."""
+"""`stepgap rig` on an emulated ring, with all its processes; nothing here depends on the speed of the machine."""
 
 import json
 import os
@@ -37,7 +37,7 @@ pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 INTERFACE = f"sg{os.getpid() % 10**7}"
 POSE = HopperReading(2100, -2050, 77, 330, 1.0)
 TICK = 0.01
-"""So long that a busy machine seldom misses the 50 in a row that stop a rig."""
+"""A period so long that a busy machine seldom misses the 50 ticks in a row that stop a rig."""
 LAYOUT = HopperSensorModel(
     tick=TICK,
     boom_length=RobotParameters().boom_length,
@@ -51,7 +51,7 @@ LAYOUT = HopperSensorModel(
 
 
 class JiggedMachine(Machine):
-    """A robot in a jig: it stays where it is."""
+    """A robot in a jig, which does not move."""
 
     @property
     def period(self) -> float:
@@ -71,7 +71,7 @@ class JiggedMachine(Machine):
 
 @pytest.fixture(scope="module")
 def ring() -> Iterator[RigSettings]:
-    """A ring in lock-step, and what its rig.toml says."""
+    """A ring in lock-step, and its rig.toml."""
     settings = RingSettings()
     running = emulated(INTERFACE, JiggedMachine, settings)
     try:
@@ -90,7 +90,7 @@ def rig_file(ring: RigSettings, tmp_path: Path) -> Path:
 
 
 def unless_too_late(result: CommandResult) -> CommandResult:
-    """Skips where this machine was so late that a robot had to be stopped."""
+    """Skips the test if this machine was so late that a robot had to be stopped."""
     if result.code == 1 and "stopped the robot: late" in result.err:
         pytest.skip("this machine is too busy for 100 ticks a second")
     return result
@@ -120,7 +120,7 @@ def test_without_a_bus_the_machine_is_measured_and_nothing_written(stepgap: Comm
     assert not list(Path.cwd().iterdir())
 
 
-def test_a_dry_run_shows_and_logs_what_the_law_would_want(stepgap: Command, rig_file: Path) -> None:
+def test_a_dry_run_displays_and_logs_the_torques_of_the_control_law(stepgap: Command, rig_file: Path) -> None:
     result = unless_too_late(stepgap("rig", "dry-run", rig_file, "--seconds", 1.5))
     assert (result.code, result.out) == (0, "dry-run/ticks-0.mcap\n"), result
     units, ticks = read_ticks(Path("dry-run/ticks-0.mcap"))
@@ -136,9 +136,7 @@ def test_a_dry_run_shows_and_logs_what_the_law_would_want(stepgap: Command, rig_
     assert "contact +1.0 N" in shown
 
 
-def test_calibration_puts_the_pose_right_and_keeps_comments(
-    stepgap: Command, rig_file: Path, ring: RigSettings
-) -> None:
+def test_calibration_corrects_the_pose_and_keeps_comments(stepgap: Command, rig_file: Path, ring: RigSettings) -> None:
     options = ["--leg-length", 0.26, "--height", 0.6, "--alpha-1", 0.05]
     result = unless_too_late(stepgap("rig", "calibrate", rig_file, *options))
     assert result.code == 0, result
@@ -161,7 +159,7 @@ def test_calibration_puts_the_pose_right_and_keeps_comments(
     refused(stepgap("rig", "calibrate", rig_file, *options), "exists already; choose another --out")
 
 
-def test_a_bus_that_is_not_there_is_said_in_one_line(stepgap: Command, rig_file: Path) -> None:
+def test_a_missing_bus_is_reported_in_one_line(stepgap: Command, rig_file: Path) -> None:
     rig_file.write_text(rig_file.read_text("utf-8").replace(INTERFACE, "nowhere"), encoding="utf-8")
     result = stepgap("rig", "check", rig_file, "--seconds", 0.2)
     assert (result.code, result.out) == (1, "")
@@ -197,11 +195,11 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "says"), WRONG, ids=[" ".join(arguments) for arguments, _ in WRONG])
-def test_wrong_input_is_one_line(stepgap: Command, arguments: list[str], says: str) -> None:
+@pytest.mark.parametrize(("arguments", "expected"), WRONG, ids=[" ".join(arguments) for arguments, _ in WRONG])
+def test_wrong_input_is_one_line(stepgap: Command, arguments: list[str], expected: str) -> None:
     Path("broken.toml").write_text("[")
     command = ["--", "true"] if arguments[0] == "emulate" else []  # a ring that should not be ends nevertheless
-    refused(stepgap("rig", *arguments, *command), says)
+    refused(stepgap("rig", *arguments, *command), expected)
     assert Path("broken.toml").read_text() == "["
     assert len(list(Path.cwd().iterdir())) == 1
 
@@ -215,7 +213,7 @@ def seen(text: str) -> None:
         pytest.skip(text)
 
 
-def test_a_command_runs_beside_the_ring_and_its_exit_code_is_taken(tmp_path: Path) -> None:
+def test_a_command_runs_with_the_ring_and_its_exit_code_is_returned(tmp_path: Path) -> None:
     code = f"import socket, sys; socket.if_nametoindex('{INTERFACE}t'); print(sys.argv[1:]); sys.exit(7)"
     arguments = ["--interface", f"{INTERFACE}t", "--gap.boom_pivot_height", "0.41", "--lock-step"]
     command = emulate(*arguments, "--", sys.executable, "-c", code, "--gap.delay", "0")
@@ -241,7 +239,7 @@ def test_it_ends_at_ctrl_c(tmp_path: Path) -> None:
         assert lines[1].startswith(f"EtherCAT ring on {INTERFACE}c: drive_1, drive_2, coupler")
 
 
-def test_sigterm_ends_the_command_beside_the_ring_too(tmp_path: Path) -> None:
+def test_sigterm_ends_the_command_of_the_ring_too(tmp_path: Path) -> None:
     code = "import os, time; print(os.getpid(), flush=True); time.sleep(1000)"
     command = emulate("--interface", f"{INTERFACE}s", "--", sys.executable, "-c", code)
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -257,7 +255,7 @@ def test_sigterm_ends_the_command_beside_the_ring_too(tmp_path: Path) -> None:
         os.kill(int(beside), 0)
 
 
-def test_sigterm_ends_a_dry_run_as_ctrl_c_does_with_a_whole_log(rig_file: Path) -> None:
+def test_sigterm_ends_a_dry_run_as_ctrl_c_does_with_a_complete_log(rig_file: Path) -> None:
     command = [sys.executable, "-c", MAIN, "rig", "dry-run", str(rig_file)]
     with subprocess.Popen(
         command, cwd=rig_file.parent, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -282,7 +280,7 @@ main()
 """
 
 
-def test_who_is_not_root_goes_to_a_network_of_its_own_with_the_command(tmp_path: Path) -> None:
+def test_without_root_the_command_runs_in_a_separate_network(tmp_path: Path) -> None:
     start = [sys.executable, "-c", OTHER_USER, "rig", "emulate", "--interface", f"{INTERFACE}u"]
     outside = {name: value for name, value in os.environ.items() if name != "INSIDE"}
     run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=outside)

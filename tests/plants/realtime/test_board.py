@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.plants.realtime.board import LONGEST_TEXT, Board, FinishedHop, Request
+from stepgap.plants.realtime.board import LONGEST_MESSAGE, Board, FinishedHop, Request
 from stepgap.plants.realtime.states import RigState
 from stepgap.step import StepStatus
 
@@ -19,19 +19,19 @@ def boards():
     here.unlink()
 
 
-def test_a_new_board_asks_for_nothing_and_has_no_command():
+def test_a_new_board_has_no_request_and_no_command():
     board = Board.create()
     try:
         assert (board.request, board.state, board.emergency_stop) == (Request.NOTHING, RigState.OFF, False)
         assert all(board.command(number) is None and board.hop(number) is None for number in range(3))
-        assert (board.words, board.ticks, board.missed_ticks, board.worst_lateness) == ("", 0, 0, 0.0)
+        assert (board.message, board.ticks, board.missed_ticks, board.worst_lateness) == ("", 0, 0, 0.0)
     finally:
         board.close()
         board.unlink()
 
 
 @given(st.integers(0, 2**31), st.floats(), st.floats(), st.floats())
-def test_what_one_posts_the_other_reads_under_its_number_alone(boards, number, fx, fy, yaw):
+def test_a_posted_message_is_read_under_its_number_only(boards, number, fx, fy, yaw):
     here, there = boards
     here.post_command(number, fx, fy)
     np.testing.assert_array_equal(there.command(number), (fx, fy))
@@ -43,11 +43,11 @@ def test_what_one_posts_the_other_reads_under_its_number_alone(boards, number, f
 
 
 @given(st.text(st.characters()))
-def test_words_arrive_however_long(boards, text):
+def test_messages_of_any_length_arrive(boards, text):
     here, there = boards
-    there.words = text
+    there.message = text
     encoded = text.encode("utf-8", "replace")
-    assert here.words.encode("utf-8", "replace")[: LONGEST_TEXT - 3] == encoded[: LONGEST_TEXT - 3]
+    assert here.message.encode("utf-8", "replace")[: LONGEST_MESSAGE - 3] == encoded[: LONGEST_MESSAGE - 3]
 
 
 def test_states_requests_and_counts_arrive(boards):

@@ -1,4 +1,4 @@
-"""What breaks on the way between controller and motors, on an emulated ring with the twin behind it."""
+"""Faults between controller and motors, on an emulated ring with the twin."""
 
 from contextlib import contextmanager
 from dataclasses import replace
@@ -47,10 +47,10 @@ SETTINGS = replace(
     watchdog=WATCHDOG,
     reply_timeout=0.045,  # a busy machine may keep the ring waiting, whose time stands still meanwhile
 )
-COLUMN = {name: place for place, name in enumerate(LOG_UNITS)}
+COLUMN = {name: index for index, name in enumerate(LOG_UNITS)}
 COMMAND = (-4.0, -3.0)
 HOPPING = 1600
-"""Ticks after which the robot pushes itself off the ground for the first time, about."""
+"""Approximate number of ticks before the robot's first thrust."""
 
 
 class Deployment:
@@ -64,7 +64,7 @@ class Deployment:
         self.hops = []
 
     def run(self, ticks):
-        """Ticks that many times or until it is off; whether it still ticks."""
+        """Runs that many ticks, or until the robot is off; returns whether it is still running."""
         for _ in range(ticks):
             if not self.loop.tick():
                 return False
@@ -87,7 +87,7 @@ def deployment(*faults):
 
 @cache
 def cycles_to_connect() -> int:
-    """Frames with outputs that a bring-up takes."""
+    """Number of frames with outputs that a bring-up takes."""
     with deployment() as (ring, _):
         return ring.look().cycles
 
@@ -108,14 +108,14 @@ STOPPED = {
     "three lost frames": (LostFrames(0, cycles=3), "3 frames in a row"),
     "a slave gone and back": (Unplugged(0, "coupler", cycles=20), "3 frames in a row"),
     "a drive that loses power": (PowerLost(0, "drive_1", cycles=2), "drive_1"),
-    "a drive's fault": (DriveFault(0, "drive_2"), "slave 2 'drive_2' takes no torque any more"),
+    "a drive's fault": (DriveFault(0, "drive_2"), "slave 2 'drive_2' no longer accepts torque commands"),
     "a mapping error": (WrongMapping(0, "drive_1"), "drive_1"),
     "a master that stalls past the watchdog": (Silence(0, 60), "drive_1"),
 }
 
 
 @pytest.mark.parametrize("name", SURVIVED)
-def test_the_robot_hops_on_after(name):
+def test_the_robot_continues_hopping_after(name):
     with deployment(at(SURVIVED[name])) as (ring, hopping):
         assert hopping.run(HOPPING + 1500)
         assert len(hopping.hops) >= 2
@@ -124,12 +124,12 @@ def test_the_robot_hops_on_after(name):
 
 
 @pytest.mark.parametrize("name", STOPPED)
-def test_torque_goes_off_for_good_after(name):
-    fault, says = STOPPED[name]
+def test_torque_is_off_for_good_after(name):
+    fault, expected = STOPPED[name]
     with deployment(at(fault)) as (ring, hopping):
         assert not hopping.run(HOPPING + 1500)
         assert hopping.loop.state == RigState.FAULT
-        assert says in hopping.board.words
+        assert expected in hopping.board.message
         assert len(hopping.rows) >= HOPPING - 5, "every tick before is kept"
         assert hopping.rows[-1][COLUMN["state"]] == RigState.FAULT
         check_torques(ring, hopping)
@@ -138,12 +138,12 @@ def test_torque_goes_off_for_good_after(name):
         assert behind.enabled == [False, False]
         ticks = len(behind.torques)
         assert not any(any(torques) for torques in ring.wait(200).torques[ticks - 1 :]), "nor does it come back"
-        with pytest.raises(RigFault, match="start anew"):
+        with pytest.raises(RigFault, match="start again"):
             hopping.rig.connect()
 
 
-def test_an_application_that_hangs_is_seen_by_what_its_drive_no_longer_does():
-    """Its slave controller goes on and counts, so neither working counter nor statusword tell."""
+def test_an_application_that_hangs_is_detected_by_the_motion():
+    """Its slave controller still processes frames, so neither working counter nor statusword shows the fault."""
     with deployment(at(Stalled(0, "drive_1", cycles=5000))) as (ring, hopping):
         assert not hopping.run(HOPPING + 5000)
         check_torques(ring, hopping)
@@ -151,7 +151,7 @@ def test_an_application_that_hangs_is_seen_by_what_its_drive_no_longer_does():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_command_that_is_no_number_reaches_no_motor(bad):
+def test_a_command_that_is_not_finite_reaches_no_motor(bad):
     with deployment() as (ring, hopping):
         assert hopping.run(HOPPING)
         hopping.board.post_command(len(hopping.hops), bad, 0.0)
@@ -160,14 +160,14 @@ def test_a_command_that_is_no_number_reaches_no_motor(bad):
         check_torques(ring, hopping)
 
 
-def test_the_software_stop_goes_all_the_way():
+def test_the_software_stop_reaches_the_drives():
     with deployment() as (ring, hopping):
         assert hopping.run(HOPPING)
         hopping.board.stop_at_once()
         assert not hopping.run(2)
         hopping.rig.close()
         assert ring.look().now == [0.0, 0.0]
-        assert "emergency stop" in hopping.board.words
+        assert "emergency stop" in hopping.board.message
 
 
 def test_between_two_ticks_a_fast_bus_repeats_the_torques():
@@ -193,7 +193,7 @@ def test_between_two_ticks_a_fast_bus_repeats_the_torques():
 
 
 def check_torques(ring, hopping):
-    """What the drives really gave was within limits, and is what the log says was applied."""
+    """The actual torques of the drives were within limits, and equal those in the log."""
     given = np.array(ring.look().torques)
     assert np.isfinite(given).all()
     assert np.abs(given).max() <= LIMITS.torque

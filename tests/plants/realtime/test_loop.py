@@ -16,12 +16,12 @@ from stepgap.step import StepStatus
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=38.0, torque_step=20.0, joint_speed=80.0, fold_angle=2.6, lowest_hip=0.1, highest_hip=0.9)
-COLUMN = {name: place for place, name in enumerate(LOG_UNITS)}
+COLUMN = {name: index for index, name in enumerate(LOG_UNITS)}
 COMMAND = (-4.0, -3.0)
 
 
 class Deployment:
-    """A loop on the twin, and what it logged."""
+    """A loop on the twin, and its log."""
 
     def __init__(self, alive=lambda: True, hold=1.0, limits=LIMITS):
         self.rows, self.board = [], Board.create()
@@ -40,29 +40,29 @@ class Deployment:
         self.board.unlink()
 
     def run(self, until, most=20_000, late=0.0):
-        """Ticks until a condition holds or the robot is off; whether it still ticks."""
+        """Runs ticks until a condition holds or the robot is off; returns whether it is still running."""
         for _ in range(most):
             if not self.loop.tick(late):
                 return False
             if until():
                 return True
-        pytest.fail(f"nothing came of it; it is in {self.loop.state.name}: {self.board.words}")
+        pytest.fail(f"the condition does not hold; it is in {self.loop.state.name}: {self.board.message}")
 
     def hop(self, number):
-        """Ticks until a hop has ended, its command posted."""
+        """Posts the command of a hop and runs ticks until it has ended."""
         if number:
             self.board.post_command(number, *COMMAND)
         self.run(lambda: self.board.hop(number) is not None)
         return self.ended(number)
 
     def ended(self, number):
-        """How a hop ended."""
+        """Result of a hop."""
         hop = self.board.hop(number)
         assert hop is not None
         return hop
 
     def hopping(self):
-        """The first hop is over."""
+        """Whether the first hop has ended."""
         self.board.request = Request.HOP
         return self.hop(0)
 
@@ -74,15 +74,15 @@ class Deployment:
         return np.stack([self.column("applied_1"), self.column("applied_2")], axis=1)
 
 
-def test_a_limp_robot_waits_for_somebody_to_ask():
+def test_a_limp_robot_waits_for_a_request():
     with Deployment(hold=10.0) as deployment:
         deployment.run(lambda: len(deployment.rows) == 1000)
         assert deployment.board.state == RigState.READY
         assert not deployment.torques.any()
-        assert np.abs(deployment.column("asked_1")).max() > 0, "what it would do can be seen"
+        assert np.abs(deployment.column("asked_1")).max() > 0, "the torques that it would apply are logged"
 
 
-def test_it_stands_softly_hops_as_commanded_and_lands():
+def test_it_stands_gently_hops_as_commanded_and_lands():
     with Deployment() as deployment:
         assert deployment.hopping().status == StepStatus.OK
         for number in (1, 2, 3):
@@ -117,10 +117,10 @@ def test_a_hop_without_a_command_has_none_and_two_in_a_row_land_the_robot():
         np.testing.assert_allclose((missed.applied_fx, missed.applied_fy), 0, atol=0.5)
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.OFF
-        assert "no command" in deployment.board.words
+        assert "no command" in deployment.board.message
 
 
-def test_a_command_that_comes_after_mid_stance_is_not_taken_for_one_that_acted():
+def test_a_command_after_mid_stance_counts_as_not_applied():
     with Deployment() as deployment:
         deployment.hopping()
         pushing = 3
@@ -131,7 +131,7 @@ def test_a_command_that_comes_after_mid_stance_is_not_taken_for_one_that_acted()
         np.testing.assert_allclose((hop.applied_fx, hop.applied_fy), 0, atol=0.5)
 
 
-def test_a_dead_learner_lands_the_robot():
+def test_the_robot_lands_if_the_learning_process_died():
     alive = [True]
     with Deployment(alive=lambda: alive[0]) as deployment:
         deployment.hopping()
@@ -142,13 +142,13 @@ def test_a_dead_learner_lands_the_robot():
 
 
 @pytest.mark.parametrize("command", [(np.nan, 0.0), (0.0, np.inf)])
-def test_a_command_that_is_no_number_is_a_fault_without_torque(command):
+def test_a_command_that_is_not_finite_is_a_fault_without_torque(command):
     with Deployment() as deployment:
         deployment.hopping()
         deployment.board.post_command(1, *command)
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.FAULT
-        assert "must be finite" in deployment.board.words
+        assert "must be finite" in deployment.board.message
         hop = deployment.ended(1)
         assert hop.status == StepStatus.STOPPED
 
@@ -170,7 +170,7 @@ def test_the_software_stop_takes_torque_off_at_the_next_tick_for_good():
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.FAULT
         assert not deployment.torques[-1].any()
-        assert "emergency stop" in deployment.board.words
+        assert "emergency stop" in deployment.board.message
         hop = deployment.ended(1)
         assert hop.status == StepStatus.STOPPED
 
@@ -183,7 +183,7 @@ def test_a_stalled_loop_brakes_and_then_is_off():
         assert not deployment.run(lambda: False)
         assert len(deployment.rows) - before == LIMITS.brake_ticks + 1
         assert deployment.loop.state == RigState.FAULT
-        assert "late" in deployment.board.words
+        assert "late" in deployment.board.message
         assert not deployment.torques[-1].any()
         assert deployment.board.missed_ticks == 3
 
@@ -196,12 +196,12 @@ def test_a_limp_robot_does_not_brake():
         assert not deployment.torques.any()
 
 
-def test_a_faulty_rig_is_told_with_its_words():
+def test_a_rig_fault_is_reported_with_its_message():
     with Deployment() as deployment:
         deployment.hopping()
-        deployment.twin._trip("a drive has tripped")  # what the twin does by itself when a motor runs away
+        deployment.twin._trip("a drive has tripped")  # as the twin does when a motor runs away
         assert not deployment.loop.tick()
-        assert deployment.board.words == "a drive has tripped"
+        assert deployment.board.message == "a drive has tripped"
         assert deployment.board.state == RigState.FAULT
 
 

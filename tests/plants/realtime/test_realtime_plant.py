@@ -1,4 +1,4 @@
-"""Two processes and a ring in a third, in lock-step: its time goes on with frames, however busy the machine is."""
+"""Two processes and a ring in a third, in lock-step: its time advances with frames, also on a busy machine."""
 
 import os
 import resource
@@ -32,11 +32,11 @@ pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 COMMAND = np.array([-4.0, -3.0])
-COLUMN = {name: place for place, name in enumerate(LOG_UNITS)}
+COLUMN = {name: index for index, name in enumerate(LOG_UNITS)}
 
 
 def almost_at_once():
-    """A pace that only makes way for the process that learns, which on a single core would never get its turn."""
+    """A pace that only yields to the learning process, which on a single core would never run otherwise."""
 
     def pace(due):
         sleep(1e-4)
@@ -77,11 +77,11 @@ def check_off(ring):
 
 
 def test_it_hops_lands_and_keeps_every_tick(tmp_path):
-    asked, yaws = [], []
+    prompts, yaws = [], []
     with live_ring(make_machine=RecordedTwin) as ring:
-        with RealtimePlant(SETUP, tmp_path, lambda: asked.append("hold the robot")) as plant:
+        with RealtimePlant(SETUP, tmp_path, lambda: prompts.append("hold the robot")) as plant:
             state = plant.start()
-            assert asked == ["hold the robot"]
+            assert prompts == ["hold the robot"]
             for _ in range(3):
                 record = plant.take_step(COMMAND)
                 assert record.status == StepStatus.OK
@@ -104,7 +104,7 @@ def test_it_hops_lands_and_keeps_every_tick(tmp_path):
     np.testing.assert_allclose(given[first[0] :][:count], applied[first[1] :], atol=1e-9)
 
 
-def test_a_killed_real_time_process_leaves_no_torque_and_loses_no_logged_tick(tmp_path):
+def test_after_a_killed_real_time_process_torque_is_off_and_no_logged_tick_is_lost(tmp_path):
     with hopping(tmp_path) as (ring, plant):
         assert plant.take_step(COMMAND).status == StepStatus.OK
         session = plant._session
@@ -121,7 +121,7 @@ def test_a_killed_real_time_process_leaves_no_torque_and_loses_no_logged_tick(tm
 
 
 def learn_and_die(setup: RealtimeSetup, folder: Path, pipe):
-    """A process that learns, has the robot hop, and is killed."""
+    """A learning process that lets the robot hop, and is killed."""
     plant = RealtimePlant(setup, folder)
     plant.start()
     plant.take_step(COMMAND)
@@ -130,7 +130,7 @@ def learn_and_die(setup: RealtimeSetup, folder: Path, pipe):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_a_dead_learner_leaves_a_robot_that_lands(tmp_path):
+def test_a_robot_lands_after_the_death_of_the_learning_process(tmp_path):
     context = get_context("spawn")
     here, there = context.Pipe()
     with live_ring(make_machine=RecordedTwin) as ring:
@@ -149,7 +149,7 @@ def test_a_dead_learner_leaves_a_robot_that_lands(tmp_path):
 
 
 def wait_for_end(process_id: int) -> None:
-    """Until a process that is no child of this one has ended."""
+    """Waits until a process that is not a child of this one has ended."""
     descriptor = os.pidfd_open(process_id)
     try:
         assert select.select([descriptor], [], [], 600)[0], "it never ended"
@@ -162,7 +162,7 @@ def take_steps(plant, count):
         plant.take_step(COMMAND)
 
 
-def test_a_full_disk_lands_the_robot_and_keeps_what_is_written(tmp_path):
+def test_on_a_full_disk_the_robot_lands_and_written_ticks_are_kept(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     with live_ring(make_machine=RecordedTwin) as ring:
         plant = RealtimePlant(SETUP, tmp_path)
@@ -177,7 +177,7 @@ def test_a_full_disk_lands_the_robot_and_keeps_what_is_written(tmp_path):
         check_off(ring)
 
 
-def test_a_robot_that_nobody_holds_gets_no_torque(tmp_path):
+def test_without_a_person_holding_it_the_robot_gets_no_torque(tmp_path):
     def nobody():
         raise RigFault("nobody is there")
 
@@ -188,14 +188,14 @@ def test_a_robot_that_nobody_holds_gets_no_torque(tmp_path):
         assert not np.array(ring.look().torques).any()
 
 
-def test_a_command_that_is_no_number_ends_the_deployment(tmp_path):
+def test_a_command_that_is_not_finite_ends_the_deployment(tmp_path):
     with hopping(tmp_path) as (ring, plant):
         record = plant.take_step(np.array([np.nan, 0.0]))
         assert record.status == StepStatus.INVALID
         check_off(ring)
 
 
-def test_a_ring_that_is_not_there_is_said(tmp_path):
+def test_a_missing_ring_is_reported(tmp_path):
     with RealtimePlant(SETUP, tmp_path) as plant, pytest.raises(RigFault, match="cannot be opened"):
         plant.start()
 

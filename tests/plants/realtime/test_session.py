@@ -1,4 +1,4 @@
-"""A real-time process and what belongs to it, when something fails on the way; a rig that never moves."""
+"""A real-time process and its resources when a part fails; the rig never moves."""
 
 import multiprocessing
 import subprocess
@@ -45,7 +45,7 @@ SETUP = RealtimeSetup(still_rig, HopperControl(RobotParameters(), Gains(), Comma
 
 
 class Sink:
-    """Keeps ticks, and fails when told to."""
+    """Stores ticks, or fails with a given error."""
 
     def __init__(self, error=None):
         self.rows, self.closed, self._error = [], 0, error
@@ -63,7 +63,7 @@ class Sink:
 
 @pytest.fixture
 def made(monkeypatch):
-    """Shared memory that this process makes."""
+    """Shared memory that this process creates."""
     found = []
 
     class Watched(SharedMemory):
@@ -84,7 +84,7 @@ def wait_until(condition):
 
 
 @pytest.mark.parametrize("stage", ["board", "ring", "process"])
-def test_what_fails_on_the_way_leaves_nothing_behind(stage, monkeypatch, made):
+def test_resources_are_released_after_a_failed_start(stage, monkeypatch, made):
     def full(*_):
         raise OSError(28, "No space left on device")
 
@@ -109,7 +109,7 @@ def test_what_fails_on_the_way_leaves_nothing_behind(stage, monkeypatch, made):
 @pytest.mark.parametrize(
     "error", [TickLogError("ticks-0.mcap: No space left on device"), ValueError("a time of nan s")]
 )
-def test_a_sink_that_fails_in_whatever_way_ends_the_deployment(error):
+def test_a_sink_that_fails_ends_the_deployment(error):
     sink = Sink(error)
     session = Session(SETUP, sink)
     try:
@@ -119,11 +119,11 @@ def test_a_sink_that_fails_in_whatever_way_ends_the_deployment(error):
     finally:
         session.close()
     assert sink.closed
-    assert str(error) in session.words()
+    assert str(error) in session.message()
 
 
-def test_ticks_that_are_lost_are_told_and_end_the_deployment(monkeypatch):
-    """The reader stands still until the ring has come round."""
+def test_lost_ticks_are_reported_and_end_the_deployment(monkeypatch):
+    """The reader waits until the ring is overwritten."""
     monkeypatch.setattr("stepgap.plants.realtime.session.KEPT_ROWS", 3)
     monkeypatch.setattr("stepgap.plants.realtime.session.DRAIN_EVERY", 0.2)
     sink = Sink()
@@ -138,7 +138,7 @@ def test_ticks_that_are_lost_are_told_and_end_the_deployment(monkeypatch):
     assert len(sink.rows) < ticks
 
 
-def test_ctrl_c_while_it_lands_takes_the_torque_off_and_keeps_every_tick(made):
+def test_ctrl_c_during_the_landing_switches_torque_off_and_keeps_every_tick(made):
     sink = Sink()
     session = Session(SETUP, sink)
     wait_until(lambda: session.board.state == RigState.READY)
@@ -154,7 +154,7 @@ def test_ctrl_c_while_it_lands_takes_the_torque_off_and_keeps_every_tick(made):
     with pytest.raises(KeyboardInterrupt):
         session.close()
     assert session.over()
-    assert "emergency stop" in session.words()
+    assert "emergency stop" in session.message()
     assert sink.closed
     rows = np.array(sink.rows)
     assert rows[-1, list(LOG_UNITS).index("state")] in (RigState.READY, RigState.FAULT)
@@ -162,8 +162,8 @@ def test_ctrl_c_while_it_lands_takes_the_torque_off_and_keeps_every_tick(made):
     assert not any(path.exists() for path in made)
 
 
-def test_a_parent_that_died_before_the_process_had_begun_is_missed():
-    """Its number is told; who asks only when it runs would take the reaper of orphans for its parent."""
+def test_the_death_of_the_parent_before_the_start_is_detected():
+    """The parent's id is an argument; a process that asks for it late would get the id of the reaper of orphans."""
     board, ring = Board.create(), TickRing.create(len(LOG_UNITS), 10)
     process = get_context("spawn").Process(target=run_realtime, args=(SETUP, board.name, ring.name, 2**22))
     try:
@@ -193,13 +193,13 @@ board.unlink()
 """
 
 
-def test_a_full_shared_memory_is_found_when_it_is_made_and_not_by_a_signal_in_mid_hop(tmp_path):
+def test_full_shared_memory_is_an_error_at_the_start_and_no_signal_during_a_hop(tmp_path):
     mount = 'mount -t tmpfs -o size=64k none /dev/shm && exec "$@"'
     command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", mount, "sh", sys.executable, "-c", FULL]
     try:
-        said = subprocess.run(command, capture_output=True, text=True, timeout=600)
+        outcome = subprocess.run(command, capture_output=True, text=True, timeout=600)
     except FileNotFoundError:
         pytest.skip("no unshare here")
-    if "unshare:" in said.stderr or "mount:" in said.stderr:
-        pytest.skip(said.stderr)
-    assert (said.returncode, said.stdout, said.stderr) == (0, "No space left on device\n", "")
+    if "unshare:" in outcome.stderr or "mount:" in outcome.stderr:
+        pytest.skip(outcome.stderr)
+    assert (outcome.returncode, outcome.stdout, outcome.stderr) == (0, "No space left on device\n", "")

@@ -7,7 +7,7 @@ EVERY = [
 ]
 
 
-def test_a_fault_is_reached_from_anywhere_and_left_to_nowhere():
+def test_a_fault_is_reached_from_any_state_and_never_left():
     for state, signals in EVERY:
         if state == RigState.FAULT or signals.fault:
             assert next_state(state, signals) == RigState.FAULT
@@ -15,7 +15,7 @@ def test_a_fault_is_reached_from_anywhere_and_left_to_nowhere():
             assert next_state(state, signals) != RigState.FAULT
 
 
-def test_stages_are_never_left_out():
+def test_no_state_is_skipped():
     onward = {(state, RigState(state + 1)) for state in RigState if state < RigState.HOP}
     down = {(state, RigState.STOP) for state in (RigState.STAND, RigState.HOP)} | {(RigState.STOP, RigState.OFF)}
     down |= {(state, RigState.OFF) for state in (RigState.CONNECT, RigState.CALIBRATE, RigState.READY)}
@@ -24,11 +24,11 @@ def test_stages_are_never_left_out():
     assert steps == onward | down
 
 
-def test_torque_is_given_only_after_somebody_asked_and_only_until_somebody_asks_to_stop():
+def test_torque_is_on_only_from_a_request_to_hop_until_a_request_to_stop():
     for state, signals in EVERY:
         after = next_state(state, signals)
         if after in MOVING and state not in MOVING:
-            assert signals.hop_asked
-            assert not signals.stop_asked
-        if signals.stop_asked:
+            assert signals.hop_requested
+            assert not signals.stop_requested
+        if signals.stop_requested:
             assert after in (RigState.STOP, RigState.OFF, RigState.FAULT)

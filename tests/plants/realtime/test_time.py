@@ -1,4 +1,4 @@
-"""The loop's time, where frames are lost and ticks come late: no clock here, the pace says what time it is."""
+"""The loop's time when frames are lost and ticks are late: there is no clock, the pace defines the time."""
 
 from math import sin, tau
 
@@ -21,11 +21,11 @@ SWING, FREQUENCY = 0.3, 20.0
 """Amplitude [rad] and angular frequency [rad/s] of both angles; as fast as a hop's."""
 FASTEST, HARDEST = SWING * FREQUENCY, SWING * FREQUENCY**2
 """Largest rate [rad/s] and its largest change [rad/s²]."""
-COLUMN = {name: place for place, name in enumerate(LOG_UNITS)}
+COLUMN = {name: index for index, name in enumerate(LOG_UNITS)}
 
 
 class SwingingRig(Rig):
-    """A leg that swings whatever torque it gets; it is sensed when the torques are written, unless a frame is lost."""
+    """A leg that swings independently of its torque; it is sensed when torques are written, unless a frame is lost."""
 
     def __init__(self, frames=1, lost=lambda: False):
         self._layout = HopperSensorModel(
@@ -78,7 +78,7 @@ class SwingingRig(Rig):
 
 
 class WatchedControl(HopControl):
-    """Keeps what it sensed, and when."""
+    """Records what it sensed, and when."""
 
     sensed: list
 
@@ -90,7 +90,7 @@ class WatchedControl(HopControl):
 
 
 def swing(rig, ticks, late=lambda: 0.0):
-    """Ticks a limp rig; the board's counts of ticks and missed ones, what was sensed, and the log."""
+    """Runs a limp rig: returns the board's counts of ticks and missed ticks, what was sensed, and the log."""
     control, board, rows = WatchedControl(rig.sensor_model, ROBOT, GAINS, LIMITS), Board.create(), []
     control.sensed = []
     loop = ControlLoop(rig, control, BOUNDS.space(), board, rows.append)
@@ -111,7 +111,7 @@ def swing(rig, ticks, late=lambda: 0.0):
 @pytest.mark.parametrize("frames", [1, 4])
 @pytest.mark.parametrize("loss", [0.0, 0.1])
 @pytest.mark.parametrize("stall", [0.0, 0.006])
-def test_rates_stay_true_through_lost_frames_and_late_ticks(frames, loss, stall):
+def test_rates_are_right_despite_lost_frames_and_late_ticks(frames, loss, stall):
     rng, in_a_row = np.random.default_rng(4), 0
 
     def lost():
@@ -134,7 +134,7 @@ def test_rates_stay_true_through_lost_frames_and_late_ticks(frames, loss, stall)
         assert np.sqrt(np.mean(error**2)) < 0.2 * FASTEST
 
 
-def test_time_goes_on_while_ticks_are_missed():
+def test_time_advances_while_ticks_are_missed():
     stalls = iter([0.0] * 100 + [0.0075] + [0.0] * 10_000)
     (ticks, missed), _, rows = swing(SwingingRig(), 200, lambda: next(stalls))
     assert (ticks, missed) == (len(rows), 7)
@@ -152,7 +152,7 @@ def test_delays_of_the_frames_between_two_ticks_add_up():
     assert missed == 2
 
 
-def test_a_short_stall_of_a_fast_bus_is_made_up_for_and_makes_no_tick_late():
+def test_a_short_stall_of_a_fast_bus_makes_no_tick_late():
     stalls = iter([0.0] * 40 + [0.6e-3] + [0.0] * 10_000)
     rig = SwingingRig(frames=4)
     (_, missed), _, rows = swing(rig, 100, lambda: next(stalls))
@@ -161,7 +161,7 @@ def test_a_short_stall_of_a_fast_bus_is_made_up_for_and_makes_no_tick_late():
     assert len(rig.written) == pytest.approx(4 * len(rows), abs=4), "no frame is left out"
 
 
-def test_a_rig_that_fails_between_two_ticks_leaves_a_row_that_says_so():
+def test_a_rig_that_fails_between_two_ticks_is_logged():
     rig = SwingingRig(frames=4)
     rig.fails_after = 41
     _, _, rows = swing(rig, 100)

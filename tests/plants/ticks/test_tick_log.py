@@ -1,4 +1,4 @@
-"""The tick log against the mcap library's own reader and Protobuf's decoder; broken logs against what was written."""
+"""The tick log against the mcap library's reader and Protobuf's decoder; damaged logs against the written ticks."""
 
 import errno
 import os
@@ -30,14 +30,14 @@ UNITS = {"time": "s", "phi_1": "rad", "phi1": "rad", "torque_1": "N·m"}
 
 @pytest.fixture(scope="module", autouse=True)
 def disk_that_never_waits():
-    """A recovery waits for the disk; the thousands here need not."""
+    """Without waiting for the disk, as there are thousands of recoveries."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda descriptor: None)
         yield
 
 
 MEMORY = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-"""Folder for thousands of files that live for a moment."""
+"""Folder for thousands of short-lived files."""
 
 
 def ticks(count, fields=4, start=0.0):
@@ -59,7 +59,7 @@ def same(one, other):
 
 
 def small_log(folder):
-    """A log of a few chunks, its ticks, and how many ticks lie before each place where a chunk ends."""
+    """A log of a few chunks, its ticks, and the number of ticks before the end of each chunk."""
     path = folder / "small.mcap"
     rows = ticks(12)
     write(path, np.split(rows, [2, 7]))
@@ -79,7 +79,7 @@ def small(tmp_path_factory):
 
 
 def recovered(content, check=lambda outcome: None):
-    """The ticks recovered from a file of that content; None if there are none to be had."""
+    """The ticks recovered from a file of that content; None if there are none."""
     with TemporaryDirectory(dir=MEMORY) as folder:
         broken, out = Path(folder, "broken.mcap"), Path(folder, "out.mcap")
         broken.write_bytes(content)
@@ -150,18 +150,18 @@ def test_a_full_chunk_is_in_the_file_at_once_and_every_tick_after_a_flush(tmp_pa
         assert found is not None
         assert 2500 - 64 * 2**10 / 416 <= len(found) < 2500
         assert same(found, rows[: len(found)])
-        assert faults == [f"it breaks off after {path.stat().st_size} bytes, before its index is complete"]
+        assert faults == [f"it is truncated after {path.stat().st_size} bytes, before its index is complete"]
         log.append(rows[2500:])
         synced.clear()
         log.flush()
         assert len(synced) == 1
         assert same(recovered(path.read_bytes()), rows)
-        with pytest.raises(TickLogError, match=r"log\.mcap: it breaks off .* `recover_ticks` saves"):
+        with pytest.raises(TickLogError, match=r"log\.mcap: it is truncated .* `recover_ticks` recovers"):
             read_ticks(path)
     assert same(read_ticks(path)[1], rows)
 
 
-def test_a_log_cut_anywhere_gives_all_whole_ticks_before_the_cut(small):
+def test_a_truncated_log_gives_all_complete_ticks(small):
     content, rows, chunks = small
     message = 9 + 22 + len(UNITS) * 9
     begins = chunks[0][0] - 2 * message
@@ -184,14 +184,14 @@ def test_a_log_cut_anywhere_gives_all_whole_ticks_before_the_cut(small):
 @settings(max_examples=200)
 def test_a_changed_byte_never_makes_a_tick_that_was_not_written(small, data):
     content, rows, _ = small
-    place = data.draw(st.integers(0, len(content) - 1))
+    position = data.draw(st.integers(0, len(content) - 1))
     changed = bytearray(content)
-    changed[place] ^= data.draw(st.integers(1, 255))
+    changed[position] ^= data.draw(st.integers(1, 255))
     found = recovered(changed)
     written = [row.tobytes() for row in rows]
-    places = [written.index(row.tobytes()) for row in found] if found is not None else []
-    assert places == sorted(set(places))
-    assert len(places) > 0 or place < 8 + 9 + 40, "two chunks of three, at least, are not touched by it"
+    positions = [written.index(row.tobytes()) for row in found] if found is not None else []
+    assert positions == sorted(set(positions))
+    assert len(positions) > 0 or position < 8 + 9 + 40, "two chunks of three, at least, are not touched by it"
 
 
 @given(st.data())
@@ -199,9 +199,9 @@ def test_a_changed_byte_never_makes_a_tick_that_was_not_written(small, data):
 def test_any_damage_is_survived_and_takes_no_memory(small, data):
     content = bytearray(small[0])
     for _ in range(data.draw(st.integers(1, 8))):
-        place = data.draw(st.integers(8, len(content)))
+        position = data.draw(st.integers(8, len(content)))
         patch = data.draw(st.binary(max_size=20) | st.sampled_from([struct.pack("<Q", 2**k) for k in (0, 31, 62, 63)]))
-        content[place : place + len(patch)] = patch
+        content[position : position + len(patch)] = patch
     tracemalloc.start()
     try:
         recovered(content[: data.draw(st.integers(8, len(content)))])
@@ -211,21 +211,21 @@ def test_any_damage_is_survived_and_takes_no_memory(small, data):
 
 
 @pytest.mark.parametrize("length", [2**21, 2**31, 2**62, 2**64 - 1])
-def test_a_length_that_cannot_be_costs_what_comes_after_it(small, length):
+def test_an_impossible_length_loses_only_later_records(small, length):
     content, rows, chunks = small
     changed = bytearray(content)
-    place = content.index(b"\x06", content.index(b"mcap-python")) + 1
-    assert struct.unpack_from("<Q", content, place)[0] < chunks[0][0]
-    struct.pack_into("<Q", changed, place, length)
+    position = content.index(b"\x06", content.index(b"mcap-python")) + 1
+    assert struct.unpack_from("<Q", content, position)[0] < chunks[0][0]
+    struct.pack_into("<Q", changed, position, length)
     assert same(recovered(changed), rows[:2])
 
 
 @pytest.mark.parametrize("wrong", [-1.0, 1.0, np.nan, np.inf, 1e300])
-def test_in_a_chunk_that_breaks_off_the_times_must_agree(small, wrong):
+def test_in_a_truncated_chunk_the_times_must_agree(small, wrong):
     content, rows, chunks = small
     broken = bytearray(content[: chunks[1][0] - 1])
-    place = content.index(struct.pack("<d", rows[3, 0]))
-    struct.pack_into("<d", broken, place, wrong)
+    position = content.index(struct.pack("<d", rows[3, 0]))
+    struct.pack_into("<d", broken, position, wrong)
     assert same(recovered(broken), rows[:3])
 
 
@@ -238,13 +238,13 @@ def test_names_and_units_are_taken_from_the_index_where_the_first_chunk_is_damag
     assert same(found, rows[2:])
 
 
-def test_zeros_that_a_power_cut_left_are_no_records(small):
+def test_zeros_after_a_power_failure_are_no_records(small):
     content, rows, chunks = small
     faults = []
     cut = content.index(b"\x06", chunks[0][0])
     found = recovered(content[:cut] + bytes(1000), lambda outcome: faults.extend(outcome.faults))
     assert same(found, rows[:2])
-    assert faults == [f"it breaks off, or is damaged, in the record at byte {cut} of {cut + 1000}"]
+    assert faults == [f"it is truncated or damaged in the record at byte {cut} of {cut + 1000}"]
 
 
 def test_faults_are_named(small):
@@ -298,7 +298,7 @@ def test_rows_are_checked(tmp_path, rows):
     assert same(read_ticks(tmp_path / "log.mcap")[1], ticks(2))
 
 
-def test_a_closed_log_says_so(tmp_path):
+def test_a_closed_log_is_reported(tmp_path):
     log = TickLog(tmp_path / "log.mcap", UNITS)
     log.close()
     log.close()
@@ -307,7 +307,7 @@ def test_a_closed_log_says_so(tmp_path):
 
 
 def fill(path):
-    """Appends until there is no room; the ticks that were written, and the error."""
+    """Appends until the disk is full: returns the written ticks and the error."""
     with TickLog(path, UNITS) as log:
         for start in range(100):
             try:
@@ -326,7 +326,7 @@ def check_full(path, rows, error, reason):
     assert path.stat().st_size - 64 * 2**10 < len(found) * (size + 16), "but for indexes, the file is full of ticks"
 
 
-def test_a_file_that_may_not_grow_keeps_what_it_has(tmp_path):
+def test_a_file_that_cannot_grow_keeps_its_content(tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, before[1]))
     try:
@@ -345,7 +345,7 @@ check_full(path, *fill(path), errno.ENOSPC)
 """
 
 
-def test_a_full_disk_keeps_what_it_has(tmp_path):
+def test_on_a_full_disk_the_content_is_kept(tmp_path):
     isolated = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-ec"]
     mount = 'mount -t tmpfs -o size=300k none "$0"'
     if not shutil.which("unshare") or subprocess.run([*isolated, mount, tmp_path], capture_output=True).returncode:
@@ -364,20 +364,20 @@ def foreign_log(path, units, data=b"{}"):
     writer.finish()
 
 
-def test_what_is_no_tick_log_is_refused(tmp_path):
+def test_other_files_than_tick_logs_are_refused(tmp_path):
     (tmp_path / "text").write_text("time,x\n0,1\n", encoding="utf-8")
     (tmp_path / "empty").touch()
     os.mkfifo(tmp_path / "pipe")
     foreign_log(tmp_path / "json", {})
     foreign_log(tmp_path / "pretender", {"names": "time,x", "units": "s,m"})
     refusals = {
-        "text": "this is no MCAP file",
-        "empty": "this is no MCAP file",
-        "pipe": "this is no file",
-        ".": "this is no file",
+        "text": "this is not an MCAP file",
+        "empty": "this is not an MCAP file",
+        "pipe": "this is not a file",
+        ".": "this is not a file",
         "missing": "No such file or directory",
-        "json": "nothing in it says what its ticks are",
-        "pretender": "nothing in it says what its ticks are",
+        "json": "it has no description of ticks",
+        "pretender": "it has no description of ticks",
     }
     for name, refusal in refusals.items():
         for use in (read_ticks, lambda path: recover_ticks(path, tmp_path / "out")):

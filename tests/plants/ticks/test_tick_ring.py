@@ -1,4 +1,4 @@
-"""The ring against a list that never forgets, against a writer that overtakes, and against one that is killed."""
+"""The ring compared with a list, with a writer that overtakes the reader, and with a writer that is killed."""
 
 import signal
 import struct
@@ -33,7 +33,7 @@ with TickRing.attach(sys.argv[1]) as ring:
 
 
 def numbered(first, last, fields=2):
-    """Rows that hold their own number everywhere."""
+    """Rows whose fields are all the number of the row."""
     return np.repeat(np.arange(first, last, dtype=float)[:, None], fields, axis=1)
 
 
@@ -43,7 +43,7 @@ def push(ring, first, last):
 
 
 @given(rows=st.integers(1, 7), steps=st.lists(st.integers(0, 20)))
-def test_rows_come_in_order_and_the_lost_ones_are_counted(rows, steps):
+def test_rows_arrive_in_order_and_lost_ones_are_counted(rows, steps):
     with TickRing.create(2, rows) as writer, TickRing.attach(writer.name) as reader:
         pushed = lost = 0
         for step in steps:
@@ -57,24 +57,24 @@ def test_rows_come_in_order_and_the_lost_ones_are_counted(rows, steps):
 
 
 class Overtaking:
-    """A writer that goes on while the reader copies: some of the copy may be old, some new."""
+    """A writer that writes while the reader copies: the copy may have old and new parts."""
 
     def __init__(self, reader, writer, first, steps):
         self.reader, self.writer, self.first, self.steps = reader, writer, first, steps
         self.slots, reader._slots = reader._slots, self
 
     def stop(self):
-        """Lets the reader have its slots back; how many rows were pushed by now."""
+        """Restores the reader's slots; returns the number of rows pushed so far."""
         self.reader._slots = self.__dict__.pop("slots")
         return self.first
 
     def __getitem__(self, index):
         copied = []
-        for place in index:
+        for slot in index:
             step = next(self.steps, 0)
             push(self.writer, self.first, self.first + step)
             self.first += step
-            copied.append(self.slots[place].copy())
+            copied.append(self.slots[slot].copy())
         return np.array(copied).reshape(-1, self.slots.shape[1])
 
 
@@ -93,7 +93,7 @@ def test_rows_overwritten_while_they_are_copied_are_dropped_and_counted(rows, be
         assert reader.lost + len(during) + len(after) == pushed
 
 
-def test_the_row_that_a_dead_writer_left_half_written_is_never_seen():
+def test_an_incomplete_row_of_a_dead_writer_is_never_read():
     with TickRing.create(3, 2) as writer, TickRing.attach(writer.name) as reader:
         push(writer, 0, 5)
         with pytest.raises(struct.error):
@@ -113,7 +113,7 @@ def test_a_row_of_another_length_is_refused(row):
 
 
 @pytest.mark.parametrize("ticks", [1, 500, 20_000])
-def test_a_writer_killed_at_any_moment_leaves_whole_rows_only(ticks):
+def test_a_writer_killed_at_any_time_leaves_complete_rows_only(ticks):
     with TickRing.create(20, 1000) as ring:
         writer = subprocess.Popen([sys.executable, "-c", WRITER, ring.name])
         drained, count = [], 0
@@ -130,7 +130,7 @@ def test_a_writer_killed_at_any_moment_leaves_whole_rows_only(ticks):
         assert ring.lost + len(rows) == rows[-1, 0] + 1
 
 
-def test_a_reader_that_ends_harms_neither_the_writer_nor_the_next_reader():
+def test_a_reader_that_ends_affects_neither_the_writer_nor_the_next_reader():
     with TickRing.create(2, 10) as ring:
         for pushed, answer in ((4, "4 0"), (14, "10 4")):
             push(ring, 4 if pushed > 4 else 0, pushed)
@@ -138,7 +138,7 @@ def test_a_reader_that_ends_harms_neither_the_writer_nor_the_next_reader():
             assert (reader.stdout.strip(), reader.stderr) == (answer, "")
 
 
-def test_the_memory_is_free_when_its_creator_leaves():
+def test_the_memory_is_freed_by_its_creator():
     with TickRing.create(2, 10) as ring:
         name = ring.name
     with pytest.raises(FileNotFoundError):
@@ -148,7 +148,7 @@ def test_the_memory_is_free_when_its_creator_leaves():
 def test_only_a_ring_can_be_attached():
     memory = SharedMemory(create=True, size=4096)
     try:
-        with pytest.raises(ValueError, match="is no tick ring"):
+        with pytest.raises(ValueError, match="is not a tick ring"):
             TickRing.attach(memory.name)
     finally:
         memory.close()

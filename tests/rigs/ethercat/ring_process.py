@@ -1,4 +1,4 @@
-"""An emulated ring in a process of its own that says what happens behind its drives."""
+"""An emulated ring in a separate process that reports the torques of its drives."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -30,13 +30,13 @@ INTERFACE = f"sg{os.getpid()}"  # tests may run side by side
 
 
 class Behind(NamedTuple):
-    """What the ring says of itself.
+    """State of the ring's process.
 
     Attributes:
-        cycles: Frames with outputs so far.
-        torques: What the drives gave in every tick of the machine [N·m].
+        cycles: Number of frames with outputs so far.
+        torques: Torques of the drives in every tick of the machine [N·m].
         enabled: Which drives are enabled.
-        now: What the drives give now [N·m].
+        now: Present torques of the drives [N·m].
     """
 
     cycles: int
@@ -46,7 +46,7 @@ class Behind(NamedTuple):
 
 
 class Recorder(Machine):
-    """Remembers torques; its sensors count its ticks."""
+    """Records torques; its sensors count its ticks."""
 
     def __init__(self) -> None:
         self.torques: list[tuple[float, float]] = []
@@ -73,9 +73,9 @@ class Recorder(Machine):
 
 
 class RecordedTwin(TwinMachine):
-    """The twin, held up until a second after it first feels torque, and however long that takes.
+    """The twin, held until a second after its first torque, however late that comes.
 
-    It remembers all torques, also those before it was put back to its start.
+    It records all torques, also those before its last restart.
     """
 
     def __init__(self) -> None:
@@ -104,7 +104,7 @@ class LiveRing:
         return self.wait(0)
 
     def wait(self, ticks: int) -> Behind:
-        """Lets time pass in which no frame comes."""
+        """Lets time pass without frames."""
         self._pipe.send(ticks)
         return self._pipe.recv()
 
@@ -119,10 +119,10 @@ def live_ring(*faults: Fault, make_machine: Callable[[], Recorder | RecordedTwin
     process.start()
     there.close()
     with here:
-        said = here.recv()
-        if said:
+        message = here.recv()
+        if message:
             process.join()
-            pytest.skip(said)
+            pytest.skip(message)
         try:
             yield LiveRing(here)
         finally:

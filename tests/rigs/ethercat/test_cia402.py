@@ -1,4 +1,4 @@
-"""The power state machine beside canopen's tables of the same standard."""
+"""The power drive system state machine, compared with canopen's tables of the same standard."""
 
 import itertools
 
@@ -21,7 +21,7 @@ AUTOMATIC = {"NOT READY TO SWITCH ON": "SWITCH ON DISABLED", "FAULT REACTION ACT
 
 
 def drive_after(state: str, controlword: int) -> str:
-    """Where canopen's table takes a drive on a controlword."""
+    """Next state for a controlword in canopen's table."""
     if state in AUTOMATIC:
         return AUTOMATIC[state]
     moves = {source: target for (source, target), word in State402.TRANSITIONTABLE.items() if word == controlword}
@@ -46,7 +46,7 @@ def test_every_statusword_is_read_as_canopen_reads_it() -> None:
         (Wanted.RESET, "FAULT REACTION ACTIVE", ["FAULT", "SWITCH ON DISABLED"]),
     ],
 )
-def test_a_drive_gets_where_it_is_wanted(wanted: Wanted, start: str, path: list[str]) -> None:
+def test_a_drive_reaches_the_wanted_state(wanted: Wanted, start: str, path: list[str]) -> None:
     state, seen = start, []
     for _ in range(8):
         _, controlword = next_controlword(State402.SW_MASK[state][1], wanted)
@@ -57,13 +57,13 @@ def test_a_drive_gets_where_it_is_wanted(wanted: Wanted, start: str, path: list[
 
 
 @pytest.mark.parametrize("wanted", [Wanted.OFF, Wanted.ENABLED, Wanted.QUICK_STOP])
-def test_a_fault_never_resets_by_itself(wanted: Wanted) -> None:
+def test_a_fault_is_never_reset_without_request(wanted: Wanted) -> None:
     for state in (State.FAULT, State.FAULT_REACTION):
         word = State402.SW_MASK[NAMES[state]][1]
         assert next_controlword(word, wanted) == (state, 0)
 
 
-def test_torque_is_only_asked_of_a_drive_that_is_ready_for_it() -> None:
+def test_enable_is_commanded_only_to_a_drive_that_is_ready_for_it() -> None:
     for word, wanted in itertools.product(range(2**8), Wanted):
         state, controlword = next_controlword(word, wanted)
         if controlword == 0x0F:

@@ -1,4 +1,4 @@
-"""The rig on the emulated ring: what is refused, what is read and sent, what happens when something breaks."""
+"""The rig on the emulated ring: refused settings, readings and torques, and reactions to faults."""
 
 from dataclasses import replace
 from functools import cache
@@ -73,7 +73,7 @@ def ticks_until_fault(rig: EthercatRig, ticks: int, torque: float = 8.0) -> tupl
 
 @cache
 def cycles_to_connect() -> int:
-    """Frames with outputs that a bring-up takes."""
+    """Number of frames with outputs that a bring-up takes."""
     with live_ring() as ring, rig_of():
         return ring.look().cycles
 
@@ -111,9 +111,9 @@ def test_it_can_be_connected_again() -> None:
             rig.read()
 
 
-def test_a_second_master_is_refused_and_the_first_one_goes_on() -> None:
+def test_a_second_master_is_refused_and_the_first_one_continues() -> None:
     with live_ring() as ring, rig_of() as first:
-        with pytest.raises(RigFault, match=f"another process is the master of {INTERFACE} already"):
+        with pytest.raises(RigFault, match=f"another process is already the master of {INTERFACE}"):
             rig_of().connect()
         assert ticks_until_fault(first, 20) == (20, "")
         assert ring.look().enabled == [True, True]
@@ -122,7 +122,7 @@ def test_a_second_master_is_refused_and_the_first_one_goes_on() -> None:
             assert ticks_until_fault(second, 20) == (20, "")
 
 
-def test_whatever_ends_a_bring_up_the_bus_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bus_is_released_if_a_bring_up_is_aborted(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -137,15 +137,15 @@ def test_whatever_ends_a_bring_up_the_bus_is_released(monkeypatch: pytest.Monkey
             assert ticks_until_fault(rig, 20) == (20, "")
 
 
-def test_a_drive_that_no_longer_tells_its_error_does_not_hide_the_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_whose_error_cannot_be_read_does_not_hide_the_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> int:
         raise RigFault("no answer")
 
     with live_ring(DriveFault(cycles_to_connect() + 3, "drive_2")), rig_of() as rig:
         monkeypatch.setattr(rig._bus, "read_object", refused)
         _, message = ticks_until_fault(rig, 20)
-    assert message.startswith("slave 2 'drive_2' takes no torque any more: slave 1 'drive_1' is ")
-    assert "slave 2 'drive_2' is fault, mode 10, its error is not known" in message
+    assert message.startswith("slave 2 'drive_2' no longer accepts torque commands: slave 1 'drive_1' is ")
+    assert "slave 2 'drive_2' is in state fault, mode 10, its error is unknown" in message
 
 
 def changed(name: str, **changes: object) -> RigSettings:
@@ -167,20 +167,20 @@ REFUSED = {
     ),
     "rated torque": (
         replace(SETTINGS, motor_1=replace(SETTINGS.motor_1, rated_torque=12.0)),
-        "slave 1 'drive_1' has a rated torque of 16 N·m (0x6076), but the settings say 12",
+        "slave 1 'drive_1' has a rated torque of 16 N·m (0x6076), but the settings have 12",
     ),
     "interface": (replace(SETTINGS, interface="nowhere"), "interface nowhere cannot be opened"),
 }
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_a_bus_that_is_not_as_the_settings_say_is_refused(what: str) -> None:
-    settings, says = REFUSED[what]
+def test_a_bus_that_differs_from_the_settings_is_refused(what: str) -> None:
+    settings, expected = REFUSED[what]
     with live_ring() as ring:
         with pytest.raises(RigFault) as caught:
             rig_of(settings).connect()
         behind = ring.look()
-    assert str(caught.value).startswith(says)
+    assert str(caught.value).startswith(expected)
     assert "\n" not in str(caught.value)
     assert behind.torques == []
 
@@ -217,7 +217,7 @@ def test_a_slave_that_refuses_its_mapping_is_named() -> None:
         "stall",
     ],
 )
-def test_what_breaks_within_the_budget_passes_and_else_stops_the_motors_for_good(fault, survives: bool) -> None:
+def test_errors_within_the_limits_are_tolerated_and_others_stop_the_motors_for_good(fault, survives: bool) -> None:
     at = cycles_to_connect() + 10
     with live_ring(fault(at)) as ring:
         rig = rig_of()
@@ -239,20 +239,20 @@ def test_what_breaks_within_the_budget_passes_and_else_stops_the_motors_for_good
         assert ring.look().now == [0, 0]
 
 
-def test_a_drives_error_is_told() -> None:
+def test_a_drives_error_is_reported() -> None:
     when = cycles_to_connect() + 3
     with live_ring(SentEmergency(when - 1, "drive_1", 0x4210), DriveFault(when, "drive_2", 0x2310)):
         rig = rig_of()
         rig.connect()
         _, message = ticks_until_fault(rig, 20)
         rig.close()
-    assert "slave 2 'drive_2' takes no torque any more" in message
-    assert "is fault, mode 10, error 0x2310" in message
+    assert "slave 2 'drive_2' no longer accepts torque commands" in message
+    assert "is in state fault, mode 10, error 0x2310" in message
     assert "slave 1 'drive_1' sent emergency 0x4210; slave 2 'drive_2' sent emergency 0x2310" in message
 
 
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
-def test_a_number_that_is_none_never_reaches_a_motor(bad: float) -> None:
+def test_a_torque_that_is_not_finite_never_reaches_a_motor(bad: float) -> None:
     with live_ring() as ring, rig_of() as rig:
         rig.read()
         with pytest.raises(RigFault, match="torques must be finite"):
@@ -263,26 +263,26 @@ def test_a_number_that_is_none_never_reaches_a_motor(bad: float) -> None:
 
 
 @given(st.integers(-(2**40), 2**40), st.sampled_from([8, 16, 32]), st.data())
-def test_a_counter_that_wraps_is_followed(count: int, bits: int, data: st.DataObject) -> None:
+def test_a_counter_that_wraps_is_unwrapped(count: int, bits: int, data: st.DataObject) -> None:
     step = data.draw(st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1))
-    shown = (count + step) % 2**bits
-    assert unwrapped(shown, count, bits) == count + step
-    assert unwrapped(shown - 2**bits, count, bits) == count + step, "read with a sign or without"
+    raw = (count + step) % 2**bits
+    assert unwrapped(raw, count, bits) == count + step
+    assert unwrapped(raw - 2**bits, count, bits) == count + step, "read with a sign or without"
 
 
 @pytest.mark.parametrize(
-    ("answers", "says"),
+    ("answers", "expected"),
     [
         ([None, None, True, None, None, True], ""),
-        ([None, None, None], "slaves did not tell their states, asked 3 times in a row"),
+        ([None, None, None], "slaves did not report their states to 3 requests in a row"),
         ([None, False], "a slave has left OP"),
     ],
 )
-def test_a_lost_answer_about_states_is_not_taken_for_a_slave_that_left_op(answers: list, says: str) -> None:
+def test_a_lost_state_reply_is_distinguished_from_a_slave_that_left_op(answers: list, expected: str) -> None:
     with live_ring() as ring, rig_of() as rig:
-        left = [True, *answers]
-        rig._bus.in_operation = lambda: left.pop(0) if left else True
+        remaining = [True, *answers]
+        rig._bus.in_operation = lambda: remaining.pop(0) if remaining else True
         _, message = ticks_until_fault(rig, 200)
-        assert message.partition(":")[0] == says
-        assert left == []
-        assert ring.look().enabled == [not says, not says]
+        assert message.partition(":")[0] == expected
+        assert remaining == []
+        assert ring.look().enabled == [not expected, not expected]

@@ -1,4 +1,4 @@
-"""Process data: what is packed is what is unpacked, and never another length."""
+"""Process data: unpacking reverses packing, and the length is always the same."""
 
 import struct
 
@@ -20,7 +20,7 @@ PDOS = st.lists(st.builds(Pdo, st.integers(0x1600, 0x17FF), st.lists(ENTRIES, ma
 )
 
 
-def test_the_sets_that_ship_have_the_lengths_seen_in_use() -> None:
+def test_the_predefined_sets_have_the_lengths_of_real_devices() -> None:
     elmo = PDO_SETS["elmo-cst"]
     assert (Packing(elmo.outputs).size, Packing(elmo.inputs).size) == (6, 14)
     for name in ("beckhoff-el5101", "beckhoff-el5151"):
@@ -42,7 +42,7 @@ def test_a_drives_bytes_are_little_endian_and_in_order() -> None:
 
 
 @given(PDOS, st.data())
-def test_what_is_packed_is_what_is_unpacked(pdos: tuple[Pdo, ...], data: st.DataObject) -> None:
+def test_unpacking_reverses_packing(pdos: tuple[Pdo, ...], data: st.DataObject) -> None:
     names = [entry.name for pdo in pdos for entry in pdo.entries if entry.name]
     if len(set(names)) < len(names):
         with pytest.raises(ValueError, match="a value is mapped twice"):
@@ -50,7 +50,7 @@ def test_what_is_packed_is_what_is_unpacked(pdos: tuple[Pdo, ...], data: st.Data
         return
     packing, values = Packing(pdos), {}
     for name in names:
-        bits = packing.places[name][0].bits
+        bits = packing.mapping[name][0].bits
         low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if SIGNED_VALUES[name] else (0, 2**bits - 1)
         values[name] = data.draw(st.integers(low, high))
     packed = packing.pack(values)
@@ -58,7 +58,7 @@ def test_what_is_packed_is_what_is_unpacked(pdos: tuple[Pdo, ...], data: st.Data
     assert packing.unpack(packed) == values
     with pytest.raises(struct.error):
         packing.unpack(packed + b"\0")
-    for name, (entry, bit) in packing.places.items():
+    for name, (entry, bit) in packing.mapping.items():
         lone = packing.pack({other: 0 if other != name else values[name] for other in names})
         rest = lone[: bit // 8] + lone[(bit + entry.bits) // 8 :]
         assert not any(rest), "a value touches its own bytes only"
@@ -71,17 +71,17 @@ def test_a_value_that_does_not_fit_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("entries", "says"),
+    ("entries", "expected"),
     [
         ([Entry(0, 0, 4)], "4 bits, but they must fill bytes"),
         ([Entry(0, 0, 4), Entry(0x6041, 0, 16, "statusword"), Entry(0, 0, 4)], "starts at bit 4"),
     ],
 )
-def test_what_does_not_lie_on_bytes_is_refused(entries: list[Entry], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_values_that_do_not_start_at_bytes_are_refused(entries: list[Entry], expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
         Packing((Pdo(0x1A00, tuple(entries)),))
 
 
 @given(ENTRIES)
-def test_an_entry_is_read_as_it_is_written(entry: Entry) -> None:
+def test_parsing_reverses_formatting(entry: Entry) -> None:
     assert Entry.parse(str(entry)) == entry

@@ -1,4 +1,4 @@
-"""rig.toml: read strictly, refused with what would be right."""
+"""rig.toml: read strictly, with errors that state what is valid."""
 
 from dataclasses import replace
 from functools import partial
@@ -44,7 +44,7 @@ WRONG = [
     ('interface = "eth0"', 'interface = " "', "interface = ' ', but it must name a network interface"),
     ('interface = "eth0"', f'interface = "{"x" * 16}"', "but it must name a network interface, such as 'eth0'"),
     ('interface = "eth0"', 'interface = "e\\u0000"', "but it must name a network interface, such as 'eth0'"),
-    ("rated_torque = 12.0", "rated_torque = 1e300", "[motor_1] rated_torque = 1e+300, but it must be what 0x6076 can"),
+    ("rated_torque = 12.0", "rated_torque = 1e300", "[motor_1] rated_torque = 1e+300, but it must lie in the range"),
     ("counts_per_turn = 5000", "counts_per_turn = 1e-300", "[boom_horizontal] counts_per_turn = 1e-300, but it must"),
     ("[[pdo_sets]]", '[[pdo_sets]]\nname = "foot-force"\n[[pdo_sets]]', "pdo_sets = ['foot-force', 'foot-force'], but"),
     ("tick = 0.001", "tik = 0.001", "tik: unknown key; did you mean tick?"),
@@ -58,7 +58,7 @@ WRONG = [
     ('pdos = "beckhoff-el5101"', "", "[boom_horizontal] slave = 'yaw encoder', but it must be a slave whose PDOs have"),
     ('name = "foot-force"', 'name = "elmo-cst"', "[pdo_sets 1] name = 'elmo-cst', but it must differ from those"),
     ("0x6000:11:16 force", "0x6000:11:12 force", "[pdo_sets 1.inputs 1] entries = '0x6000:11:12 force', but it must"),
-    ("0x6000:11:16 force", "6000 force", "'6000 force' is no entry; write it as '0x6041:00:16 statusword'"),
+    ("0x6000:11:16 force", "6000 force", "'6000 force' is not an entry; write it as '0x6041:00:16 statusword'"),
     ('"0x0000:00:16"', '"0x0000:00:3"', "[pdo_sets 1] name = 'foot-force', but it must be a set of PDOs: 0x6000:11:16"),
     ('"0x0000:00:16", ', "7, ", "[pdo_sets 1.inputs 1] entries 1 = 7, but it must be a string"),
     ("sign = -1", "sign = 0", "[motor_2] sign = 0, but it must be 1 or -1"),
@@ -96,15 +96,15 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("good", "bad", "says"), WRONG, ids=lambda text: text[:30])
-def test_a_wrong_file_is_refused_with_what_would_be_right(tmp_path: Path, good: str, bad: str, says: str) -> None:
+@pytest.mark.parametrize(("good", "bad", "expected"), WRONG, ids=lambda text: text[:30])
+def test_the_error_of_a_wrong_file_states_what_is_valid(tmp_path: Path, good: str, bad: str, expected: str) -> None:
     at = "\n" + good if f"\n{good}" in TEXT else good
     assert at in TEXT
     with pytest.raises(InputError) as caught:
         read(tmp_path, TEXT.replace(at, at.replace(good, bad), 1))
     message = str(caught.value)
     assert message.startswith(f"{tmp_path / 'rig.toml'}: ")
-    assert says in message
+    assert expected in message
     assert "\n" not in message
 
 
@@ -118,7 +118,7 @@ def lines_with_numbers() -> list[int]:
         st.floats().map(str), st.integers().map(str), st.booleans().map(lambda yes: str(yes).lower()), st.just("[]")
     ),
 )
-def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
+def test_any_number_is_accepted_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
     lines = TEXT.splitlines()
     key = lines[at].partition(" = ")[0]
     lines[at] = f"{key} = {value}"
@@ -140,6 +140,6 @@ def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.Tem
     assert "\n" not in message
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+def test_written_settings_are_read_back(tmp_path: Path) -> None:
     for settings in (read_rig_settings(EXAMPLE), replace(read_rig_settings(EXAMPLE), pivot_height=1.0)):
         assert read(tmp_path, tomli_w.dumps(to_table(settings))) == settings

@@ -42,7 +42,7 @@ def as_varuint(value: int) -> bytes:
 
 
 def subframes(data: bytes) -> Iterator[tuple[int, int, int, list[float]]]:
-    """What is in a frame: base (0x00 write, 0x10 read), type, first register, values or as many zeros."""
+    """Subframes of a frame: base (0x00 write, 0x10 read), type, first register, values or as many zeros."""
     at = 0
     while at < len(data):
         head, at = data[at], at + 1
@@ -55,7 +55,7 @@ def subframes(data: bytes) -> Iterator[tuple[int, int, int, list[float]]]:
         values = [0.0] * count
         if base == 0x00:
             size = VALUES[kind].size
-            values = [VALUES[kind].unpack_from(data, at + size * place)[0] for place in range(count)]
+            values = [VALUES[kind].unpack_from(data, at + size * index)[0] for index in range(count)]
             at += size * count
         yield base, kind, first, values
 
@@ -70,7 +70,7 @@ def reply(kind: int, first: int, values: list[float]) -> bytes:
 
 @dataclass
 class Controller:
-    """One of the two; `registers` are those to be told at the next query."""
+    """One of the two controllers; `registers` are those that the next query reads."""
 
     registers: dict[int, float]
     prepares: int = 2
@@ -81,7 +81,7 @@ class Controller:
     commands: list[dict[int, float]] = field(default_factory=list)
 
     def command(self, written: dict[int, float]) -> None:
-        """Mode first, as the firmware wants it; a fault or a timeout is left by a stop only."""
+        """Executes a command: the mode comes first, as in the firmware; only a stop resets a fault or a timeout."""
         if written[MODE] == STOPPED:
             self.break_down(STOPPED)
             return
@@ -99,10 +99,10 @@ class Controller:
 
 
 class Controllers(Thread):
-    """Both, and what they move; a tick passes when each has got a command in position mode.
+    """Both controllers and the machine; a tick passes when each has received a command in position mode.
 
-    `mute[n]` are the numbers that do not answer after n ticks, `breaks[n]` what happens then; `overrides` are told
-    instead of what is so, and the frames of `noise`, each by a number, come before every answer.
+    `mute[n]` are the numbers of the controllers that do not answer after n ticks, `breaks[n]` is the fault then;
+    `overrides` replace registers, and the frames of `noise`, each with a sender, precede every answer.
     """
 
     def __init__(self, settings: MoteusSettings, machine: Machine):
@@ -118,7 +118,7 @@ class Controllers(Thread):
         self.noise: list[tuple[int, bytes]] = []
         self.failure: BaseException | None = None
         self._reading = machine.start()
-        self._tell()
+        self._update_registers()
 
     def run(self) -> None:
         try:
@@ -133,7 +133,7 @@ class Controllers(Thread):
             self._settled.set()
 
     def settle(self) -> "Controllers":
-        """Waits until all frames sent so far have been seen."""
+        """Waits until all frames sent so far have been processed."""
         if not self.failure:
             self._settled.clear()
             self._test.send(can.Message(arbitration_id=PING))
@@ -146,7 +146,7 @@ class Controllers(Thread):
         return [each.mode for each in self.settle().controllers.values()]
 
     def send_as(self, number: int, data: bytes) -> None:
-        """A frame as if from a controller."""
+        """Sends a frame as if from a controller."""
         self._test.send(can.Message(arbitration_id=number << 8, data=data, is_fd=True, is_extended_id=True))
 
     def stop(self) -> None:
@@ -163,13 +163,13 @@ class Controllers(Thread):
         assert len(message.data) in FRAME_SIZES
         number = message.arbitration_id & 0x7F
         controller = self.controllers[number]
-        asked, written = [], {}
+        queried, written = [], {}
         for base, kind, first, values in subframes(bytes(message.data)):
             if base == 0x10:
-                asked.append((kind, first, len(values)))
+                queried.append((kind, first, len(values)))
             else:
-                written |= {first + place: value for place, value in enumerate(values)}
-        told = controller.registers | {MODE: controller.mode, FAULT: controller.fault} | self.overrides
+                written |= {first + index: value for index, value in enumerate(values)}
+        current = controller.registers | {MODE: controller.mode, FAULT: controller.fault} | self.overrides
         if written:
             controller.command(written)
             self._tick(number)
@@ -177,14 +177,14 @@ class Controllers(Thread):
             for sender, data in self.noise:
                 self._bus.send(can.Message(arbitration_id=sender << 8, data=data, is_fd=True, is_extended_id=True))
             source = message.arbitration_id >> 8 & 0x7F
-            parts = [reply(kind, first, [told[first + n] for n in range(count)]) for kind, first, count in asked]
+            parts = [reply(kind, first, [current[first + n] for n in range(count)]) for kind, first, count in queried]
             data = b"".join(parts)
             size = min(size for size in FRAME_SIZES if size >= len(data))
             data = data.ljust(size, b"\x50")
             self._bus.send(can.Message(arbitration_id=number << 8 | source, data=data, is_fd=True, is_extended_id=True))
 
     def _tick(self, number: int) -> None:
-        """The machine moves on when both have a command and are ready."""
+        """Advances the machine when both controllers have a command and are ready."""
         pair = list(self.controllers.values())
         self._due = self._due | {number} if self.controllers[number].mode != STOPPED else set()
         if len(self._due) == 2 and all(each.mode in (POSITION_MODE, FAULTED, TIMED_OUT) for each in pair):
@@ -193,13 +193,13 @@ class Controllers(Thread):
             torques = [motor.sign * motor.gear * each.torque for motor, each in zip(motors, pair, strict=True)]
             self._reading = self._machine.tick((torques[0], torques[1]))
             self.torques.append((torques[0], torques[1]))
-            self._tell()
+            self._update_registers()
             if happens := self.breaks.get(len(self.torques)):
                 which, mode, fault = happens
                 self.controllers[which].break_down(mode, fault)
 
-    def _tell(self) -> None:
-        """Registers by the present reading."""
+    def _update_registers(self) -> None:
+        """Sets the registers from the present reading."""
         settings, reading = self._settings, HopperReading(*self._reading)
         for motor, counts in ((settings.motor_1, reading.motor_1), (settings.motor_2, reading.motor_2)):
             turns = motor.zero + motor.sign * motor.gear * counts / MOTOR_COUNTS
@@ -218,7 +218,7 @@ class Controllers(Thread):
 
 @contextmanager
 def emulated(settings: MoteusSettings, machine: Machine) -> Iterator[Controllers]:
-    """Controllers at work; afterwards every command they got is held against the rules."""
+    """Runs the controllers; afterwards every command that they received is checked."""
     controllers = Controllers(settings, machine)
     controllers.start()
     try:

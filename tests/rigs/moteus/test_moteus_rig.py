@@ -1,4 +1,4 @@
-"""The rig on emulated controllers: what is sent and read, what is refused, what happens when something breaks."""
+"""The rig on emulated controllers: torques and readings, refused settings, and reactions to faults."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -61,7 +61,7 @@ CHANNELS = count()
 
 
 def fresh(settings: MoteusSettings = SETTINGS) -> MoteusSettings:
-    """The settings on a bus of their own."""
+    """The settings with a separate bus."""
     return replace(settings, channel=f"moteus {next(CHANNELS)}")
 
 
@@ -88,9 +88,9 @@ def test_torque_and_counts_go_through(bench: tuple[Controllers, MoteusRig]) -> N
     controllers, rig = bench
     rig.connect()
     turn = POSITION_COUNTS * 2 / 16384
-    told = already = len(controllers.settle().torques)
-    assert rig.read() == (told * turn, 10 * told * turn, -told, 2 * told, 0.5 * told)
-    assert rig.read() == rig.read(), "no frame, no news"
+    count = already = len(controllers.settle().torques)
+    assert rig.read() == (count * turn, 10 * count * turn, -count, 2 * count, 0.5 * count)
+    assert rig.read() == rig.read(), "without a frame the reading does not change"
     sent = [rig.write((torque, 0.5)) for torque in (0.0, 1.2345, -3.0, 50.0) if rig.read()]
     assert sent == [(0.0, 0.5), (1.2345, 0.5), (-3.0, 0.5), (20.0, 0.5)]
     assert rig.read()[0] == (already + 4) * turn
@@ -118,7 +118,7 @@ def test_it_can_be_connected_again(bench: tuple[Controllers, MoteusRig]) -> None
     [({5: {1}}, True), ({5: {1, 2}, 6: {2}}, True), ({5: {2}, 6: {1}, 7: {2}}, False)],
     ids=["one", "two", "three"],
 )
-def test_missing_answers_pass_within_the_budget(mute: dict[int, set[int]], survives: bool) -> None:
+def test_missing_answers_are_tolerated_within_the_limit(mute: dict[int, set[int]], survives: bool) -> None:
     settings = fresh(replace(SETTINGS, reply_timeout=0.04))
     with emulated(settings, Recorder()) as controllers, hopper_on_moteus(settings, ROBOT) as rig:
         controllers.mute = mute
@@ -133,20 +133,20 @@ def test_missing_answers_pass_within_the_budget(mute: dict[int, set[int]], survi
                     act()
 
 
-def test_a_repeated_reading_is_said_to_be_one(bench: tuple[Controllers, MoteusRig]) -> None:
+def test_a_repeated_reading_is_reported_as_stale(bench: tuple[Controllers, MoteusRig]) -> None:
     controllers, rig = bench
     rig.connect()
-    said = []
+    stale = []
     controllers.mute = {len(controllers.torques) + 3: {1}}
     for _ in range(6):
         rig.write((0.0, 0.0))
         before = rig.read()
-        said.append(rig.health.stale)
+        stale.append(rig.health.stale)
         assert rig.read() == before
-    assert said.count(True) == 1
+    assert stale.count(True) == 1
 
 
-def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(bench: tuple[Controllers, MoteusRig]) -> None:
+def test_a_late_answer_is_not_mistaken_for_the_next(bench: tuple[Controllers, MoteusRig]) -> None:
     controllers, rig = bench
     rig.connect()
     rig.write((0.0, 0.0))
@@ -156,7 +156,7 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(bench: tuple[Co
     assert rig.read()[0] == before[0] + 8
 
 
-def test_frames_of_others_and_broken_ones_are_no_answers(bench: tuple[Controllers, MoteusRig]) -> None:
+def test_frames_of_others_and_broken_ones_are_ignored(bench: tuple[Controllers, MoteusRig]) -> None:
     controllers, rig = bench
     rig.connect()
     controllers.noise = [(5, reply(3, POSITION, [99.0])), (1, bytes([0x2F, 0x01, 0x00])), (1, b""), (1, b"\x50")]
@@ -167,7 +167,7 @@ def test_frames_of_others_and_broken_ones_are_no_answers(bench: tuple[Controller
 
 
 @pytest.mark.parametrize(
-    ("breaks", "says"),
+    ("breaks", "expected"),
     [
         ((2, FAULTED, 34), "controller 2 is in mode fault, fault 34: over voltage"),
         ((1, TIMED_OUT, 0), "controller 1 is in mode timeout"),
@@ -175,21 +175,21 @@ def test_frames_of_others_and_broken_ones_are_no_answers(bench: tuple[Controller
     ],
 )
 def test_a_controller_that_stops_stops_both_for_good(
-    bench: tuple[Controllers, MoteusRig], breaks: tuple[int, int, int], says: str
+    bench: tuple[Controllers, MoteusRig], breaks: tuple[int, int, int], expected: str
 ) -> None:
     controllers, rig = bench
     controllers.breaks = {6: breaks}
     rig.connect()
     ticks, message = ticks_until_fault(rig, 15)
     assert ticks < 9
-    assert message.startswith(says)
+    assert message.startswith(expected)
     assert "\n" not in message
     assert controllers.modes() == [STOPPED, STOPPED]
     with pytest.raises(RigFault, match="had a fault"):
         rig.connect()
 
 
-def test_a_controller_at_its_limit_goes_on(bench: tuple[Controllers, MoteusRig]) -> None:
+def test_a_controller_at_its_limit_continues(bench: tuple[Controllers, MoteusRig]) -> None:
     controllers, rig = bench
     rig.connect()
     controllers.overrides = {FAULT: 102}
@@ -197,29 +197,29 @@ def test_a_controller_at_its_limit_goes_on(bench: tuple[Controllers, MoteusRig])
 
 
 @pytest.mark.parametrize(
-    ("override", "says"),
+    ("override", "expected"),
     [
         ({VALIDITY: 0x03}, "encoder 1 of controller 1 does not work"),
-        ({ENCODER_1: 4711.0}, "encoder 1 of controller 1 tells 4711"),
-        ({ENCODER_1: nan}, "encoder 1 of controller 1 tells nan"),
-        ({POSITION: nan}, "the position of controller 1 is no number"),
-        ({ANALOG[1] + 2: nan}, "the contact force is no number"),
+        ({ENCODER_1: 4711.0}, "encoder 1 of controller 1 reports 4711"),
+        ({ENCODER_1: nan}, "encoder 1 of controller 1 reports nan"),
+        ({POSITION: nan}, "the position of controller 1 is not finite"),
+        ({ANALOG[1] + 2: nan}, "the contact force is not finite"),
     ],
     ids=["invalid", "counts", "no share", "no position", "no force"],
 )
 def test_sensors_that_fail_stop_the_rig(
-    bench: tuple[Controllers, MoteusRig], override: dict[int, float], says: str
+    bench: tuple[Controllers, MoteusRig], override: dict[int, float], expected: str
 ) -> None:
     controllers, rig = bench
     rig.connect()
     controllers.overrides = override
     _, message = ticks_until_fault(rig, 3)
-    assert message.startswith(says)
+    assert message.startswith(expected)
     assert controllers.modes() == [STOPPED, STOPPED]
 
 
 @pytest.mark.parametrize(
-    ("override", "says"),
+    ("override", "expected"),
     [
         ({REGISTER_MAP: 4}, "controller 1 has registers of version 4, but 5 is needed"),
         ({MODE: FAULTED, FAULT: 33}, "controller 1 is in mode fault, fault 33: motor driver"),
@@ -227,14 +227,14 @@ def test_sensors_that_fail_stop_the_rig(
     ids=["firmware", "fault"],
 )
 def test_controllers_that_do_not_fit_are_refused(
-    bench: tuple[Controllers, MoteusRig], monkeypatch: pytest.MonkeyPatch, override: dict[int, float], says: str
+    bench: tuple[Controllers, MoteusRig], monkeypatch: pytest.MonkeyPatch, override: dict[int, float], expected: str
 ) -> None:
     controllers, rig = bench
     monkeypatch.setattr("stepgap.rigs.moteus.moteus_rig.ANSWER_TIMEOUT", 0.01)
     for controller in controllers.controllers.values():
         controller.prepares = 10**9
     controllers.overrides = override
-    with pytest.raises(RigFault, match=says):
+    with pytest.raises(RigFault, match=expected):
         rig.connect()
     assert controllers.modes() == [STOPPED, STOPPED]
 
@@ -259,7 +259,7 @@ def test_a_bus_that_does_not_exist_is_refused() -> None:
 
 
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
-def test_a_number_that_is_none_never_reaches_a_motor(bench: tuple[Controllers, MoteusRig], bad: float) -> None:
+def test_a_torque_that_is_not_finite_never_reaches_a_motor(bench: tuple[Controllers, MoteusRig], bad: float) -> None:
     controllers, rig = bench
     rig.connect()
     rig.read()
@@ -271,7 +271,7 @@ def test_a_number_that_is_none_never_reaches_a_motor(bench: tuple[Controllers, M
 
 @settings(deadline=None)
 @given(st.binary(max_size=64), st.sampled_from([b"", bytes([0x2F, 0x01]), bytes([0x21, 0x00, 0x0A])]))
-def test_whatever_is_in_a_frame_is_read_or_not_taken_for_an_answer(data: bytes, head: bytes) -> None:
+def test_any_frame_is_decoded_or_ignored(data: bytes, head: bytes) -> None:
     registers = _registers(head + data)
     assert registers is None or all(isinstance(value, (int, float)) for value in registers.values())
 
@@ -286,7 +286,7 @@ def test_whatever_is_in_a_frame_is_read_or_not_taken_for_an_answer(data: bytes, 
         bytes([0x42, 0x01, 0x80, 0x02]),
     ],
 )
-def test_what_is_no_answer_is_none_at_once(data: bytes) -> None:
+def test_frames_that_are_not_answers_are_ignored(data: bytes) -> None:
     assert _registers(data) is None
 
 
@@ -300,7 +300,7 @@ NUMBERS = st.floats(-10, 10)
 
 @settings(deadline=None)
 @given(SCALES, st.builds(JointCommand, NUMBERS, NUMBERS, st.floats(1e-3, 100), st.just(0.0), NUMBERS), NUMBERS, NUMBERS)
-def test_the_controllers_law_is_the_joints(scale: Scale, command: JointCommand, q: float, dq: float) -> None:
+def test_the_controllers_law_equals_that_of_the_joint(scale: Scale, command: JointCommand, q: float, dq: float) -> None:
     """Moteus: kp · kp_scale · (position − p) + kd · kd_scale · (velocity − v) + feedforward, at its output."""
     command = command._replace(kd=0.9 * command.kp * scale.servo_kd / scale.servo_kp)
     sent = scale.position_command(command)
@@ -310,13 +310,13 @@ def test_the_controllers_law_is_the_joints(scale: Scale, command: JointCommand, 
         scale.servo_kd * sent["kd_scale"] * (sent["velocity"] - velocity),
         sent["feedforward_torque"],
     )
-    told = scale.joint_state(position, velocity, sum(terms))
+    state = scale.joint_state(position, velocity, sum(terms))
     torque = command.kp * (command.q - q) + command.kd * (command.dq - dq) + command.tau
-    np.testing.assert_allclose(told, (q, dq, torque), rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(state, (q, dq, torque), rtol=1e-9, atol=1e-7)
 
 
 @pytest.mark.parametrize(
-    ("command", "says"),
+    ("command", "expected"),
     [
         (JointCommand(nan, 0, 0, 0, 0), "finite"),
         (JointCommand(0, 0, 0, 0, inf), "finite"),
@@ -324,8 +324,8 @@ def test_the_controllers_law_is_the_joints(scale: Scale, command: JointCommand, 
         (JointCommand(0, 0, 1, 1, 0), "kd = 1 must be at most 0.0125"),
     ],
 )
-def test_a_joint_command_that_moteus_would_not_follow_is_refused(command: JointCommand, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_a_joint_command_that_moteus_does_not_support_is_refused(command: JointCommand, expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
         Scale(1.0, 1, 0.0, 4.0, 0.05).position_command(command)
 
 
@@ -343,7 +343,7 @@ HOPPER = replace(
 
 
 class Counted(Rig):
-    """The twin as the controllers show it: forces in counts, torques in single precision."""
+    """The twin as the controllers report it: forces in counts, torques in single precision."""
 
     def __init__(self, twin: Twin, idle: int):
         self._twin, self._idle = twin, idle
@@ -379,7 +379,7 @@ def hops(rig: Rig) -> tuple[list[np.ndarray], list[Tick]]:
     return states, ticks
 
 
-def test_the_twin_hops_behind_the_controllers_as_without_them() -> None:
+def test_the_twin_hops_with_the_controllers_as_without_them() -> None:
     settings = fresh(HOPPER)
     with emulated(settings, TwinMachine(Twin(ROBOT, GAP, np.random.default_rng(0)))) as controllers:
         through, ticks = hops(hopper_on_moteus(settings, ROBOT))

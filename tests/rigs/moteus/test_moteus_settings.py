@@ -1,4 +1,4 @@
-"""moteus.toml: read strictly, refused with what would be right."""
+"""moteus.toml: read strictly, with errors that state what is valid."""
 
 from math import inf, isfinite
 from pathlib import Path
@@ -58,13 +58,13 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "says"), WRONG)
-def test_what_is_wrong_is_refused_with_what_would_be_right(tmp_path: Path, old: str, new: str, says: str) -> None:
+@pytest.mark.parametrize(("old", "new", "expected"), WRONG)
+def test_errors_state_what_is_valid(tmp_path: Path, old: str, new: str, expected: str) -> None:
     assert TEXT.count(old) >= 1
     with pytest.raises(InputError) as caught:
         read(tmp_path, TEXT.replace(old, new, 1))
     message = str(caught.value)
-    assert message.removeprefix(f"{tmp_path / 'moteus.toml'}: ").startswith(says)
+    assert message.removeprefix(f"{tmp_path / 'moteus.toml'}: ").startswith(expected)
     assert "\n" not in message
 
 
@@ -75,7 +75,7 @@ def test_what_is_wrong_is_refused_with_what_would_be_right(tmp_path: Path, old: 
         st.floats().map(str), st.integers().map(str), st.booleans().map(lambda yes: str(yes).lower()), st.just("[]")
     ),
 )
-def test_any_number_is_taken_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
+def test_any_number_is_accepted_or_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, at: int, value: str):
     lines = TEXT.splitlines()
     lines[at] = f"{lines[at].partition(' = ')[0]} = {value}"
     try:

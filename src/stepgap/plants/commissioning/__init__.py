@@ -1,1 +1,1 @@
-"""What `stepgap rig` does: `emulate` a ring, `check` machine and bus, `calibrate` the zeros, and a `dry_run`."""
+"""Commissioning of a robot for `stepgap rig`: the `check` of computer and bus, and the `dry_run` without torque."""

@@ -1,4 +1,4 @@
-"""Whether machine and bus are fit for a robot: how late ticks begin, how many frames are lost, while nothing moves."""
+"""Check of computer and bus before a robot gets torque: how late ticks begin and how many frames are lost."""
 
 import json
 import platform
@@ -20,35 +20,35 @@ from stepgap.rigs.limp_rig import FrameCount
 from stepgap.step import Array
 
 PUNCTUAL = 0.999
-"""Share of the ticks that must begin within half a tick."""
+"""Fraction of the ticks that must begin within half a tick."""
 
 LEAST_SECONDS = 5.0
-"""What must have been measured before a robot gets torque [s]."""
+"""Least duration of a measurement before a robot gets torque [s]."""
 
 _ADVICE = (
-    "what helps: nothing else at work on this machine; an rtprio and a memlock limit for you "
-    "(/etc/security/limits.conf), or root; a kernel with PREEMPT_RT, or a core that is left alone (isolcpus); "
+    "remedies: no other load on this machine; an rtprio and a memlock limit for your user "
+    "(/etc/security/limits.conf), or root; a kernel with PREEMPT_RT, or an isolated core (isolcpus); "
     "no power saving of the processor; no virtual machine"
 )
 BUS_ADVICE = (
-    "see to cables and connectors; the interface must be wired to the robot alone, and no network manager may use it; "
-    "a reply_timeout that is too short loses frames, too"
+    "check cables and connectors; the interface must be connected to the robot only, and no network manager may use "
+    "it; frames are also lost if reply_timeout is too short"
 )
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How late ticks began.
+    """Statistics of the delays of ticks.
 
     Attributes:
-        ticks: How many.
-        p50: Half of them began no later than this [s].
-        p99: 99 % of them.
-        p99_9: 99.9 % of them.
-        worst: All of them.
-        punctual: Share of those that began within half a tick.
-        missed: Ticks that could not be made, since the one before them began whole ticks late.
-        missed_in_a_row: The most of them without a punctual tick in between.
+        ticks: Number of ticks.
+        p50: Median of the delays [s].
+        p99: 99 % quantile [s].
+        p99_9: 99.9 % quantile [s].
+        worst: Largest delay [s].
+        punctual: Fraction of the ticks that began within half a tick.
+        missed: Number of ticks that were missed, since the one before them was late by more than a tick.
+        missed_in_a_row: Largest number of consecutive missed ticks.
     """
 
     ticks: int
@@ -63,15 +63,15 @@ class Timing:
 
 @dataclass(frozen=True)
 class Check:
-    """What was found.
+    """Result of a check.
 
     Attributes:
         tick: Time between two ticks [s].
-        late_ticks: Ticks in a row that may be missed.
-        timing: How late they began.
-        lost_frames: Frames that did not come back in time.
-        refused: What of its requests the kernel refused.
-        fault: Why the measurement ended before its time; nothing else should be there.
+        late_ticks: Largest allowed number of consecutive missed ticks.
+        timing: Statistics of the delays.
+        lost_frames: Number of frames that did not come back in time.
+        refused: The requests that the kernel refused; empty if there were none.
+        fault: Why the measurement was aborted; empty if it was not.
     """
 
     tick: float
@@ -82,13 +82,14 @@ class Check:
     fault: str
 
     def failures(self) -> list[str]:
-        """What is not as it must be; nothing of a check that was passed."""
+        """Describes what is not within the limits; empty if the check is passed."""
         timing, found = self.timing, []
         if timing.missed_in_a_row > self.late_ticks:
-            found.append(f"{timing.missed_in_a_row} ticks in a row were missed, {self.late_ticks} may be")
+            found.append(f"{timing.missed_in_a_row} ticks in a row were missed, at most {self.late_ticks} are allowed")
         if timing.punctual < PUNCTUAL:
             found.append(
-                f"{100 * timing.punctual:.2f} % of the ticks began within half a tick, {100 * PUNCTUAL:g} % must"
+                f"{100 * timing.punctual:.2f} % of the ticks began within half a tick, "
+                f"at least {100 * PUNCTUAL:g} % are required"
             )
         if self.fault:
             found.append(self.fault)
@@ -96,10 +97,10 @@ class Check:
 
 
 def timing_of(late: Array, tick: float) -> Timing:
-    """How late ticks were.
+    """Computes the statistics of the delays of ticks.
 
     Args:
-        late: By how much each began late [s]; shape (k,), at least one.
+        late: Delay of each tick [s]; shape (k,), at least one.
         tick: Time between two of them [s].
     """
     missed = (late / tick).astype(int)
@@ -117,7 +118,7 @@ def timing_of(late: Array, tick: float) -> Timing:
 
 
 def _longest(missed: Sequence[int]) -> int:
-    """The most ticks missed in a row, as the safety function counts them: until one begins in time."""
+    """Largest number of ticks missed in a row, as the safety function counts them: until one begins in time."""
     most = in_a_row = 0
     for count in missed:
         in_a_row = in_a_row + count if count else 0
@@ -126,28 +127,28 @@ def _longest(missed: Sequence[int]) -> int:
 
 
 def measure(setup: RealtimeSetup, frames: FrameCount, tick: float, late_ticks: int, seconds: float) -> Check:
-    """Ticks a limp rig for a while.
+    """Measures a rig without torque.
 
     Args:
-        setup: With that rig.
-        frames: That its rig counts.
+        setup: Setup of that rig.
+        frames: Count of the frames that it lost.
         tick: Its tick [s].
-        late_ticks: Ticks in a row that may be missed.
-        seconds: How long, in ticks.
+        late_ticks: Largest allowed number of consecutive missed ticks.
+        seconds: Duration, rounded to ticks [s].
 
     Raises:
-        RigFault: There was not one tick.
+        RigFault: There was no tick at all.
     """
     ticks = ticks_of(setup, round(seconds / tick))
     return Check(tick, late_ticks, timing_of(ticks.column("late"), tick), frames.lost, ticks.refused, ticks.fault)
 
 
 def describe(check: Check, bus: bool) -> str:
-    """A table of what was found, the rule, and what follows.
+    """Formats a table of the result, the rule, and remedies.
 
     Args:
-        check: What was found.
-        bus: There was a bus, not only the machine.
+        check: The result.
+        bus: Whether a bus was measured, not only the machine.
     """
     timing, failures = check.timing, check.failures()
     rule = f"at most {check.late_ticks} ticks missed in a row, {100 * PUNCTUAL:g} % within half a tick, no fault"
@@ -164,7 +165,7 @@ def describe(check: Check, bus: bool) -> str:
         "rule": f"  {rule}",
         "result": "  passed" if not failures else f"  not passed: {'; '.join(failures)}",
     }
-    lines = [f"{name:19} {words}" for name, words in rows.items()]
+    lines = [f"{name:19} {text}" for name, text in rows.items()]
     if failures:
         lines.append(_ADVICE)
     if failures and bus and (check.fault or check.lost_frames):
@@ -173,12 +174,12 @@ def describe(check: Check, bus: bool) -> str:
 
 
 def check_file(rig_file: Path) -> Path:
-    """Where the result of a check stands: `RIG.check.json` beside `RIG.toml`."""
+    """Path of the result of a check: `RIG.check.json` next to `RIG.toml`."""
     return rig_file.with_suffix(".check.json")
 
 
 def fingerprint(rig_file: Path) -> dict[str, str]:
-    """What a check holds for: these settings on this machine.
+    """Identifies the settings and the machine for which a check is valid.
 
     Raises:
         InputError: The file cannot be read.
@@ -191,10 +192,10 @@ def fingerprint(rig_file: Path) -> dict[str, str]:
 
 
 def write_check(rig_file: Path, mark: dict[str, str], check: Check) -> Path:
-    """Writes the result beside the settings; its path.
+    """Writes the result next to the settings and returns its path.
 
     Args:
-        rig_file: The settings.
+        rig_file: File of the settings.
         mark: Their `fingerprint` when they were read.
         check: The result.
 
@@ -212,32 +213,32 @@ def write_check(rig_file: Path, mark: dict[str, str], check: Check) -> Path:
 
 
 def checked(rig_file: Path) -> None:
-    """Makes sure that exactly these settings have passed a check on this machine, with this kernel.
+    """Ensures that exactly these settings have passed a check on this machine, with this kernel.
 
     Raises:
-        InputError: They have not; the message is one line that says what to do.
+        InputError: They have not; the message is one line with the remedy.
     """
-    file, again = check_file(rig_file), f"do `stepgap rig check {rig_file}` first"
+    file, remedy = check_file(rig_file), f"run `stepgap rig check {rig_file}` first"
     mark, found = fingerprint(rig_file), _read(file)
     if not found:
-        raise InputError(f"{file}: no result of a check there; {again}")
-    words = {
-        "settings_sha256": "the settings have changed since",
-        "host": "that was another machine",
-        "kernel": "that was another kernel",
+        raise InputError(f"{file}: there is no result of a check; {remedy}")
+    reasons = {
+        "settings_sha256": "the settings have changed since the check",
+        "host": "the check was done on another machine",
+        "kernel": "the check was done with another kernel",
     }
-    for key, said in words.items():
+    for key, reason in reasons.items():
         if found.get(key) != mark[key]:
-            raise InputError(f"{file}: {said}; {again}")
+            raise InputError(f"{file}: {reason}; {remedy}")
     if found.get("passed") is not True:
-        raise InputError(f"{file}: the check was not passed; see what it says, then {again}")
+        raise InputError(f"{file}: the check was not passed; remove the cause, then {remedy}")
     seconds = found.get("seconds")
     if not isinstance(seconds, float) or not seconds >= LEAST_SECONDS:
-        raise InputError(f"{file}: it measured {seconds} s, less than {LEAST_SECONDS:g}; {again}")
+        raise InputError(f"{file}: the check took {seconds} s, less than {LEAST_SECONDS:g}; {remedy}")
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """The content of a result; nothing where there is none."""
+    """Reads the content of a result; empty if there is none."""
     try:
         with file.open("rb") as stream:
             content = json.loads(stream.read(LARGEST_SETTINGS_FILE))

@@ -1,4 +1,4 @@
-"""Everything of a deployment but torque: what the robot's sensors say and what the law would want, while it is limp."""
+"""A deployment without torque: it displays sensor values and the torques that the control law would command."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -22,22 +22,22 @@ from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array
 
 FOLDER = Path("dry-run")
-"""Where ticks go."""
+"""Folder of the tick logs."""
 
-_LOOK_EVERY = 0.1
-"""Time between two pictures [s]."""
+_UPDATE_EVERY = 0.1
+"""Time between two updates of the display [s]."""
 
-Shown = dict[str, str]
-"""What is shown: words by name."""
+DisplayedTick = dict[str, str]
+"""Displayed texts of a tick by their names."""
 
 
 class WatchedLog:
-    """A tick log that keeps the last tick in mind.
+    """A tick log that also remembers the last tick.
 
     Attributes:
-        count: Ticks so far.
-        last: Fields of the last one whose sensor values are known, by name; nothing before the first.
-        worst: Largest delay of a tick's beginning [s].
+        count: Number of ticks so far.
+        last: Fields by name of the last tick with known sensor values; empty before the first.
+        worst: Largest delay of a tick [s].
     """
 
     def __init__(self, log: TickLog, names: Iterable[str]):
@@ -45,7 +45,7 @@ class WatchedLog:
         self.last: dict[str, float] = {}
 
     def append(self, rows: Array) -> None:
-        """Takes ticks."""
+        """Adds ticks to the log."""
         self._log.append(rows)
         self.count += len(rows)
         for row in rows[::-1].tolist():
@@ -55,21 +55,21 @@ class WatchedLog:
         self.worst = max([self.worst, *rows[:, -1].tolist()])
 
     def flush(self) -> None:
-        """As the log does."""
+        """Flushes the log."""
         self._log.flush()
 
     def close(self) -> None:
-        """As the log does."""
+        """Closes the log."""
         self._log.close()
 
 
 def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: float | None) -> Path:
-    """Shows a limp robot's ticks for a while, or until Ctrl-C; the log of them.
+    """Displays the ticks of a limp robot for a time, or until Ctrl-C; returns the path of their log.
 
     Args:
-        make_rig: Makes its rig; it must be possible to pickle it.
-        robot_control: Computes the torques that are shown.
-        seconds: How long, in ticks.
+        make_rig: Creates its rig; it must be possible to pickle it.
+        robot_control: Computes the torques that are displayed.
+        seconds: Duration, rounded to ticks [s]; None until Ctrl-C.
 
     Raises:
         InputError: The log cannot be written.
@@ -85,13 +85,13 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
     describe = _describer(rig, robot_control, frames)
     session = Session(setup, log)
     try:
-        with terminated_as_interrupted(), _shown(round(1 / rig.sensor_model.tick)) as show:
+        with terminated_as_interrupted(), _display(round(1 / rig.sensor_model.tick)) as display:
             while log.count < wanted and not session.over():
-                sleep(_LOOK_EVERY)
-                show(describe(log, session), log.count)
+                sleep(_UPDATE_EVERY)
+                display(describe(log, session), log.count)
         fault = ended(session)
     except KeyboardInterrupt:
-        pass  # this is how it ends
+        pass  # the regular end
     finally:
         session.close()
     print(path)
@@ -100,10 +100,12 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
     return path
 
 
-def _describer(rig: Rig, robot_control: RobotControl, frames: FrameCount) -> Callable[[WatchedLog, Session], Shown]:
-    """What is to be shown of the last tick."""
+def _describer(
+    rig: Rig, robot_control: RobotControl, frames: FrameCount
+) -> Callable[[WatchedLog, Session], DisplayedTick]:
+    """Creates the function that describes the last tick."""
 
-    def describe(log: WatchedLog, session: Session) -> Shown:
+    def describe(log: WatchedLog, session: Session) -> DisplayedTick:
         tick = log.last
         if not tick:
             return {"state": session.board.state.name}
@@ -118,26 +120,26 @@ def _describer(rig: Rig, robot_control: RobotControl, frames: FrameCount) -> Cal
 
 
 @contextmanager
-def _shown(every: int) -> Iterator[Callable[[Shown, int], None]]:
-    """A table that changes in its place, on a terminal; elsewhere a plain line every so many ticks."""
+def _display(every: int) -> Iterator[Callable[[DisplayedTick, int], None]]:
+    """Displays ticks as a table that is updated, on a terminal; otherwise as a plain line every `every` ticks."""
     console = Console(stderr=True, highlight=False)
     if console.is_terminal:
         with Live(console=console, auto_refresh=False) as live:
-            yield lambda shown, _: live.update(_table(shown), refresh=True)
+            yield lambda tick, _: live.update(_table(tick), refresh=True)
         return
     due = 0
 
-    def line(shown: Shown, count: int) -> None:
+    def line(tick: DisplayedTick, count: int) -> None:
         nonlocal due
         if count >= due:
-            console.print("; ".join(f"{name} {words}" for name, words in shown.items()), soft_wrap=True)
+            console.print("; ".join(f"{name} {text}" for name, text in tick.items()), soft_wrap=True)
             due = (count // every + 1) * every
 
     yield line
 
 
-def _table(shown: Shown) -> Table:
+def _table(tick: DisplayedTick) -> Table:
     table = Table(show_header=False, title="limp: no torque is given", box=None)
-    for name, words in shown.items():
-        table.add_row(name, words)
+    for name, text in tick.items():
+        table.add_row(name, text)
     return table

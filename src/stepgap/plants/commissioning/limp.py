@@ -16,8 +16,8 @@ from stepgap.rigs.limp_rig import FrameCount, LimpRig
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array
 
-_LOOK_EVERY = 0.05
-"""Time between two looks whether there are enough ticks [s]."""
+_CHECK_EVERY = 0.05
+"""Time between two checks whether there are enough ticks [s]."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class Ticks:
     """Ticks of a rig, from the first one on.
 
     Attributes:
-        names: Fields of a row.
-        rows: A tick a row; shape (k, fields), k at least 1.
-        refused: What of its requests the kernel refused.
-        fault: Why there are not as many as were asked for.
+        names: Names of the fields of a row.
+        rows: One tick per row; shape (k, fields), k at least 1.
+        refused: The requests that the kernel refused; empty if there were none.
+        fault: Why there are fewer ticks than requested; empty if there are not.
     """
 
     names: tuple[str, ...]
@@ -37,24 +37,24 @@ class Ticks:
     fault: str
 
     def column(self, name: str) -> Array:
-        """A field of all ticks; shape (k,)."""
+        """One field of all ticks; shape (k,)."""
         return self.rows[:, self.names.index(name)]
 
 
 def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
-    """Runs a rig for a number of ticks; nobody asks it to hop.
+    """Runs a rig for a number of ticks, without a request to hop.
 
     Raises:
-        RigFault: There was not one tick.
+        RigFault: There was no tick at all.
     """
     kept, refused = _Memory(), ""
     session = Session(setup, kept)
     try:
         with terminated_as_interrupted():
             while kept.count < count and not session.over():
-                sleep(_LOOK_EVERY)
+                sleep(_CHECK_EVERY)
                 if session.board.state in (RigState.CALIBRATE, RigState.READY):
-                    refused = refused or session.words()
+                    refused = refused or session.message()
         fault = ended(session)
     finally:
         session.close()
@@ -64,8 +64,8 @@ def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
 
 
 def ended(session: Session) -> str:
-    """Why a session has ended; empty while it has not."""
-    return (session.words() or "the real-time process ended") if session.over() else ""
+    """Reason why a session has ended; empty while it is running."""
+    return (session.message() or "the real-time process ended") if session.over() else ""
 
 
 class _Memory:
@@ -87,11 +87,11 @@ class _Memory:
 
 
 def limp_setup(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> RealtimeSetup:
-    """A robot that stays limp whatever is asked.
+    """Creates the setup of a robot that gets no torque.
 
     Args:
-        make_rig: Makes its rig; it must be possible to pickle it.
-        robot_control: Computes the torques that are logged, and not written.
+        make_rig: Creates its rig; it must be possible to pickle it.
+        robot_control: Computes the torques that are logged, but not written.
         frames: Counts the lost frames.
     """
     return RealtimeSetup(partial(_limp_robot, make_rig, robot_control, frames), robot_control)

@@ -1,8 +1,8 @@
-"""What the real-time process and the one that learns tell each other, in shared memory; neither waits for the other.
+"""Messages between the real-time process and the learning process, in shared memory; neither waits for the other.
 
-Every field is 8 bytes at a multiple of 8, which processors write in one piece. A message has a number that is written
-last and read twice, so that half a message is never taken for one. That relies on stores being seen in their order, as
-on x86-64; the interpreter's own work between two of them makes it hold on ARM in practice.
+Every field is 8 bytes at a multiple of 8, which processors write atomically. A command or a finished hop has a number
+that is written last and read twice, so that an incomplete one is never used. This requires that stores become visible
+in their order, as on x86-64; on ARM it holds in practice, since the interpreter executes much code between two stores.
 """
 
 from enum import IntEnum
@@ -14,12 +14,12 @@ from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_ring import attached_memory, created_memory
 from stepgap.step import StepStatus
 
-LONGEST_TEXT = 512
-"""Bytes of a fault's words."""
+LONGEST_MESSAGE = 512
+"""Largest length of a message [bytes]."""
 
 
 class Field(IntEnum):
-    """Places of the fields, in words of 8 bytes."""
+    """Offsets of the fields, in words of 8 bytes."""
 
     REQUEST = 0
     EMERGENCY_STOP = 1
@@ -33,16 +33,16 @@ class Field(IntEnum):
     APPLIED_FX = 9
     APPLIED_FY = 10
     YAW = 11
-    REASON = 12
+    STATUS = 12
     TICKS = 13
     MISSED_TICKS = 14
     WORST_LATENESS = 15
-    TEXT_LENGTH = 16
-    TEXT = 17
+    MESSAGE_LENGTH = 16
+    MESSAGE = 17
 
 
 class Request(IntEnum):
-    """What a person wants."""
+    """Request of a person to the real-time process."""
 
     NOTHING = 0
     HOP = 1
@@ -50,16 +50,16 @@ class Request(IntEnum):
 
 
 class FinishedHop(NamedTuple):
-    """How a hop ended.
+    """Result of a hop.
 
     Attributes:
-        number: From 0, the hop that begins when the robot is let go.
-        speed: At the apex [m/s]; NaN of a hop that failed.
-        height: At the apex [m].
-        applied_fx: Forward command force that really acted [N].
-        applied_fy: Upward command force that really acted [N].
-        yaw: Of the robot at the apex [rad]; NaN of a hop that failed.
-        status: OK, or why there is no apex.
+        number: Number of the hop, from 0 for the one that begins when the robot is released.
+        speed: Speed at the apex [m/s]; NaN for a failed hop.
+        height: Height at the apex [m]; NaN for a failed hop.
+        applied_fx: Forward command force that was actually applied [N].
+        applied_fy: Upward command force that was actually applied [N].
+        yaw: Yaw of the robot at the apex [rad]; NaN for a failed hop.
+        status: OK, or the reason why there is no apex.
     """
 
     number: int
@@ -72,7 +72,7 @@ class FinishedHop(NamedTuple):
 
     @classmethod
     def stopped(cls, number: int) -> Self:
-        """A hop that was stopped before its apex."""
+        """Returns the result of a hop that was stopped before its apex."""
         return cls(number, nan, nan, 0.0, 0.0, nan, StepStatus.STOPPED)
 
 
@@ -80,36 +80,36 @@ class Board:
     """Shared memory of a real-time process and the process that started it.
 
     Args:
-        memory: The block; `create` and `attach` get it.
+        memory: The shared memory, which `create` and `attach` open.
     """
 
     def __init__(self, memory: SharedMemory):
         assert memory.buf is not None  # until it is closed
         self._memory = memory
-        self._words = memory.buf[: 8 * Field.TEXT].cast("q")
-        self._numbers = memory.buf[: 8 * Field.TEXT].cast("d")
-        self._text = memory.buf[8 * Field.TEXT :][:LONGEST_TEXT]
+        self._words = memory.buf[: 8 * Field.MESSAGE].cast("q")
+        self._numbers = memory.buf[: 8 * Field.MESSAGE].cast("d")
+        self._message = memory.buf[8 * Field.MESSAGE :][:LONGEST_MESSAGE]
 
     @classmethod
     def create(cls) -> Self:
-        """A new board, everything zero: no request, OFF, no command."""
-        board = cls(created_memory(8 * Field.TEXT + LONGEST_TEXT))
+        """Creates a board, everything zero: no request, OFF, no command."""
+        board = cls(created_memory(8 * Field.MESSAGE + LONGEST_MESSAGE))
         board._words[Field.COMMAND_NUMBER] = board._words[Field.HOP_NUMBER] = -1
         return board
 
     @classmethod
     def attach(cls, name: str) -> Self:
-        """The board that another process created."""
+        """Opens the board that another process created."""
         return cls(attached_memory(name))
 
     @property
     def name(self) -> str:
-        """By which another process attaches."""
+        """Name by which another process attaches."""
         return self._memory.name
 
     @property
     def request(self) -> Request:
-        """What a person wants."""
+        """The latest request of a person."""
         return Request(self._words[Field.REQUEST])
 
     @request.setter
@@ -118,21 +118,21 @@ class Board:
 
     @property
     def emergency_stop(self) -> bool:
-        """Whether somebody asked for the software stop; it is for good."""
+        """Whether the software stop was requested; the request cannot be revoked."""
         return self._words[Field.EMERGENCY_STOP] != 0
 
     def stop_at_once(self) -> None:
-        """The software stop: torque off at the next tick. Only a contactor or STO is an emergency stop."""
+        """Requests the software stop: torque off at the next tick. Only a contactor or STO is an emergency stop."""
         self._words[Field.EMERGENCY_STOP] = 1
 
     def post_command(self, number: int, fx: float, fy: float) -> None:
-        """The command force of a hop [N]."""
+        """Posts the command force of a hop [N]."""
         self._words[Field.COMMAND_NUMBER] = -1
         self._numbers[Field.FX], self._numbers[Field.FY] = fx, fy
         self._words[Field.COMMAND_NUMBER] = number
 
     def command(self, number: int) -> tuple[float, float] | None:
-        """The command force of a hop [N], if it has been posted."""
+        """The command force of a hop [N]; None if it has not been posted."""
         words, numbers = self._words, self._numbers
         if words[Field.COMMAND_NUMBER] != number:
             return None
@@ -141,7 +141,7 @@ class Board:
 
     @property
     def state(self) -> RigState:
-        """Where the real-time process is."""
+        """State of the real-time process."""
         return RigState(self._words[Field.STATE])
 
     @state.setter
@@ -149,25 +149,25 @@ class Board:
         self._words[Field.STATE] = state
 
     def post_hop(self, hop: FinishedHop) -> None:
-        """How a hop ended."""
+        """Posts the result of a hop."""
         self._words[Field.HOP_NUMBER] = -1
         self._numbers[Field.SPEED], self._numbers[Field.HEIGHT] = hop.speed, hop.height
         self._numbers[Field.APPLIED_FX], self._numbers[Field.APPLIED_FY] = hop.applied_fx, hop.applied_fy
         self._numbers[Field.YAW] = hop.yaw
-        self._words[Field.REASON] = hop.status
+        self._words[Field.STATUS] = hop.status
         self._words[Field.HOP_NUMBER] = hop.number
 
     def hop(self, number: int) -> FinishedHop | None:
-        """How a hop ended, once it has, until the next one has."""
+        """Result of a hop; None before it has ended and after the next one has ended."""
         words, numbers = self._words, self._numbers
         if words[Field.HOP_NUMBER] != number:
             return None
-        speed, height, applied_fx, applied_fy, yaw = numbers[Field.SPEED : Field.REASON].tolist()
-        found = FinishedHop(number, speed, height, applied_fx, applied_fy, yaw, StepStatus(words[Field.REASON]))
+        speed, height, applied_fx, applied_fy, yaw = numbers[Field.SPEED : Field.STATUS].tolist()
+        found = FinishedHop(number, speed, height, applied_fx, applied_fy, yaw, StepStatus(words[Field.STATUS]))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:
-        """Counts a tick, by how much it began late [s], and the ticks that were missed for it."""
+        """Counts a tick with its delay [s], and the ticks that were missed before it."""
         words, numbers = self._words, self._numbers
         words[Field.TICKS] += 1
         words[Field.MISSED_TICKS] += missed
@@ -176,36 +176,36 @@ class Board:
 
     @property
     def ticks(self) -> int:
-        """Ticks so far."""
+        """Number of ticks so far."""
         return self._words[Field.TICKS]
 
     @property
     def missed_ticks(self) -> int:
-        """Ticks that could not be made in time."""
+        """Number of missed ticks so far."""
         return self._words[Field.MISSED_TICKS]
 
     @property
     def worst_lateness(self) -> float:
-        """Largest delay of a tick's beginning [s]."""
+        """Largest delay of a tick so far [s]."""
         return self._numbers[Field.WORST_LATENESS]
 
     @property
-    def words(self) -> str:
-        """What the real-time process has to say of a fault or a refusal."""
-        return bytes(self._text[: self._words[Field.TEXT_LENGTH]]).decode("utf-8", "replace")
+    def message(self) -> str:
+        """Message of the real-time process about a fault or a refused request."""
+        return bytes(self._message[: self._words[Field.MESSAGE_LENGTH]]).decode("utf-8", "replace")
 
-    @words.setter
-    def words(self, words: str) -> None:
-        encoded = words.encode("utf-8", "replace")[:LONGEST_TEXT]
-        self._text[: len(encoded)] = encoded
-        self._words[Field.TEXT_LENGTH] = len(encoded)
+    @message.setter
+    def message(self, message: str) -> None:
+        encoded = message.encode("utf-8", "replace")[:LONGEST_MESSAGE]
+        self._message[: len(encoded)] = encoded
+        self._words[Field.MESSAGE_LENGTH] = len(encoded)
 
     def close(self) -> None:
-        """Lets go of the memory."""
-        for view in (self._words, self._numbers, self._text):
+        """Closes the memory in this process."""
+        for view in (self._words, self._numbers, self._message):
             view.release()
         self._memory.close()
 
     def unlink(self) -> None:
-        """Takes the memory away; for the process that created it, after `close`."""
+        """Frees the memory; for the process that created it, after `close`."""
         self._memory.unlink()

@@ -1,4 +1,4 @@
-"""A tick of a rig that can break things: sensors, states, the control law of the state, safety, motors, log."""
+"""The control loop of a rig in real time: sensors, state machine, control law, safety function, motors, log."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,18 +19,18 @@ LOOP_UNITS: Mapping[str, str] = MappingProxyType({"state": "", "late": "s"})
 """Fields of a row of the tick log after those of the robot's tick, with their units."""
 
 ALIVE_EVERY = 64
-"""Ticks between two looks whether the process that learns is alive."""
+"""Number of ticks between two checks whether the learning process is alive."""
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Times and budgets.
+    """Durations and limits of the loop.
 
     Attributes:
-        calibrate_time: How long the limp robot's sensors must be plausible [s].
-        stand_time: Time in which torque grows from nothing while the landing posture is taken [s].
-        landing_time: Time in which a robot that is to stop lands, and its leg sinks down, until torque goes off [s].
-        missed_commands: Hops in a row that may go without a command; such a hop has none.
+        calibrate_time: Time for which the limp robot's sensors must be plausible [s].
+        stand_time: Time in which torque increases from zero while the landing posture is taken [s].
+        landing_time: Time in which a robot that is to stop lands and lowers its leg, until torque is switched off [s].
+        missed_commands: Largest number of consecutive hops without a command.
     """
 
     calibrate_time: float = 0.2
@@ -43,13 +43,13 @@ class ControlLoop:
     """The states of a deployment, tick by tick.
 
     Args:
-        rig: What moves, connected.
-        control: What the robot computes in a tick.
-        space: Range of the command.
-        board: Where requests and commands are, and where hops are told.
+        rig: The rig, connected.
+        control: Tick control of the robot.
+        space: Step space with the bounds of the command.
+        board: Gives requests and commands, and takes the results of hops.
         log: Takes the row of every tick: the fields of the control, then those in `LOOP_UNITS`.
-        settings: Times and budgets.
-        alive: Whether the process that learns is alive.
+        settings: Durations and limits.
+        alive: Returns whether the learning process is alive.
     """
 
     def __init__(
@@ -67,35 +67,35 @@ class ControlLoop:
         self._lower, self._upper = space.command_lower.tolist(), space.command_upper.tolist()
         self._clock, self._applied, self._written, self._flags = TickClock(self._tick_time), (0.0, 0.0), 0.0, 0
         self._state, self._entered, self._powered = RigState.CALIBRATE, 0.0, False
-        self._hop, self._missed, self._count, self._stop_asked = 0, 0, 0, False
+        self._hop, self._missed, self._count, self._stop_requested = 0, 0, 0, False
 
     @property
     def state(self) -> RigState:
-        """Of the present tick."""
+        """State in the present tick."""
         return self._state
 
     def run(self, pace: Pace) -> None:
-        """Ticks until the robot is off, whatever happens.
+        """Runs ticks until the robot is off, in every case.
 
-        Frames between two ticks that come late are made up for, so that only ticks can be late.
+        Late frames between two ticks are sent at once, so that only ticks can be late.
         """
         late, frames = 0.0, self._rig.sensor_model.frames_per_tick
         try:
             while self.tick(late):
                 due = self._clock.due
-                for left in range(frames - 1, 0, -1):
-                    if not self._repeat(pace(due - self._tick_time * left / frames)):
+                for remaining in range(frames - 1, 0, -1):
+                    if not self._repeat(pace(due - self._tick_time * remaining / frames)):
                         return
                 late = pace(due) - due
         finally:
             self._rig.close()
 
-    def ask_to_stop(self) -> None:
-        """Lands the robot and ends, as a request on the board does."""
-        self._stop_asked = True
+    def request_stop(self) -> None:
+        """Requests that the robot lands and the loop ends, as a request on the board does."""
+        self._stop_requested = True
 
     def tick(self, late: float = 0.0) -> bool:
-        """One tick, begun late by a time [s]; False when the robot is off."""
+        """Runs one tick that began late by a time [s]; returns False when the robot is off."""
         missed = int(late / self._tick_time)
         self._board.count_tick(late, missed)
         time = self._clock.begin(late)
@@ -104,16 +104,16 @@ class ControlLoop:
             health = self._rig.health._replace(late=missed, emergency_stop=self._board.emergency_stop)
             return self._act(reading, health, late)
         except RigFault as fault:
-            return self._give_up(fault, time, late)
+            return self._end_with(fault, time, late)
 
     def _act(self, reading: Reading, health: Health, late: float) -> bool:
-        """Computes and writes the torques; False when the robot is off."""
+        """Computes and writes the torques; returns False when the robot is off."""
         time, control = self._clock.time, self._control
         self._enter(next_state(self._state, self._signals()))
         age = time - self._written if self._rig.sensor_model.sampled_at_write else 0.0
         torques, self._flags = control.tick(time, reading, self._order(), self._applied, health, age)
         if self._flags & TickFlag.UNREADABLE:
-            raise RigFault(f"the sensors tell what is no number: {reading}")
+            raise RigFault(f"a sensor value is not finite: {reading}")
         self._applied = self._rig.write(torques if self._powered else (0.0,) * len(torques))
         self._written = time
         self._log((*control.row(self._applied), self._state, late))
@@ -128,13 +128,13 @@ class ControlLoop:
         board, since = self._board, self._clock.time - self._entered
         self._count += 1
         if self._count % ALIVE_EVERY == 0 and not self._alive():
-            self._stop_asked = True
+            self._stop_requested = True
         request = board.request
         return Signals(
             connected=True,
             calibrated=since >= self._settings.calibrate_time,
-            hop_asked=request == Request.HOP,
-            stop_asked=self._stop_asked or request == Request.STOP,
+            hop_requested=request == Request.HOP,
+            stop_requested=self._stop_requested or request == Request.STOP,
             stood=since >= self._settings.stand_time,
             at_rest=since >= self._settings.landing_time,
         )
@@ -143,13 +143,13 @@ class ControlLoop:
         if state == self._state:
             return
         if state in (RigState.STAND, RigState.OFF) and self._state <= RigState.READY:
-            self._board.words = ""  # what the kernel refused is known by now, and no fault
+            self._board.message = ""  # the refused requests have been read by now, and are no fault
         self._state, self._entered = state, self._clock.time
         self._powered = state in MOVING or (self._powered and state == RigState.FAULT)  # a limp robot does not brake
         self._board.state = state
 
     def _order(self) -> Order:
-        """What the state asks of the robot; outside of `MOVING` its torques are only for the log."""
+        """Order for the robot in the present state; outside of `MOVING` its torques are only for the log."""
         since = self._clock.time - self._entered
         if self._state == RigState.STAND:
             return Order(Mode.POSTURE, min(1.0, since / self._settings.stand_time), NO_COMMAND)
@@ -160,7 +160,7 @@ class ControlLoop:
         return Order(Mode.LIMP, 0.0, NO_COMMAND)
 
     def _command(self) -> tuple[float, float]:
-        """This hop's command within bounds, if it is there."""
+        """Command of this hop within its bounds, or `NO_COMMAND`."""
         command = self._board.command(self._hop)
         if command is None:
             return NO_COMMAND
@@ -172,48 +172,48 @@ class ControlLoop:
         return fx, fy
 
     def _judge_hop(self) -> None:
-        """Posts a hop that has ended; a failed one, or too many without a command, stop the robot."""
+        """Posts a hop that has ended; a failed hop, or too many hops without a command, stop the robot."""
         if self._flags & TickFlag.STEP_ENDED:
             finished = self._control.finished_step()
         elif self._flags & TickFlag.FAILED:
             finished = self._control.failed_step(self._applied)
-            self._stop_asked = True
+            self._stop_requested = True
         else:
             return
         self._post(finished)
         self._missed = self._missed + 1 if isnan(finished.command[0]) and self._hop > 0 else 0
         if self._missed > self._settings.missed_commands:
-            self._board.words = f"{self._missed} hops in a row had no command: the process that learns is missed"
-            self._stop_asked = True
+            self._board.message = f"{self._missed} hops in a row had no command: the learning process does not respond"
+            self._stop_requested = True
         self._hop += 1
 
     def _post(self, finished: FinishedStep) -> None:
-        """Tells the process that learns how the hop ended."""
+        """Posts the result of the hop for the learning process."""
         speed, height = finished.state.tolist()
         fx, fy = (np.nan_to_num(finished.command) - finished.lost).tolist()  # without a command there was no force
         self._board.post_hop(FinishedHop(self._hop, speed, height, fx, fy, finished.yaw, self._control.status))
 
     def _repeat(self, now: float) -> bool:
-        """A frame between two ticks [s]; False where the rig fails."""
+        """Exchanges a frame between two ticks, at a time [s]; returns False if the rig fails."""
         try:
             self._rig.read()
             self._rig.write(self._applied)
         except RigFault as fault:
-            return self._give_up(fault, now, 0.0)
+            return self._end_with(fault, now, 0.0)
         self._written = now
         return True
 
-    def _give_up(self, fault: RigFault, now: float, late: float) -> bool:
-        """The rig has failed, so that there is no more to do than to tell of it [s]; False."""
+    def _end_with(self, fault: RigFault, now: float, late: float) -> bool:
+        """Latches a fault of the rig and logs a last row without values; returns False."""
         self._fail(str(fault))
         self._log((now, *[nan] * (len(self._control.units) - 1), self._state, late))
         return False
 
-    def _fail(self, words: str) -> None:
-        """The latched fault; the first one's words are kept, and a hop under way is told to have been stopped."""
+    def _fail(self, message: str) -> None:
+        """Latches the fault; the message of the first one is kept, and the present hop is posted as stopped."""
         if self._state == RigState.FAULT:
             return
         if self._state == RigState.HOP:
             self._board.post_hop(FinishedHop.stopped(self._hop))
-        self._board.words = words
+        self._board.message = message
         self._enter(next_state(self._state, Signals(fault=True)))

@@ -1,4 +1,4 @@
-"""When a tick begins on the wall clock, and what a process asks of the kernel to be in time."""
+"""Waiting for the ticks on the wall clock, and requests to the kernel for real-time execution."""
 
 import ctypes
 import gc
@@ -7,28 +7,28 @@ from collections.abc import Callable
 from time import perf_counter, sleep
 
 Pace = Callable[[float], float]
-"""Waits until a time since the start and says when it returns; both [s]."""
+"""Waits until a time since the start and returns the time at its end; both [s]."""
 
 SPIN = 1.5e-4
-"""Time before a due time from which on the clock is watched instead of sleeping [s]."""
+"""Time before a due time from which on the clock is polled instead of sleeping [s]."""
 
 _PRIORITY = 80
-"""Of SCHED_FIFO; the kernel's interrupt threads have 50."""
+"""Priority of SCHED_FIFO; the kernel's interrupt threads have 50."""
 
 MCL_CURRENT_AND_FUTURE = 3
 
 
 class WallClock:
-    """A `Pace` that sleeps until shortly before a due time, then spins; it starts when it is made."""
+    """A `Pace` that sleeps until shortly before a due time, then spins; its time starts when it is created."""
 
     def __init__(self) -> None:
         self._start = perf_counter()
 
     def __call__(self, due: float) -> float:
-        """Waits."""
-        left = due - self._now() - SPIN
-        if left > 0:
-            sleep(left)
+        """Waits until the due time [s] and returns the time [s]."""
+        remaining = due - self._now() - SPIN
+        if remaining > 0:
+            sleep(remaining)
         while (now := self._now()) < due:
             pass
         return now
@@ -38,7 +38,7 @@ class WallClock:
 
 
 def ask_for_realtime() -> list[str]:
-    """Asks for SCHED_FIFO and locked memory, and keeps the garbage collector away; says what was refused."""
+    """Requests SCHED_FIFO and locked memory, and disables the garbage collector; returns the refused requests."""
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -1,4 +1,4 @@
-"""The real-time process: it alone speaks to the rig, and it lands the robot when the process that learns is gone."""
+"""The real-time process: it alone accesses the rig, and it lands the robot if the learning process has ended."""
 
 import os
 import signal
@@ -16,13 +16,13 @@ from stepgap.rigs.rig import Rig, RigFault
 
 @dataclass(frozen=True)
 class RealtimeSetup:
-    """What the process is to do; it must be possible to pickle it.
+    """Setup of the process; it must be possible to pickle it.
 
     Attributes:
-        make_rig: Makes the rig, in that process.
-        robot_control: How its robot is controlled.
-        loop: Times and budgets.
-        make_pace: Makes what waits for the ticks.
+        make_rig: Creates the rig, in that process.
+        robot_control: Control of its robot.
+        loop: Durations and limits of the loop.
+        make_pace: Creates the `Pace` that waits for the ticks.
     """
 
     make_rig: Callable[[], Rig]
@@ -37,21 +37,21 @@ class RealtimeSetup:
 
 
 def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: int) -> None:
-    """Connects the rig and ticks by the wall clock until it is off; what it has to say is on the board.
+    """Connects the rig and runs ticks on the wall clock until it is off; messages are on the board.
 
     Args:
-        setup: What to do.
-        board_name: Of the board to attach to.
-        ring_name: Of the ring that takes the ticks.
-        parent: Process that started this one and, while that lives, is its parent.
+        setup: Setup of the process.
+        board_name: Name of the board to attach to.
+        ring_name: Name of the ring that takes the ticks.
+        parent: Id of the process that started this one, which is its parent as long as it is alive.
     """
     board, ring = Board.attach(board_name), TickRing.attach(ring_name)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other one asks for the landing
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other one requests the landing
     try:
         board.state = RigState.CONNECT
         rig = setup.make_rig()
         control = setup.robot_control.control(rig)
-        board.words = "; ".join(ask_for_realtime())  # before the bus is up: its watchdog would not wait for it
+        board.message = "; ".join(ask_for_realtime())  # before the bus is up: its watchdog would expire meanwhile
         with rig:
             board.state = RigState.CALIBRATE
             loop = ControlLoop(
@@ -63,11 +63,11 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: 
                 setup.loop,
                 alive=lambda: os.getppid() == parent,
             )
-            signal.signal(signal.SIGTERM, lambda *_: loop.ask_to_stop())
+            signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
             loop.run(setup.make_pace())
     except Exception as error:
-        # whatever it is, the one who waits must learn of it; the rig is off by now
-        board.words = str(error) if isinstance(error, RigFault | ValueError) else f"{type(error).__name__}: {error}"
+        # every error must reach the waiting process; the rig is already off
+        board.message = str(error) if isinstance(error, RigFault | ValueError) else f"{type(error).__name__}: {error}"
         board.state = RigState.FAULT
     finally:
         ring.close()

@@ -1,4 +1,4 @@
-"""Hops a rig in real time: the loop runs in a process of its own, this one gives it a command for every hop."""
+"""A plant in real time: the loop runs in a separate process, and this one gives it a command for every hop."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,18 +16,18 @@ from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
-_LOOK_EVERY = 1e-3
-"""Time between two looks whether a hop has ended [s]."""
+_CHECK_EVERY = 1e-3
+"""Time between two checks whether a hop has ended [s]."""
 
 
 class RealtimePlant(Plant):
-    """Hops a rig that waits for nobody.
+    """Executes hops on a rig that does not wait for commands.
 
-    A step ends when the apex has just been passed. The command acts from the next mid-stance on, some 0.3 s later; one
-    that comes after that is not applied, and the record says so: its applied command is zero.
+    A step ends when the apex has just been passed. The command acts from the next mid-stance on, some 0.3 s later. A
+    command that comes later is not applied, and the applied command in the record is zero.
 
     Args:
-        setup: The rig, and how it is controlled.
+        setup: The rig and its control.
         logs: Folder for the ticks of every deployment, `ticks-*.mcap`.
         on_ready: Called when the rig is connected and limp, before torque is given for the first time.
     """
@@ -44,14 +44,14 @@ class RealtimePlant(Plant):
 
     @property
     def fault(self) -> str:
-        """Why the last deployment ended before its time, or what failed as it landed; empty while nothing has."""
+        """Why the last deployment was aborted, or what failed during the landing; empty if there was no fault."""
         return self._fault
 
     def start(self) -> Array:
-        """Connects, takes the landing posture, waits until the robot is let go, and hops once without command.
+        """Connects, takes the landing posture, waits until the robot is released, and hops once without command.
 
         Raises:
-            RigFault: The rig cannot be had, or the first hop failed.
+            RigFault: The rig cannot be connected, or the first hop failed.
         """
         self.stop()
         self._hop, self._fault = 0, ""
@@ -62,51 +62,51 @@ class RealtimePlant(Plant):
         self._session = session = Session(self._setup, log)
         while session.board.state < RigState.READY:
             session.check()
-            sleep(_LOOK_EVERY)
+            sleep(_CHECK_EVERY)
         session.check()
         self._on_ready()
         session.board.request = Request.HOP
         hop = self._await_hop(session)
         if hop.status != StepStatus.OK:
-            said = f" ({self._fault})" if self._fault else ""
-            raise RigFault(f"the first hop failed: {hop.status.label}{said}: {ADVICE[hop.status]}")
+            detail = f" ({self._fault})" if self._fault else ""
+            raise RigFault(f"the first hop failed: {hop.status.label}{detail}: {ADVICE[hop.status]}")
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:
-        """Hops once; a fall, a fault or a safety stop is a record without a next state, and the robot lands.
+        """Hops once; after a fall, a fault or a safety stop the record has no next state, and the robot lands.
 
         Raises:
             RigFault: The log of ticks cannot be written.
         """
-        session, state, asked = self._session, self._state, np.asarray(command, float)
+        session, state, command = self._session, self._state, np.asarray(command, float)
         if session is None:
             raise RigFault("the rig is not started")
-        within = np.clip(asked, self._space.command_lower, self._space.command_upper)
+        within = np.clip(command, self._space.command_lower, self._space.command_upper)
         if np.isnan(within).any():
             self.stop()
-            return StepRecord(state, asked, within, np.full(2, np.nan), StepStatus.INVALID)
+            return StepRecord(state, command, within, np.full(2, np.nan), StepStatus.INVALID)
         self._hop += 1
         session.board.post_command(self._hop, *within.tolist())
         hop = self._await_hop(session)
         applied = np.array([hop.applied_fx, hop.applied_fy])
-        return StepRecord(state, asked, applied, self._state, hop.status, hop.yaw)
+        return StepRecord(state, command, applied, self._state, hop.status, hop.yaw)
 
     def stop(self) -> None:
-        """Lands the robot, torque off."""
+        """Lands the robot and switches torque off."""
         if self._session:
             self._session, session = None, self._session
             session.close()
-            self._fault = self._fault or session.words()
+            self._fault = self._fault or session.message()
 
     def _await_hop(self, session: Session) -> FinishedHop:
-        """The present hop, when it has ended."""
+        """Waits for the end of the present hop."""
         while (hop := session.board.hop(self._hop)) is None:
             if session.over():
                 hop = session.board.hop(self._hop) or FinishedHop.stopped(self._hop)
                 break
             session.check_sink()
-            sleep(_LOOK_EVERY)
+            sleep(_CHECK_EVERY)
         if hop.status != StepStatus.OK:
-            self._fault = session.words()
+            self._fault = session.message()
         self._state = np.array([hop.speed, hop.height])
         return hop

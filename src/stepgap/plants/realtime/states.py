@@ -1,11 +1,11 @@
-"""What a rig that can break things may do next."""
+"""The state machine of a deployment on hardware."""
 
 from enum import IntEnum
 from typing import NamedTuple
 
 
 class RigState(IntEnum):
-    """Stages of a deployment on hardware; torque is given only in STAND, HOP and STOP, and while a FAULT brakes."""
+    """States of a deployment on hardware; torque is on only in STAND, HOP and STOP, and while a FAULT brakes."""
 
     OFF = 0
     CONNECT = 1
@@ -22,42 +22,42 @@ MOVING = frozenset({RigState.STAND, RigState.HOP, RigState.STOP})
 
 
 class Signals(NamedTuple):
-    """What decides.
+    """Signals that determine the next state.
 
     Attributes:
-        connected: The bus is up and the drives take torque commands.
+        connected: The bus is up and the drives accept torque commands.
         calibrated: The limp robot's sensors have been plausible for long enough.
-        hop_asked: A person wants it to hop.
-        stop_asked: A person, or a process that is missed, wants it to stop.
+        hop_requested: A person has requested hopping.
+        stop_requested: A person has requested the stop, or the learning process does not respond.
         stood: The landing posture is held with full torque.
-        at_rest: It has had the time to land.
-        fault: Something is wrong.
+        at_rest: The robot has had the time to land.
+        fault: There is a fault.
     """
 
     connected: bool = False
     calibrated: bool = False
-    hop_asked: bool = False
-    stop_asked: bool = False
+    hop_requested: bool = False
+    stop_requested: bool = False
     stood: bool = False
     at_rest: bool = False
     fault: bool = False
 
 
 def next_state(state: RigState, signals: Signals) -> RigState:
-    """The state that follows at this tick: one stage at a time, to FAULT from anywhere, and from FAULT nowhere."""
+    """The next state: one transition per tick; FAULT can follow on any state and is never left."""
     if signals.fault or state == RigState.FAULT:
         return RigState.FAULT
     if state == RigState.OFF:
-        return RigState.OFF if signals.stop_asked else RigState.CONNECT
+        return RigState.OFF if signals.stop_requested else RigState.CONNECT
     if state == RigState.STOP:
         return RigState.OFF if signals.at_rest else RigState.STOP
-    if signals.stop_asked:
+    if signals.stop_requested:
         return RigState.STOP if state in MOVING else RigState.OFF
-    onward = {
+    may_continue = {
         RigState.CONNECT: signals.connected,
         RigState.CALIBRATE: signals.calibrated,
-        RigState.READY: signals.hop_asked,
+        RigState.READY: signals.hop_requested,
         RigState.STAND: signals.stood,
         RigState.HOP: False,
     }
-    return RigState(state + 1) if onward[state] else state
+    return RigState(state + 1) if may_continue[state] else state

@@ -1,11 +1,11 @@
-"""The log of every tick: MCAP files that Foxglove and PlotJuggler open, and what is left of broken ones.
+"""The log of every tick: MCAP files that Foxglove and PlotJuggler open, and recovery from damaged files.
 
-One channel, `ticks`, has one message per tick. Chunks are not compressed: of one that the file breaks off in, every
-whole tick is still there. A tick of n numbers takes 47 + 9 n bytes, one more for each number after the fifteenth: with
-20 numbers at 1 kHz an hour is 0.84 GB.
+One channel, `ticks`, has one message per tick. Chunks are not compressed: all complete ticks of a truncated chunk can
+be read. A tick of n numbers takes 47 + 9 n bytes, one more for each number after the fifteenth: with 20 numbers at
+1 kHz an hour is 0.84 GB.
 
-Files are untrusted, and may be broken, when they are read; the reader of the `mcap` library believes the lengths it
-finds and ends at the first broken record, so records are walked through here.
+When files are read, they are untrusted and may be damaged. The reader of the `mcap` library trusts the lengths in a
+file and ends at the first damaged record, so records are parsed here.
 """
 
 import os
@@ -41,24 +41,24 @@ _CHUNK_HEAD = struct.Struct("<QQQIIQ")
 
 
 class TickLogError(StepGapError):
-    """A tick log cannot be written or read; the message is one line that names the file and what is wrong with it."""
+    """A tick log cannot be written or read; the message is one line that names the file and the reason."""
 
 
 class TickLog:
     """A new tick log, open for appending.
 
-    What was appended is in the file as soon as a chunk is full, and on the disk after `flush`, which is to be called
-    about once a second; `close` adds the index that viewers want. When the process dies, or the disk is full,
-    `recover_ticks` has all that came into the file.
+    Appended ticks are in the file as soon as a chunk is full, and on the disk after `flush`, which should be called
+    about once per second; `close` adds the index that viewers need. If the process dies, or the disk is full,
+    `recover_ticks` recovers all ticks that are in the file.
 
     Args:
-        path: The file, which must not exist; its folder is made.
-        units: Unit of each field by its name, in the order of a row; the first is time [s]. Names are of letters,
+        path: The file, which must not exist; its folder is created.
+        units: Unit of each field by its name, in the order of a row; the first is time [s]. Names consist of letters,
             digits and underscores, units have no comma.
 
     Raises:
         TickLogError: The file exists or cannot be written.
-        ValueError: A name or a unit is none.
+        ValueError: A name or a unit is not valid.
     """
 
     def __init__(self, path: Path, units: Mapping[str, str]):
@@ -77,11 +77,12 @@ class TickLog:
         """Adds ticks.
 
         Args:
-            rows: A tick a row, the first column its time [s]; shape (k, fields).
+            rows: One tick per row, the first column its time [s]; shape (k, fields).
 
         Raises:
-            TickLogError: The disk is full, or the like: what is in the file stays, and the log is closed.
-            ValueError: Not that shape, or a time that is not within 0…9e9 s.
+            TickLogError: The file cannot be written, for example on a full disk: its content remains, and the log is
+                closed.
+            ValueError: The shape is another one, or a time is not within 0…9e9 s.
         """
         messages = self._layout.messages(rows, self._ticks)
         content, size = messages.tobytes(), messages.itemsize
@@ -93,20 +94,20 @@ class TickLog:
         self._ticks += len(messages)
 
     def flush(self) -> None:
-        """Ends the chunk and waits until the disk has all that was appended.
+        """Ends the chunk and waits until all appended ticks are on the disk.
 
         Raises:
-            TickLogError: As of `append`.
+            TickLogError: As for `append`.
         """
         with self._writing():
             self._writer.flush()
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Ends the file with its index and closes it, unless that was done.
+        """Ends the file with its index and closes it; does nothing if it is closed.
 
         Raises:
-            TickLogError: As of `append`.
+            TickLogError: As for `append`.
         """
         if self._file.closed:
             return
@@ -118,14 +119,14 @@ class TickLog:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Gives the file up when it cannot be written."""
+        """Closes the file when it cannot be written."""
         if self._file.closed:
             raise TickLogError(f"{self._path}: this log is closed; open another")
         try:
             with _reporting(self._path):
                 yield
         except TickLogError:
-            with suppress(OSError):  # closing tries once more to write what is buffered
+            with suppress(OSError):  # closing tries again to write the buffered data
                 self._file.close()
             raise
 
@@ -137,32 +138,32 @@ class TickLog:
 
 
 def next_path(folder: Path) -> Path:
-    """Where the next log of a folder belongs: `ticks-0.mcap`, `ticks-1.mcap`, …, after the last that is there."""
+    """Path of the next log in a folder: `ticks-0.mcap`, `ticks-1.mcap`, …, after the last existing one."""
     found = [re.fullmatch(r"ticks-([0-9]{1,9})\.mcap", path.name) for path in folder.glob("ticks-*.mcap")]
     return folder / f"ticks-{1 + max((int(number[1]) for number in found if number), default=-1)}.mcap"
 
 
 def read_ticks(path: Path) -> tuple[dict[str, str], Array]:
-    """The units of the fields by their names, and the ticks; shape (k, fields).
+    """Reads a log: returns the units of the fields by their names, and the ticks (k, fields).
 
     Raises:
-        TickLogError: It is no tick log, or not a whole one.
+        TickLogError: The file is not a tick log, or it is damaged.
     """
     faults: list[str] = []
     with _opened(path) as file:
         layout = _layout(file, path)
         blocks = [layout.rows(messages) for messages in _messages(file, layout, faults)]
     if faults:
-        raise TickLogError(f"{path}: {faults[0]}; `recover_ticks` saves what is whole")
+        raise TickLogError(f"{path}: {faults[0]}; `recover_ticks` recovers the intact part")
     return dict(layout.units), np.concatenate([np.empty((0, len(layout.units))), *blocks])
 
 
 class Recovered(NamedTuple):
-    """What was saved of a log.
+    """Result of the recovery of a log.
 
     Attributes:
-        ticks: How many ticks.
-        faults: What is wrong with the log, a line each; nothing with a whole one.
+        ticks: Number of recovered ticks.
+        faults: Faults of the log, one line each; empty for an intact log.
     """
 
     ticks: int
@@ -170,16 +171,16 @@ class Recovered(NamedTuple):
 
 
 def recover_ticks(path: Path, out: Path) -> Recovered:
-    """Saves the ticks of a broken log in a new one: of every whole chunk, and of the one that the file breaks off in.
+    """Recovers the ticks of a damaged log: writes those of every intact chunk, and of a truncated one, to a new log.
 
-    A chunk whose checksum is wrong is left out; all that follows a record whose length is wrong is lost.
+    A chunk with a wrong checksum is omitted; all that follows a record with a wrong length is lost.
 
     Args:
         path: The log; it is not changed.
-        out: The new one, which must not exist.
+        out: The new log, which must not exist.
 
     Raises:
-        TickLogError: Nothing can be saved, or `out` exists or cannot be written.
+        TickLogError: Nothing can be recovered, or `out` exists or cannot be written.
     """
     faults: list[str] = []
     ticks = 0
@@ -194,7 +195,7 @@ def recover_ticks(path: Path, out: Path) -> Recovered:
 
 @contextmanager
 def _reporting(path: Path) -> Iterator[None]:
-    """Says what the file system says, of which file."""
+    """Turns an OSError into a TickLogError that names the file."""
     try:
         yield
     except OSError as error:
@@ -203,61 +204,61 @@ def _reporting(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[BinaryIO]:
-    """An MCAP file for reading."""
+    """Opens an MCAP file for reading."""
     with _reporting(path):
         if path.exists() and not path.is_file():  # opening a pipe would wait
-            raise TickLogError(f"{path}: this is no file; give a tick log")
+            raise TickLogError(f"{path}: this is not a file; give a tick log")
         with path.open("rb") as file:
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise TickLogError(f"{path}: this is no MCAP file; give a tick log")
+                raise TickLogError(f"{path}: this is not an MCAP file; give a tick log")
             yield file
 
 
 class _Part(NamedTuple):
-    """A schema, a channel, or what a chunk holds.
+    """A schema, a channel, or the content of a chunk.
 
     Attributes:
-        offset: Where its record begins [bytes].
-        opcode: Which of them.
-        content: What it holds, as far as the file has it.
-        whole: The file does not break off in it.
-        sound: It is as it was written.
+        offset: Start of its record [bytes].
+        opcode: Opcode of its record.
+        content: Its content, as far as it is in the file.
+        complete: Whether it is not truncated.
+        intact: Whether it is complete and its checksum is right.
     """
 
     offset: int
     opcode: int
     content: bytes
-    whole: bool
-    sound: bool
+    complete: bool
+    intact: bool
 
 
 def _parts(file: BinaryIO, faults: list[str]) -> Iterator[_Part]:
-    """Goes through the records of a file up to its end, or to where one is broken, which is added to the faults."""
+    """Parses the records of a file up to its end, or up to a damaged one, which is added to the faults."""
     size = os.fstat(file.fileno()).st_size
     offset = len(MCAP0_MAGIC)
     while True:
         file.seek(offset)
         head = file.read(_HEAD.size)
         if len(head) < _HEAD.size:
-            faults.append(f"it breaks off after {size} bytes, before its index is complete")
+            faults.append(f"it is truncated after {size} bytes, before its index is complete")
             return
         opcode, length = _HEAD.unpack(head)
         end = offset + _HEAD.size + length
         if opcode == Opcode.FOOTER and end + len(MCAP0_MAGIC) == size:
             return
-        whole = opcode != 0 and end <= size
+        complete = opcode != 0 and end <= size
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK):
             body = file.read(min(length, LARGEST_RECORD))
-            content, sound = _chunk(body) if opcode == Opcode.CHUNK else (body, True)
-            yield _Part(offset, opcode, content, whole, whole and sound)
-        if not whole:
-            faults.append(f"it breaks off, or is damaged, in the record at byte {offset} of {size}")
+            content, intact = _chunk(body) if opcode == Opcode.CHUNK else (body, True)
+            yield _Part(offset, opcode, content, complete, complete and intact)
+        if not complete:
+            faults.append(f"it is truncated or damaged in the record at byte {offset} of {size}")
             return
         offset = end
 
 
 def _chunk(body: bytes) -> tuple[bytes, bool]:
-    """What a chunk holds, as far as it is there, and whether it is as it was written."""
+    """Content of a chunk, as far as it is there, and whether its length and checksum are right."""
     if len(body) < _CHUNK_HEAD.size:
         return b"", False
     _, _, size, checksum, compression, stored = _CHUNK_HEAD.unpack_from(body)
@@ -268,7 +269,7 @@ def _chunk(body: bytes) -> tuple[bytes, bool]:
 
 
 def _split(content: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
-    """The schemas and channels, by opcode, that a chunk begins with, and the rest of it."""
+    """Splits a chunk into the schemas and channels at its start, with their opcodes, and the rest."""
     definitions, start = [], 0
     while len(content) >= start + _HEAD.size:
         opcode, length = _HEAD.unpack_from(content, start)
@@ -280,43 +281,43 @@ def _split(content: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
 
 
 def _definitions(file: BinaryIO) -> Iterator[tuple[int, bytes, bool]]:
-    """All schemas and channels of a file: opcode, content, and whether it is as it was written."""
+    """Yields all schemas and channels of a file: opcode, content, and whether it is intact."""
     for part in _parts(file, []):
         chunk = part.opcode == Opcode.CHUNK
         for opcode, body in _split(part.content)[0] if chunk else [(part.opcode, part.content)]:
-            yield opcode, body, part.sound
+            yield opcode, body, part.intact
 
 
 def _layout(file: BinaryIO, path: Path) -> TickLayout:
-    """What a file says of its ticks, in its first chunk and again in its index."""
+    """Reads the layout of the ticks, which a file contains in its first chunk and again in its index."""
     doubtful, schema = None, b""
-    for opcode, body, sound in _definitions(file):
+    for opcode, body, intact in _definitions(file):
         with suppress(McapError, struct.error, ValueError):
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(BytesIO(body))).data
                 continue
             layout = TickLayout.of_channel(Channel.read(ReadDataStream(BytesIO(body))).metadata)
-            if layout.schema == schema and sound:
+            if layout.schema == schema and intact:
                 return layout
             doubtful = layout if layout.schema == schema else doubtful
     if doubtful is None:
-        raise TickLogError(f"{path}: nothing in it says what its ticks are; it is no tick log, or too little is left")
+        raise TickLogError(f"{path}: it has no description of ticks; it is not a tick log, or its start is missing")
     return doubtful
 
 
 def _messages(file: BinaryIO, layout: TickLayout, faults: list[str]) -> Iterator[np.ndarray]:
-    """The messages of each chunk, up to the first that is not whole; what is wrong is added to the faults."""
+    """Yields the messages of each chunk, up to the first truncated one; faults are added to the list."""
     expected = 0
     for part in _parts(file, faults):
         if part.opcode != Opcode.CHUNK:
             continue
-        if part.whole and not part.sound:
-            faults.append(f"the chunk at byte {part.offset} is left out: it is damaged, compressed or too large")
+        if part.complete and not part.intact:
+            faults.append(f"the chunk at byte {part.offset} is omitted: it is damaged, compressed or too large")
             continue
         content = _split(part.content)[1]
         messages = layout.parse(content)
-        if part.whole and messages.nbytes < len(content):
-            faults.append(f"the chunk at byte {part.offset} holds other than ticks")
+        if part.complete and messages.nbytes < len(content):
+            faults.append(f"the chunk at byte {part.offset} contains other data than ticks")
         if not len(messages):
             continue
         first = int(messages["sequence"][0])

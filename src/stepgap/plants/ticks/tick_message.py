@@ -1,7 +1,7 @@
-"""One tick as an MCAP record: a Protobuf message whose fields are all `double`, and the schema that says so.
+"""One tick as an MCAP record: a Protobuf message whose fields are all `double`, and its schema.
 
-Every number keeps its bits, also those that are not finite, which JSON cannot hold. All messages of a log have the same
-length, so that they are made and read many at a time.
+Every number is stored exactly, also numbers that are not finite, which JSON cannot represent. All messages of a log
+have the same length, so that many are encoded and parsed at once.
 """
 
 import re
@@ -18,27 +18,28 @@ from stepgap.step import Array
 
 SCHEMA_NAME = "stepgap.Tick"
 CHANNEL = 1
-"""Number of the one channel of a log."""
+"""Number of the only channel of a log."""
 MOST_FIELDS = 2000
-"""Most numbers in a tick; Protobuf has room for about as many in keys of two bytes."""
+"""Largest number of fields in a tick; about as many Protobuf keys have two bytes or less."""
 LATEST = 9e9
 """Latest time [s]; MCAP counts nanoseconds in 64 bits."""
 
 _HEAD = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
 _TIMES = [("log_time", "<u8"), ("publish_time", "<u8")]
 HEAD_SIZE = np.dtype(_HEAD + _TIMES).itemsize
-"""Bytes of a message's record before its Protobuf content."""
+"""Length of a message's record before its Protobuf content [bytes]."""
 
 
 @dataclass(frozen=True)
 class TickLayout:
-    """What a tick's numbers are, and how they lie in a message.
+    """Names and units of a tick's fields, and their layout in a message.
 
     Attributes:
         units: Unit of each field by its name, in the order of a row; the first is time [s].
 
     Raises:
-        ValueError: A name is not of letters, digits and underscores, a unit has a comma, or there are too many.
+        ValueError: A name has other characters than letters, digits and underscores, a unit has a comma, or there are
+            too many fields.
     """
 
     units: Mapping[str, str]
@@ -48,13 +49,13 @@ class TickLayout:
             raise ValueError(f"a tick of {len(self.units)} fields; it must have 1 to {MOST_FIELDS}")
         for name, unit in self.units.items():
             if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
-                raise ValueError(f"field {name!r:.60}: a name is letters, digits and underscores")
+                raise ValueError(f"field {name!r:.60}: a name consists of letters, digits and underscores")
             if "," in unit:
                 raise ValueError(f"field {name!r:.60}: unit {unit!r:.60} has a comma")
 
     @classmethod
     def of_channel(cls, metadata: Mapping[str, str]) -> Self:
-        """The layout that a channel's metadata tell of; ValueError where they tell of none."""
+        """Reads the layout from a channel's metadata; ValueError if they contain none."""
         names, units = metadata.get("names", "").split(","), metadata.get("units", "").split(",")
         if len(set(names)) != len(units):
             raise ValueError(f"{len(names)} names and {len(units)} units")
@@ -62,7 +63,7 @@ class TickLayout:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """Names and units as the channel's metadata; in two texts, since tools may change the order of metadata."""
+        """Names and units as the channel's metadata; in two strings, since tools may change the order of metadata."""
         return {"names": ",".join(self.units), "units": ",".join(self.units.values())}
 
     @cached_property
@@ -79,7 +80,7 @@ class TickLayout:
 
     @cached_property
     def _message(self) -> np.ndarray:
-        """A message's record without what differs from tick to tick; a structured array of shape ()."""
+        """Template of a message's record, without the values that change with each tick; structured, shape ()."""
         keys = [_varint(i << 3 | 1) for i in range(1, len(self.units) + 1)]
         pairs = ([(f"key {i}", f"<u{len(key)}"), (f"value {i}", "<f8")] for i, key in enumerate(keys))
         message = np.zeros((), [*_HEAD, *_TIMES, *chain.from_iterable(pairs)])
@@ -90,17 +91,17 @@ class TickLayout:
         return message
 
     def messages(self, rows: Array, first: int) -> np.ndarray:
-        """The records of ticks.
+        """Encodes ticks as records.
 
         Args:
-            rows: A tick a row, the first column its time [s]; shape (k, fields).
-            first: Number of the first, for the messages' sequence.
+            rows: One tick per row, the first column its time [s]; shape (k, fields).
+            first: Sequence number of the first message.
 
         Returns:
             Structured array, shape (k,); its bytes are the records.
 
         Raises:
-            ValueError: Not that shape, or a time that is not within 0…9e9 s.
+            ValueError: The shape is another one, or a time is not within 0…9e9 s.
         """
         rows = np.asarray(rows, float)
         if rows.ndim != 2 or rows.shape[1] != len(self.units):
@@ -116,7 +117,7 @@ class TickLayout:
         return messages
 
     def parse(self, content: bytes) -> np.ndarray:
-        """The records that `content` begins with, up to one that is no tick of this layout, or not the next."""
+        """Parses the records at the start of `content`, up to one that is not a tick of this layout or not the next."""
         messages = np.frombuffer(content, self._message.dtype, len(content) // self._message.itemsize)
         time = messages["value 0"]
         right = _in_range(time)
@@ -127,12 +128,12 @@ class TickLayout:
         return messages if right.all() else messages[: right.argmin()]
 
     def rows(self, messages: np.ndarray) -> Array:
-        """The ticks of records; shape (k, fields)."""
+        """Converts records to ticks; shape (k, fields)."""
         return np.stack([messages[f"value {i}"] for i in range(len(self.units))], axis=1)
 
 
 def _in_range(time: Array) -> np.ndarray:
-    """Whether times can be written [s]."""
+    """Whether times [s] can be encoded."""
     return (time >= 0) & (time <= LATEST)
 
 
@@ -141,16 +142,16 @@ def _nanoseconds(time: Array) -> np.ndarray:
 
 
 def _varint(number: int) -> bytes:
-    """A whole number in Protobuf's encoding, seven bits a byte."""
+    """Encodes an integer for Protobuf, seven bits per byte."""
     *more, last = [number >> shift & 127 for shift in range(0, max(1, number.bit_length()), 7)]
     return bytes([*(bits | 128 for bits in more), last])
 
 
 def _number(field: int, number: int) -> bytes:
-    """A Protobuf field that is a whole number."""
+    """Encodes a Protobuf field that is an integer."""
     return _varint(field << 3) + _varint(number)
 
 
 def _content(field: int, content: bytes) -> bytes:
-    """A Protobuf field that is a text or a message."""
+    """Encodes a Protobuf field that is a string or a message."""
     return _varint(field << 3 | 2) + _varint(len(content)) + content

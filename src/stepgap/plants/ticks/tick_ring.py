@@ -1,4 +1,4 @@
-"""Rows of numbers from a real-time process to another one, through shared memory, without waiting."""
+"""A ring buffer in shared memory: rows of numbers from a real-time process to another one, without waiting."""
 
 import os
 import struct
@@ -15,31 +15,31 @@ from stepgap.step import Array
 
 MARK = int.from_bytes(b"stepring", sys.byteorder)
 HEAD = 8
-"""Place of the count of rows pushed, in words of 64 bits; it has a cache line of its own."""
+"""Offset of the count of rows pushed, in words of 64 bits; it has a separate cache line."""
 ROWS_START = 128
-"""Place of the first row [bytes]."""
+"""Offset of the first row [bytes]."""
 
 
 class TickRing:
-    """Ring of rows of float64 with one writer and one reader, neither of which ever waits for the other.
+    """Ring buffer of rows of float64 with one writer and one reader, neither of which waits for the other.
 
-    A row is written into a slot that the reader does not look at, and only then is the count of rows pushed, one
-    aligned 64-bit word, moved on. So a row is either whole or not there, also when the writer is killed in the middle
-    of one. What the reader copied while the writer may have come round is found by reading the count again, and
-    dropped. A reader that dies leaves nothing behind; another one may attach.
+    A row is written into a slot that the reader does not read, and only then the count of rows pushed, one aligned
+    64-bit word, is increased. So a row is either complete or absent, also if the writer is killed while it writes. The
+    reader reads the count again after copying, and drops the rows that the writer may have overwritten meanwhile. A
+    reader that dies leaves no trace; another one may attach.
 
-    This needs stores to become visible, and loads to happen, in the order of the program. x86-64 guarantees that. ARM
-    does not: there, the count could be seen some nanoseconds before the numbers of its row, though never by a reader
-    that starts after the writer has died.
+    This requires that stores become visible, and loads happen, in the order of the program. x86-64 guarantees that. ARM
+    does not: there, the count could become visible some nanoseconds before the numbers of its row, though never to a
+    reader that starts after the writer has died.
 
-    Made by `create`, or by `attach` in the other process. Leaving its context closes it, and frees the memory where it
-    was created.
+    It is created by `create`, and opened by `attach` in the other process. Leaving its context closes it, and frees the
+    memory in the process that created it.
 
     Attributes:
-        name: By which the other process attaches.
-        fields: Numbers in a row.
-        rows: Rows that are kept for the reader.
-        lost: Rows that this reader never got: overwritten before it read them, or while it did.
+        name: Name by which the other process attaches.
+        fields: Number of fields in a row.
+        rows: Number of rows that are kept for the reader.
+        lost: Number of rows that this reader did not get: overwritten before or while it read them.
     """
 
     def __init__(self, memory: SharedMemory, fields: int, rows: int, *, created: bool):
@@ -53,14 +53,14 @@ class TickRing:
 
     @classmethod
     def create(cls, fields: int, rows: int) -> Self:
-        """A new ring, empty; its creator has it until `unlink`.
+        """Creates an empty ring, which exists until `unlink`.
 
         Args:
-            fields: Numbers in a row.
-            rows: Rows that the reader may be behind without losing one.
+            fields: Number of fields in a row.
+            rows: Number of rows that the reader may be behind without a loss.
 
         Raises:
-            OSError: There is not so much memory.
+            OSError: There is not enough memory.
         """
         if fields < 1 or rows < 1:
             raise ValueError(f"a ring of {rows} rows of {fields} numbers; both must be 1 or more")
@@ -70,47 +70,47 @@ class TickRing:
 
     @classmethod
     def attach(cls, name: str) -> Self:
-        """The ring that another process created; a reader gets what is still in it, and counts the rest as lost.
+        """Opens the ring that another process created; rows that are no longer in it count as lost.
 
         Raises:
             FileNotFoundError: There is no memory of that name.
-            ValueError: It is no ring.
+            ValueError: The memory is not a ring.
         """
         memory = attached_memory(name)
         mark, fields, rows = struct.unpack_from("3Q", _bytes(memory)) if memory.size >= ROWS_START else (0, 0, 0)
         if mark != MARK or not fields or not rows or _size(fields, rows) > memory.size:
             memory.close()
-            raise ValueError(f"shared memory {name!r} is no tick ring; give the `name` of one that was created")
+            raise ValueError(f"shared memory {name!r} is not a tick ring; give the `name` of one that was created")
         return cls(memory, fields, rows, created=False)
 
     def push(self, row: Sequence[float]) -> None:
         """Writes a row and publishes it.
 
         Args:
-            row: Numbers, `fields` of them.
+            row: Its `fields` numbers.
 
         Raises:
-            struct.error: It has another length, or something in it is no number; the ring is as before.
+            struct.error: It has another length, or an entry is not a number; the ring is unchanged.
         """
         pushed = self._pushed
         self._row.pack_into(self._bytes, ROWS_START + pushed % (self.rows + 1) * self._row.size, *row)
         self._pushed = pushed + 1
-        # Not struct's "<Q", which stores byte by byte: this is one store.
+        # This is one store; struct's "<Q" would store byte by byte.
         self._words[HEAD] = self._pushed
 
     def drain(self) -> Array:
-        """All whole rows since the last call, in order; shape (k, fields)."""
+        """Returns all complete rows since the last call, in order; shape (k, fields)."""
         slots, pushed = self.rows + 1, self._words[HEAD]
         first = max(self._read, pushed - self.rows)
         copied = self._slots[np.arange(first, pushed) % slots]
-        # By now the writer may be inside the row that follows those it has published, in the slot of one copied.
-        whole = min(pushed, max(first, self._words[HEAD] - self.rows))
-        self.lost += whole - self._read
+        # By now the writer may be writing the row after the published ones, into the slot of a copied row.
+        intact = min(pushed, max(first, self._words[HEAD] - self.rows))
+        self.lost += intact - self._read
         self._read = pushed
-        return copied[whole - first :]
+        return copied[intact - first :]
 
     def close(self) -> None:
-        """Lets go of the memory in this process; nothing can be pushed or drained from then on."""
+        """Closes the memory in this process; afterwards nothing can be pushed or drained."""
         self._words.release()
         self._slots = np.empty((0, self.fields))
         self._memory.close()
@@ -129,7 +129,7 @@ class TickRing:
 
 
 def _size(fields: int, rows: int) -> int:
-    """Bytes of a ring; the row being written has a slot beside the rows that are kept."""
+    """Size of a ring [bytes]; the row being written has a slot in addition to the rows that are kept."""
     return ROWS_START + 8 * fields * (rows + 1)
 
 
@@ -139,13 +139,13 @@ def _bytes(memory: SharedMemory) -> memoryview:
 
 
 def created_memory(size: int) -> SharedMemory:
-    """New shared memory, all of it there: or a full /dev/shm would end a process when it first writes to some page.
+    """Creates shared memory of a size [bytes] with all pages allocated: else writing could fail on a full /dev/shm.
 
     Raises:
-        OSError: There is not so much of it [bytes].
+        OSError: There is not enough memory.
     """
     memory = SharedMemory(create=True, size=size)
-    file = Path("/dev/shm", memory.name)  # where Linux has it
+    file = Path("/dev/shm", memory.name)  # its path on Linux
     try:
         if file.exists():
             with file.open("r+b") as backing:
@@ -158,7 +158,7 @@ def created_memory(size: int) -> SharedMemory:
 
 
 def attached_memory(name: str) -> SharedMemory:
-    """Shared memory that this process will not free when it ends: that is its creator's to do."""
+    """Opens shared memory that this process does not free when it ends; its creator does."""
     if sys.version_info >= (3, 13):
         return SharedMemory(name, track=False)
     register = resource_tracker.register

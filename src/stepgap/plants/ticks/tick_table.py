@@ -14,7 +14,7 @@ class TickTable:
 
     Attributes:
         units: Unit of each column by its name, in their order.
-        rows: A tick a row; shape (k, columns).
+        rows: One tick per row; shape (k, columns).
     """
 
     units: Mapping[str, str]
@@ -32,7 +32,7 @@ class TickTable:
         return self.rows[:, list(self.units).index(name)]
 
     def resampled(self, rate: float) -> "TickTable":
-        """The ticks at a lower rate [1/s], each the first at or after its moment."""
+        """Selects ticks at a lower rate [1/s]: for each sampling time the first tick at or after it."""
         time = self["time"]
-        moments = np.arange(time[0], time[-1], 1 / rate) - 1e-6  # times are rounded
-        return TickTable(self.units, self.rows[np.searchsorted(time, moments)])
+        samples = np.arange(time[0], time[-1], 1 / rate) - 1e-6  # times are rounded
+        return TickTable(self.units, self.rows[np.searchsorted(time, samples)])

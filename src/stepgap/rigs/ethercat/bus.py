@@ -1,4 +1,4 @@
-"""The bus seen from the master: brought up only if it is what the settings say, then one frame a tick."""
+"""The master of an EtherCAT bus: it compares the bus with the settings, brings it to OP and exchanges frames."""
 
 import os
 import socket
@@ -17,10 +17,10 @@ _ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13
 """Objects that hold the PDOs of sync managers 2 and 3."""
 
 STATE_TIMEOUT = 2.0
-"""How long slaves may take to change state [s]."""
+"""Timeout of a change of the slaves' states [s]."""
 
 REPLY_TIMEOUT = 20_000
-"""How long a frame is waited for while the bus is brought up [µs]; SOEM's 2,000 are short where a kernel is busy."""
+"""Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the kernel is busy."""
 
 WATCHDOG_ATTEMPTS = 5
 
@@ -33,7 +33,7 @@ class Bus:
     Every mismatch between settings and bus raises `RigFault` with one line that names the slave.
 
     Args:
-        settings: What should be there.
+        settings: The expected bus.
     """
 
     def __init__(self, settings: BusSettings):
@@ -51,11 +51,11 @@ class Bus:
         """Brings all slaves to OP, all outputs zero.
 
         Args:
-            prepare: Called while the slaves are in PREOP and may be asked and told by SDO without haste.
+            prepare: Called while the slaves are in PREOP, where objects can be read and written by SDO.
 
         Raises:
-            RigFault: There is no such interface or no pysoem, another master has the bus, or it is not as the settings
-                say.
+            RigFault: The interface or pysoem is missing, another process is the master of the bus, or the bus differs
+                from the settings.
         """
         self._soem = _pysoem()
         self._soem.settings.timeouts.ret = REPLY_TIMEOUT
@@ -70,7 +70,7 @@ class Bus:
             raise
 
     def _open(self) -> Any:
-        """The master on its interface."""
+        """Opens the master on its interface."""
         master = self._soem.Master()
         master.always_release_gil = True  # an emulated ring may live in this process
         before = _sockets()
@@ -88,14 +88,14 @@ class Bus:
         self._emergencies.clear()
         self._check_identities(master.config_init())
         for device in master.slaves:
-            device.add_emergency_callback(self._emergencies.append)  # without, a transfer that meets one fails
+            device.add_emergency_callback(self._emergencies.append)  # without it an emergency makes a transfer fail
         for number in range(len(self._settings.slaves)):
             self._configure(number)
         prepare()
         self._start(master)
 
     def set_outputs(self, number: int, values: dict[str, int]) -> None:
-        """Values for a slave, sent with the next frame; exactly its bytes, for more would reach the next slave's."""
+        """Sets the outputs of a slave for the next frame; more bytes than its own would overwrite the next slave's."""
         data = self._outputs[number].pack(values)
         assert len(data) == self._outputs[number].size
         self._master.slaves[number].output = data
@@ -105,15 +105,15 @@ class Bus:
         self._master.send_processdata()
 
     def receive(self) -> bool:
-        """Waits for the frame; whether it came back in time and every slave took part."""
+        """Waits for the frame; returns whether it came back in time and every slave processed it."""
         return self._master.receive_processdata(self._timeout) == self._master.expected_wkc
 
     def inputs(self, number: int) -> dict[str, int]:
-        """Values of a slave as the last good frame brought them."""
+        """Inputs of a slave from the last good frame."""
         return self._inputs[number].unpack(self._master.slaves[number].input)
 
     def read_object(self, number: int, index: int, layout: Struct) -> int:
-        """An object of a slave by SDO, not for the time of a tick.
+        """Reads an object of a slave by SDO; too slow for a tick.
 
         Raises:
             RigFault: The slave refuses.
@@ -121,7 +121,7 @@ class Bus:
         return self._read(number, index, 0, layout)
 
     def write_object(self, number: int, index: int, layout: Struct, value: int) -> None:
-        """Sets an object of a slave by SDO, not for the time of a tick.
+        """Writes an object of a slave by SDO; too slow for a tick.
 
         Raises:
             RigFault: The slave refuses.
@@ -129,27 +129,28 @@ class Bus:
         self._write(number, index, 0, layout, value)
 
     def in_operation(self) -> bool | None:
-        """Whether every slave says that it is in OP, None where not all of them answer; one frame more.
+        """Whether every slave reports OP, None if not all of them answer; costs one more frame.
 
-        A slave may leave OP and yet be counted, its inputs frozen, since its memory is still there.
+        The working counter also counts a slave that has left OP: its memory can still be read, but its inputs no longer
+        change.
         """
         state = self._master.read_state()
         return state == self._soem.OP_STATE if state else None
 
-    def complaint(self) -> str:
-        """What slaves say that are not in OP, one line; not for the time of a tick."""
+    def state_report(self) -> str:
+        """States of the slaves that are not in OP, one line; too slow for a tick."""
         self._block(True)
         return self._states(self._soem.OP_STATE)
 
     def emergencies(self) -> str:
-        """Emergencies that slaves sent, as far as they have come in: they arrive with transfers, not with frames."""
+        """Emergency messages of the slaves received so far; they arrive with SDO transfers, not with frames."""
         return "; ".join(
             f"{self.label(emergency.slave_pos - 1)} sent emergency 0x{emergency.error_code:04X}"
             for emergency in self._emergencies
         )
 
     def close(self) -> None:
-        """All slaves to INIT, the interface released; may be called twice."""
+        """Brings all slaves to INIT and releases the interface; may be called twice."""
         master, self._master = self._master, None
         if master is not None:
             master.state = self._soem.INIT_STATE
@@ -159,7 +160,7 @@ class Bus:
             self._claim.close()
 
     def label(self, number: int) -> str:
-        """A slave as messages name it."""
+        """Name of a slave for messages."""
         return f"slave {number + 1} '{self._settings.slaves[number].name}'"
 
     def _check_identities(self, count: int) -> None:
@@ -180,7 +181,7 @@ class Bus:
             )
 
     def _configure(self, number: int) -> None:
-        """PDOs and watchdog of one slave, in PREOP."""
+        """Configures PDOs and watchdog of one slave, in PREOP."""
         pdos = self._settings.pdo_set(self._settings.slaves[number])
         for assignment, wanted, packing in (
             (_ASSIGN_OUTPUTS, pdos.outputs, self._outputs[number]),
@@ -193,7 +194,7 @@ class Bus:
             self._set_watchdog(number)
 
     def _set_watchdog(self, number: int) -> None:
-        """Registers, not objects: pysoem waits 2 ms for each, so a reply may be missed where a kernel is busy."""
+        """Sets the watchdog's registers; pysoem waits only 2 ms for each, so a reply may be late on a busy kernel."""
         for _ in range(WATCHDOG_ATTEMPTS):
             try:
                 return self._master.slaves[number].set_watchdog("processdata", self._settings.watchdog * 1e3)
@@ -202,28 +203,28 @@ class Bus:
         raise RigFault(f"{self.label(number)}: the watchdog cannot be set")
 
     def _assign(self, number: int, assignment: int, pdos: tuple[Pdo, ...]) -> None:
-        """Assigns PDOs, unless they are; some terminals know but one set and refuse to be told."""
+        """Assigns PDOs that are not assigned already; some terminals have only one set and refuse the assignment."""
         present = [
-            self._read(number, assignment, place, _U16)
-            for place in range(1, self._read(number, assignment, 0, _U8) + 1)
+            self._read(number, assignment, subindex, _U16)
+            for subindex in range(1, self._read(number, assignment, 0, _U8) + 1)
         ]
         if present == [pdo.index for pdo in pdos]:
             return
         self._write(number, assignment, 0, _U8, 0)
-        for place, pdo in enumerate(pdos, start=1):
-            self._write(number, assignment, place, _U16, pdo.index)
+        for subindex, pdo in enumerate(pdos, start=1):
+            self._write(number, assignment, subindex, _U16, pdo.index)
         self._write(number, assignment, 0, _U8, len(pdos))
 
     def _check_mapping(self, number: int, pdos: tuple[Pdo, ...], packing: Packing) -> None:
-        """Holds what the slave maps against the settings: each value used at its place, and the length."""
+        """Compares the slave's PDO mapping with the settings: the position of each value used, and the length."""
         found, bit = {}, 0
         for pdo in pdos:
-            for place in range(1, self._read(number, pdo.index, 0, _U8) + 1):
-                word = self._read(number, pdo.index, place, _U32)
+            for subindex in range(1, self._read(number, pdo.index, 0, _U8) + 1):
+                word = self._read(number, pdo.index, subindex, _U32)
                 bits = word & 0xFF
                 found[bit] = (word >> 16, word >> 8 & 0xFF, bits)
                 bit += bits
-        for entry, at in packing.places.values():
+        for entry, at in packing.mapping.values():
             if found.get(at) != (entry.index, entry.subindex, entry.bits):
                 there = "0x{:04X}:{:02X}:{}".format(*found[at]) if at in found else "none"
                 raise RigFault(f"{self.label(number)} must map {entry} at byte {at // 8}, but there is {there}")
@@ -232,7 +233,7 @@ class Bus:
             raise RigFault(f"{self.label(number)} must map {packing.size} bytes in {indices}, but maps {bit / 8:g}")
 
     def _start(self, master: Any) -> None:
-        """Maps the process data and goes to OP."""
+        """Maps the process data and brings the slaves to OP."""
         soem = self._soem
         try:
             master.config_map()
@@ -260,14 +261,14 @@ class Bus:
             if monotonic() > until:
                 raise RigFault(f"a slave refuses OP: {self._states(soem.OP_STATE)}")
         soem.settings.timeouts.ret = self._timeout
-        self._block(False)  # else a lost frame holds up the tick for a whole tick of the kernel
+        self._block(False)  # otherwise a lost frame delays the tick by a tick of the kernel
 
     def _exchange(self) -> None:
         self.send()
         self.receive()
 
     def _states(self, wanted: int) -> str:
-        """The slaves that are not in a state, and why."""
+        """The slaves that are not in the wanted state, and the reasons."""
         self._master.read_state()
         found = [
             f"{self.label(number)} {self._al_state(device)}"
@@ -277,10 +278,10 @@ class Bus:
         return "; ".join(found) or "every slave is in the right state now"
 
     def _al_state(self, device: Any) -> str:
-        """State and status code of a slave in words."""
+        """Describes state and status code of a slave."""
         names = {0: "does not answer", 1: "is in INIT", 2: "is in PREOP", 4: "is in SAFEOP", 8: "is in OP"}
         reason = f" (0x{device.al_status:04X}: {self._soem.al_status_code_to_string(device.al_status)})"
-        return names.get(device.state & 0x0F, "is in no known state") + (reason if device.al_status else "")
+        return names.get(device.state & 0x0F, "is in an unknown state") + (reason if device.al_status else "")
 
     def _read(self, number: int, index: int, subindex: int, layout: Struct) -> int:
         data = self._transfer(number, index, subindex, lambda device: device.sdo_read(index, subindex))
@@ -304,7 +305,7 @@ class Bus:
         raise RigFault(f"{self.label(number)}: object 0x{index:04X}:{subindex:02X} is refused: {reason}")
 
     def _block(self, blocking: bool) -> None:
-        """Whether reading the sockets waits in the kernel."""
+        """Sets whether reading the sockets waits in the kernel."""
         for descriptor in self._sockets:
             os.set_blocking(descriptor, blocking)
 
@@ -317,9 +318,9 @@ def _pysoem() -> Any:
 
 
 def _claimed(interface: str) -> socket.socket:
-    """What only one process at a time can have for an interface, until it closes it or ends, in whatever way.
+    """Claims an interface for this process, until it closes the returned socket or ends in any way.
 
-    A name of Linux's abstract sockets: it belongs to the network namespace, as the interface does.
+    The claim is a name of an abstract Unix socket, which belongs to the network namespace, as the interface does.
     """
     claim = socket.socket(socket.AF_UNIX)
     try:
@@ -327,7 +328,7 @@ def _claimed(interface: str) -> socket.socket:
     except OSError:
         claim.close()
         raise RigFault(
-            f"another process is the master of {interface} already; two would fight over the drives"
+            f"another process is already the master of {interface}; end it first, since a bus can have only one master"
         ) from None
     return claim
 
@@ -337,12 +338,12 @@ def _identity(vendor: int, product: int) -> str:
 
 
 def _sockets() -> set[int]:
-    """Descriptors of this process that are sockets; pysoem does not say which one it opened."""
+    """Descriptors of this process that are sockets; pysoem does not report which one it opened."""
     found = set()
     for link in Path("/proc/self/fd").iterdir():
         try:
             if str(link.readlink()).startswith("socket:"):
                 found.add(int(link.name))
-        except FileNotFoundError:  # the one that lists the folder
+        except FileNotFoundError:  # the descriptor that lists the folder
             continue
     return found

@@ -1,4 +1,4 @@
-"""The power state machine of drives (CiA 402 = IEC 61800-7-201), as a pure function."""
+"""The power drive system state machine (CiA 402, IEC 61800-7-201), as a pure function."""
 
 from enum import Enum, auto
 
@@ -7,7 +7,7 @@ CYCLIC_TORQUE = 10
 
 
 class State(Enum):
-    """What a drive's statusword says."""
+    """States of a drive, as its statusword encodes them."""
 
     NOT_READY = "not ready to switch on"
     SWITCH_ON_DISABLED = "switch on disabled"
@@ -17,11 +17,11 @@ class State(Enum):
     QUICK_STOP = "quick stop active"
     FAULT_REACTION = "fault reaction active"
     FAULT = "fault"
-    UNKNOWN = "of no state the standard knows"
+    UNKNOWN = "unknown"
 
 
 class Wanted(Enum):
-    """Where a drive is to go."""
+    """Goals of a drive's state machine."""
 
     OFF = auto()
     ENABLED = auto()
@@ -57,11 +57,11 @@ CONTROLWORDS = {
     (State.QUICK_STOP, Wanted.QUICK_STOP): QUICK_STOP,
     (State.FAULT, Wanted.RESET): RESET,
 }
-"""The next controlword on the way to what is wanted; without one here, the voltage is taken away."""
+"""The next controlword on the way to the wanted goal; for other pairs the voltage is disabled."""
 
 
 def state_of(statusword: int) -> State:
-    """The state that a statusword spells."""
+    """Decodes the state from a statusword."""
     for mask, states in MASKED_STATES.items():
         if (state := states.get(statusword & mask)) is not None:
             return state
@@ -69,10 +69,10 @@ def state_of(statusword: int) -> State:
 
 
 def next_controlword(statusword: int, wanted: Wanted) -> tuple[State, int]:
-    """The drive's state and the controlword that brings it nearer to what is wanted.
+    """Returns the drive's state and the controlword of the next transition towards the wanted goal.
 
-    A fault is left on `Wanted.RESET` alone, and by the rising edge of bit 7: send what another wish gives first.
-    A quick stop is left through `SWITCH_ON_DISABLED`, never straight back to torque.
+    A fault is reset for `Wanted.RESET` only, by the rising edge of bit 7: send the controlword of another goal first.
+    A quick stop ends in `SWITCH_ON_DISABLED`, never directly in the enabled state.
     """
     state = state_of(statusword)
     return state, CONTROLWORDS.get((state, wanted), DISABLE_VOLTAGE)

@@ -24,14 +24,15 @@ _ERROR_CODE, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
 
 STATES_EVERY = 50
-"""Good frames from one look at the slaves' states to the next."""
+"""Number of good frames between two checks of the slaves' states."""
+
 
 _LAST_FRAMES = 3
-"""Frames without torque that are sent when all is over, in case one is lost."""
+"""Number of frames without torque that are sent at the end, in case one is lost."""
 
 
 def unwrapped(raw: int, before: int, bits: int) -> int:
-    """The count nearest to `before` that a counter of so many bits shows as `raw`."""
+    """Unwraps a counter of the given number of bits: the count nearest to `before` whose lowest bits are `raw`."""
     half = 1 << (bits - 1)
     return before + ((raw - before + half) & (2 * half - 1)) - half
 
@@ -39,14 +40,14 @@ def unwrapped(raw: int, before: int, bits: int) -> int:
 class EthercatRig(Rig):
     """Drives and encoders as `rig.toml` describes them.
 
-    A frame leaves with every `write`, and the next `read` takes it in. A lost frame, or one that a slave did not take
-    part in, repeats the reading before; too many in a row are a fault. Whatever is wrong takes the voltage from all
-    drives, and the fault stays for the life of the object: to go on, a person makes a new one. A drive found in fault
-    at connect is reset once, since connecting is such an act.
+    Every `write` sends a frame, and the next `read` receives it. If a frame is lost, or a slave did not process it, the
+    reading before is repeated; too many such frames in a row are a fault. Any fault disables the voltage of all drives
+    and is latched for the life of the object: to continue, a person must create a new one. A drive that is in fault at
+    connect is reset once, since connecting is a deliberate act.
 
     Args:
-        settings: The robot's bus; its budget of lost frames holds.
-        sensor_model: How the robot reads the counts.
+        settings: The robot's bus, with its limit of lost frames.
+        sensor_model: Timing of the sensors and conversion of their counts.
     """
 
     def __init__(self, settings: BusSettings, sensor_model: SensorModel):
@@ -63,12 +64,12 @@ class EthercatRig(Rig):
 
     @property
     def sensor_model(self) -> SensorModel:
-        """How to read the counts; their zeros and signs are taken care of."""
+        """Timing of the sensors and conversion of their counts; zeros and signs are already applied."""
         return self._sensor_model
 
     @property
     def limits(self) -> RigLimits:
-        """The settings'."""
+        """Limits from the settings."""
         return self._settings.budgets
 
     @property
@@ -80,10 +81,10 @@ class EthercatRig(Rig):
         """Brings the bus up, checks it, and enables the drives with no torque.
 
         Raises:
-            RigFault: The bus is not as the settings say, a drive does not enable, or the rig had a fault before.
+            RigFault: The bus differs from the settings, a drive cannot be enabled, or the rig had a fault before.
         """
         if self._fault:
-            raise RigFault(f"the rig had a fault: {self._fault}; see to it, then start anew")
+            raise RigFault(f"the rig had a fault: {self._fault}; remove its cause, then start again")
         self.close()
         self._bus.connect(self._check_drives)
         self._connected = True
@@ -97,10 +98,10 @@ class EthercatRig(Rig):
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
 
     def read(self) -> Reading:
-        """Counts and force of the last frame, or of an earlier one while no more than the budget are lost.
+        """Reads counts and force of the last frame, or of an earlier one if no more frames than allowed are lost.
 
         Raises:
-            RigFault: Not connected, too many frames lost, or a drive does not take torques any more.
+            RigFault: Not connected, too many frames lost, or a drive no longer accepts torque commands.
         """
         self._check_up()
         if not self._frame_pending:
@@ -113,12 +114,12 @@ class EthercatRig(Rig):
         else:
             self._lost += 1
             if self._lost > self._settings.budgets.lost_frames:
-                fault = self._trip(f"{self._lost} frames in a row were lost or not served by every slave")
-                raise RigFault(f"{fault}: {self._bus.complaint()}")
+                fault = self._trip(f"{self._lost} frames in a row were lost or not processed by every slave")
+                raise RigFault(f"{fault}: {self._bus.state_report()}")
         return self._reading
 
     def write(self, torques: Torques) -> Torques:
-        """Sends the motor torques [N·m] and returns those sent: whole thousandths of the rated torque, within limits.
+        """Sends the motor torques [N·m] and returns those sent: rounded to 1/1000 of the rated torque, within limits.
 
         Raises:
             RigFault: A torque is not finite, or the rig is stopped.
@@ -139,52 +140,52 @@ class EthercatRig(Rig):
         return tuple(sent)
 
     def close(self) -> None:
-        """No torque, drives off, slaves to INIT; may be called twice."""
+        """Switches torque and drives off and brings the slaves to INIT; may be called twice."""
         if self._connected:
             self._connected = False
             self._voltage_off()
         self._bus.close()
 
     def _check_drives(self) -> None:
-        """The drives' scales of torque must be the settings'; their own limits are set to the motors'."""
+        """Compares the drives' rated torques with the settings and sets the drives' torque limits."""
         for drive, motor in zip(self._drives, self._motors, strict=True):
             rated = self._bus.read_object(drive, _RATED_TORQUE, _U32)
             if rated != round(motor.rated_torque * 1000):
                 raise RigFault(
                     f"{self._bus.label(drive)} has a rated torque of {rated / 1000:g} N·m (0x6076), "
-                    f"but the settings say {motor.rated_torque:g}"
+                    f"but the settings have {motor.rated_torque:g}"
                 )
             self._bus.write_object(drive, _LARGEST_TORQUE, _U16, motor.most_units)
 
     def _transition(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
-        """Exchanges frames without torque until the drives' states are as wanted."""
-        until, words = monotonic() + STATE_TIMEOUT, [DISABLE_VOLTAGE] * len(self._drives)
+        """Exchanges frames without torque until the drives have arrived at the wanted state."""
+        until, controlwords = monotonic() + STATE_TIMEOUT, [DISABLE_VOLTAGE] * len(self._drives)
         while True:
-            for drive, word in zip(self._drives, words, strict=True):
-                self._command(drive, 0, word)
+            for drive, controlword in zip(self._drives, controlwords, strict=True):
+                self._command(drive, 0, controlword)
             self._bus.send()
             if self._bus.receive():
                 status = [self._bus.inputs(drive)["statusword"] for drive in self._drives]
-                states, words = zip(*(next_controlword(word, wanted) for word in status), strict=True)
+                states, controlwords = zip(*(next_controlword(word, wanted) for word in status), strict=True)
                 if arrived(states):
                     return
                 if monotonic() > until:
-                    raise RigFault(f"the drives do not get {wanted.name.lower()}: {self._drive_words()}")
+                    raise RigFault(f"the drives cannot be {wanted.name.lower()}: {self._drive_report()}")
             elif monotonic() > until:
-                raise RigFault(f"no frame comes back: {self._bus.complaint()}")
+                raise RigFault(f"no frame comes back: {self._bus.state_report()}")
             sleep(self._settings.tick)
 
     def _update_reading(self) -> None:
-        """The reading of a good frame, if all drives take torques."""
+        """Updates the reading from a good frame; a drive that does not accept torque commands is a fault."""
         for drive in self._drives:
             values = self._bus.inputs(drive)
             if state_of(values["statusword"]) != State.ENABLED or values["mode_display"] != CYCLIC_TORQUE:
-                fault = self._trip(f"{self._bus.label(drive)} takes no torque any more")
-                raise RigFault(f"{fault}: {self._drive_words()}")
+                fault = self._trip(f"{self._bus.label(drive)} no longer accepts torque commands")
+                raise RigFault(f"{fault}: {self._drive_report()}")
         self._reading = self._settings.reading([sensor.value(self._bus) for sensor in self._sensors])
 
     def _check_al_states(self) -> None:
-        """Now and then asks whether all slaves are in OP, and goes on asking where a reply is lost."""
+        """Checks every `STATES_EVERY` frames whether all slaves are in OP; repeats the request if a reply is lost."""
         self._good_frames += 1
         if not self._unanswered and self._good_frames % STATES_EVERY:
             return
@@ -193,10 +194,10 @@ class EthercatRig(Rig):
         if in_operation is False:
             fault = self._trip("a slave has left OP")
         elif self._unanswered > self._settings.budgets.lost_frames:
-            fault = self._trip(f"slaves did not tell their states, asked {self._unanswered} times in a row")
+            fault = self._trip(f"slaves did not report their states to {self._unanswered} requests in a row")
         else:
             return
-        raise RigFault(f"{fault}: {self._bus.complaint()}")
+        raise RigFault(f"{fault}: {self._bus.state_report()}")
 
     def _command(self, drive: int, units: int, controlword: int) -> None:
         self._bus.set_outputs(drive, {"target_torque": units, "controlword": controlword, "mode": CYCLIC_TORQUE})
@@ -206,7 +207,7 @@ class EthercatRig(Rig):
             raise RigFault(self._fault or "the rig is not connected")
 
     def _trip(self, message: str) -> RigFault:
-        """Voltage off at once and for good; returns the fault to raise."""
+        """Disables the voltage and latches the fault; returns it to be raised."""
         self._fault = message
         self._voltage_off()
         return RigFault(message)
@@ -218,29 +219,30 @@ class EthercatRig(Rig):
             self._bus.send()
             self._bus.receive()
 
-    def _drive_words(self) -> str:
-        """What the drives say of themselves; not for the time of a tick."""
-        words = [self._words_of(drive) for drive in self._drives]
-        return "; ".join([*words, *filter(None, [self._bus.emergencies()])])
+    def _drive_report(self) -> str:
+        """Reports state, mode and error of all drives; too slow for a tick."""
+        reports = [self._report_of(drive) for drive in self._drives]
+        return "; ".join([*reports, *filter(None, [self._bus.emergencies()])])
 
-    def _words_of(self, drive: int) -> str:
+    def _report_of(self, drive: int) -> str:
         values = self._bus.inputs(drive)
-        text = f"{self._bus.label(drive)} is {state_of(values['statusword']).value}, mode {values['mode_display']}"
+        state = state_of(values["statusword"]).value
+        text = f"{self._bus.label(drive)} is in state {state}, mode {values['mode_display']}"
         try:
             error = self._bus.read_object(drive, _ERROR_CODE, _U16)
-        except RigFault:  # a drive without power, say; it must not hide why it is asked
-            return f"{text}, its error is not known"
+        except RigFault:  # for example a drive without power; this must not hide the first fault
+            return f"{text}, its error is unknown"
         return f"{text}, error 0x{error:04X}" if error else text
 
 
 class _Angle:
-    """Counts of one encoder: unwrapped, from its zero, forward positive."""
+    """Counts of one encoder: unwrapped, relative to its zero, forward positive."""
 
     def __init__(self, settings: BusSettings, encoder: Encoder):
         self._slave, self._encoder = settings.position(encoder.slave), encoder
         self._name = "position" if isinstance(encoder, Motor) else "counter"
         packing = Packing(settings.pdo_set(settings.slaves[self._slave]).inputs)
-        self._bits, self._count = packing.places[self._name][0].bits, 0
+        self._bits, self._count = packing.mapping[self._name][0].bits, 0
 
     def value(self, bus: Bus) -> int:
         self._count = unwrapped(bus.inputs(self._slave)[self._name], self._count, self._bits)

@@ -1,4 +1,4 @@
-"""Process data as data: which objects lie where in the bytes that a slave exchanges every cycle."""
+"""Layout of the process data: which object is where in the bytes that a slave exchanges every cycle."""
 
 import re
 import struct
@@ -18,7 +18,7 @@ SIGNED_VALUES = {
     "counter": True,
     "force": True,
 }
-"""The values a rig uses, and whether each has a sign. A counter that has none is read as if it had: it is unwrapped."""
+"""The values that a rig uses, and whether each is signed. An unsigned counter is read as signed: it is unwrapped."""
 
 ENTRY_FORMATS = {8: "b", 16: "h", 32: "i"}
 
@@ -30,13 +30,13 @@ class Entry:
     """One object in a PDO.
 
     Attributes:
-        index: Of the object; 0 fills a gap.
-        subindex: Of the object.
+        index: Index of the object; 0 for padding.
+        subindex: Subindex of the object.
         bits: Its size.
-        name: What the rig uses it for, one of `SIGNED_VALUES`; empty where it does not.
+        name: Its name in the rig, one of `SIGNED_VALUES`; empty if the rig does not use it.
 
     Raises:
-        ValueError: Size or name are none.
+        ValueError: Size or name are not valid.
     """
 
     index: int
@@ -46,7 +46,7 @@ class Entry:
 
     def __post_init__(self) -> None:
         if self.name and self.name not in SIGNED_VALUES:
-            raise ValueError(f"{self.name} is no value of a rig; those are {', '.join(SIGNED_VALUES)}")
+            raise ValueError(f"{self.name} is not a value of a rig; these are {', '.join(SIGNED_VALUES)}")
         if self.bits not in ENTRY_FORMATS and (self.name or not 0 < self.bits <= 64):
             raise ValueError(f"{self} has {self.bits} bits, but it must have 8, 16 or 32, or 1 to 64 without a name")
 
@@ -55,34 +55,34 @@ class Entry:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """The entry that `0xINDEX:SUB:BITS NAME` spells, subindex in hex; the name may be left out.
+        """Parses an entry `0xINDEX:SUB:BITS NAME`, subindex in hexadecimal; the name may be omitted.
 
         Raises:
-            ValueError: It spells none.
+            ValueError: The text has another form.
         """
         match = WRITTEN_ENTRY.fullmatch(text)
         if match is None:
-            raise ValueError(f"'{text[:60]}' is no entry; write it as '0x6041:00:16 statusword'")
+            raise ValueError(f"'{text[:60]}' is not an entry; write it as '0x6041:00:16 statusword'")
         index, subindex, bits, name = match.groups()
         return cls(int(index, 16), int(subindex, 16), int(bits), name or "")
 
 
 @dataclass(frozen=True)
 class Pdo:
-    """A process data object: its index and what lies in it, in order."""
+    """A process data object: its index and its entries, in order."""
 
     index: int
     entries: tuple[Entry, ...]
 
 
 class Packing:
-    """The bytes of some PDOs, one after the other; little-endian, length fixed.
+    """Conversion of consecutive PDOs to bytes and back; little-endian, with a fixed length.
 
     Args:
-        pdos: In the order of their assignment.
+        pdos: The PDOs in the order of their assignment.
 
     Raises:
-        ValueError: A named value does not start at a byte, a name occurs twice, or the whole is not full bytes.
+        ValueError: A named value does not start at a byte, a name occurs twice, or the PDOs do not fill bytes.
     """
 
     def __init__(self, pdos: tuple[Pdo, ...]):
@@ -90,11 +90,12 @@ class Packing:
         self.names = tuple(entry.name for entry in entries if entry.name)
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"a value is mapped twice: {', '.join(self.names)}")
-        self.places: dict[str, tuple[Entry, int]] = {}
+        self.mapping: dict[str, tuple[Entry, int]] = {}
+        """Entry and first bit of each named value."""
         codes, bit = "<", 0
         for entry in entries:
             if entry.name:
-                self.places[entry.name] = (entry, bit)
+                self.mapping[entry.name] = (entry, bit)
                 if bit % 8:
                     raise ValueError(f"{entry} starts at bit {bit}, but it must start at a byte")
                 code = ENTRY_FORMATS[entry.bits]
@@ -109,26 +110,26 @@ class Packing:
         self.size = self._struct.size
 
     def pack(self, values: Mapping[str, int]) -> bytes:
-        """The bytes of all named values; exactly `size` of them.
+        """Packs all named values into exactly `size` bytes.
 
         Raises:
             struct.error: A value does not fit.
-            KeyError: One is missing.
+            KeyError: A value is missing.
         """
         return self._struct.pack(*[values[name] for name in self.names])
 
     def unpack(self, data: bytes) -> dict[str, int]:
-        """The named values in the bytes.
+        """Unpacks the named values from the bytes.
 
         Raises:
-            struct.error: There are more or fewer than `size`.
+            struct.error: There are more or fewer bytes than `size`.
         """
         return dict(zip(self.names, self._struct.unpack(data), strict=True))
 
 
 @dataclass(frozen=True)
 class PdoSet:
-    """What a slave exchanges: PDOs from the master (0x1C12) and to it (0x1C13).
+    """The PDOs that a slave exchanges: outputs of the master (0x1C12) and inputs (0x1C13).
 
     Raises:
         ValueError: They cannot be packed.
@@ -148,7 +149,7 @@ def _pdo(index: int, *entries: str) -> Pdo:
 
 PDO_SETS: Mapping[str, PdoSet] = {
     "none": PdoSet(),
-    # As ETH Zurich's elmo_ethercat_sdk maps cyclic synchronous torque; the fill bytes came with firmware 1.1.15.
+    # The mapping of cyclic synchronous torque in ETH Zurich's elmo_ethercat_sdk; firmware 1.1.15 added the padding.
     "elmo-cst": PdoSet(
         outputs=(
             _pdo(0x1602, "0x6071:00:16 target_torque", "0x6040:00:16 controlword"),
@@ -166,7 +167,7 @@ PDO_SETS: Mapping[str, PdoSet] = {
             _pdo(0x1A11, "0x606C:00:32 velocity"),
         ),
     ),
-    # Control and status bits that the rig does not use are summed up as fill.
+    # Control and status bits that the rig does not use are combined as padding.
     "beckhoff-el5101": PdoSet(
         outputs=(_pdo(0x1603, "0x0000:00:16", "0x7010:11:32"),),
         inputs=(_pdo(0x1A04, "0x0000:00:16", "0x6010:11:32 counter", "0x6010:12:32"),),
@@ -177,4 +178,4 @@ PDO_SETS: Mapping[str, PdoSet] = {
     ),
     "analog-input": PdoSet(inputs=(_pdo(0x1A00, "0x0000:00:16", "0x6000:11:16 force"),)),
 }
-"""Sets that ship, by the name that `rig.toml` uses; it may describe others."""
+"""Predefined sets by their name in `rig.toml`, which may describe others."""

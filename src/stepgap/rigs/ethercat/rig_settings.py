@@ -1,4 +1,4 @@
-"""What is on the bus and what its numbers mean: the part of `rig.toml` that is the same for every robot."""
+"""Settings of an EtherCAT bus and its devices: the part of `rig.toml` that is the same for every robot."""
 
 import re
 from abc import ABC, abstractmethod
@@ -17,7 +17,7 @@ class WrittenPdo:
     """A PDO as the file describes it.
 
     Attributes:
-        index: Of the PDO, such as 0x1A00.
+        index: Index of the PDO, such as 0x1A00.
         entries: In order, each as `Entry.parse` reads it.
     """
 
@@ -30,10 +30,10 @@ class WrittenPdo:
             try:
                 Entry.parse(entry)
             except ValueError as error:
-                raise ValueError(f"entries = {format_value(entry)}, but it must be right: {error}") from None
+                raise ValueError(f"entries = {format_value(entry)}, but it must be an entry: {error}") from None
 
     def pdo(self) -> Pdo:
-        """What is described."""
+        """Returns the PDO."""
         return Pdo(self.index, tuple(map(Entry.parse, self.entries)))
 
 
@@ -42,9 +42,9 @@ class WrittenPdoSet:
     """A set of PDOs as the file describes it.
 
     Attributes:
-        name: By which slaves refer to it.
-        outputs: From the master to the slave.
-        inputs: From the slave to the master.
+        name: Name by which slaves refer to it.
+        outputs: PDOs from the master to the slave.
+        inputs: PDOs from the slave to the master.
     """
 
     name: str
@@ -52,14 +52,14 @@ class WrittenPdoSet:
     inputs: tuple[WrittenPdo, ...] = ()
 
     def __post_init__(self) -> None:
-        require(self.name not in PDO_SETS, "name", self.name, f"differ from those that ship: {', '.join(PDO_SETS)}")
+        require(self.name not in PDO_SETS, "name", self.name, f"differ from the predefined ones: {', '.join(PDO_SETS)}")
         try:
             self.pdo_set()
         except ValueError as error:
             raise ValueError(f"name = {format_value(self.name)}, but it must be a set of PDOs: {error}") from None
 
     def pdo_set(self) -> PdoSet:
-        """What is described."""
+        """Returns the set."""
         return PdoSet(tuple(pdo.pdo() for pdo in self.outputs), tuple(pdo.pdo() for pdo in self.inputs))
 
 
@@ -68,7 +68,7 @@ class Slave:
     """One device of the bus.
 
     Attributes:
-        name: For messages, and for the tables that use it.
+        name: Name for messages and for the tables that refer to it.
         vendor: Vendor ID.
         product: Product code.
         pdos: Name of its set of PDOs.
@@ -80,19 +80,19 @@ class Slave:
     pdos: str = "none"
 
     def __post_init__(self) -> None:
-        require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a text of one line")
+        require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a string of one line")
         for name in ("vendor", "product"):
             require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Encoder:
-    """An angle, 2π · sign · (counts − zero) / counts_per_turn.
+    """An encoder; its angle is 2π · sign · (counts − zero) / counts_per_turn.
 
     Attributes:
         slave: Name of the device that counts.
-        counts_per_turn: Of the encoder.
-        sign: 1 where the counts grow forward or upward, else −1.
+        counts_per_turn: Counts of the encoder per turn.
+        sign: 1 if the counts increase forward or upward, else −1.
         zero: Counts at angle zero.
     """
 
@@ -113,7 +113,7 @@ class Motor(Encoder):
     """A drive with its encoder.
 
     Attributes:
-        rated_torque: Of the motor [N·m], as the drive has it (0x6076); torques travel in thousandths of it.
+        rated_torque: Rated torque of the motor [N·m], as in the drive (0x6076), in 1/1000 of which torques are sent.
         torque_limit: Largest torque at the top link [N·m].
         gear: Turns of motor and encoder per turn of the top link.
     """
@@ -125,7 +125,7 @@ class Motor(Encoder):
     def __post_init__(self) -> None:
         super().__post_init__()
         rated, limit = self.rated_torque, self.torque_limit
-        require(1e-3 <= rated < 2**32 / 1000, "rated_torque", rated, "be what 0x6076 can hold, 0.001 to 4294967")
+        require(1e-3 <= rated < 2**32 / 1000, "rated_torque", rated, "lie in the range of 0x6076, 0.001 to 4294967")
         require(1e-3 <= self.gear <= 1e4, "gear", self.gear, "lie between 0.001 and 10000")
         most = 32 * self.torque_unit * 1000
         require(
@@ -134,28 +134,28 @@ class Motor(Encoder):
 
     @property
     def torque_unit(self) -> float:
-        """What 1 in the process data is at the top link [N·m]."""
+        """Torque at the top link of one unit in the process data [N·m]."""
         return self.rated_torque * self.gear / 1000
 
     @property
     def most_units(self) -> int:
-        """Largest torque in the process data."""
+        """Torque limit in units of the process data."""
         return floor(self.torque_limit / self.torque_unit)
 
     @property
     def link_counts(self) -> float:
-        """Counts a turn of the top link."""
+        """Counts per turn of the top link."""
         return self.counts_per_turn * self.gear
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceSensor:
-    """A measured force, newton_per_count · (counts − zero).
+    """A force sensor; its force is newton_per_count · (counts − zero).
 
     Attributes:
         slave: Name of the device that measures the force.
-        newton_per_count: Its scale [N]; negative where pressing makes the counts fall.
-        zero: Counts without force.
+        newton_per_count: Its scale [N]; negative if the counts decrease under load.
+        zero: Counts without load.
     """
 
     slave: str
@@ -169,7 +169,7 @@ class ForceSensor:
 
 
 RigDevice = Motor | Encoder | ForceSensor
-"""What a table of `rig.toml` describes: each gives one number of a reading, and a motor takes a torque."""
+"""A device that a table of `rig.toml` describes: each gives one number of a reading, and a motor takes a torque."""
 
 MOTOR_OUTPUTS = {"target_torque", "controlword", "mode"}
 MOTOR_INPUTS = {"position", "statusword", "mode_display"}
@@ -177,16 +177,16 @@ MOTOR_INPUTS = {"position", "statusword", "mode_display"}
 
 @dataclass(frozen=True, kw_only=True)
 class BusSettings(ABC):
-    """The bus of a robot; each robot adds the tables of its motors and sensors, and what they may do.
+    """The bus of a robot; each robot adds the tables of its motors, sensors and limits.
 
     Attributes:
         interface: Network interface of the bus.
         slaves: All devices, in the order of the bus.
         tick: Time between two ticks of control [s].
-        frames_per_tick: Frames in a tick, such as 4 for a bus at 4 kHz; those between ticks repeat the torques.
-        reply_timeout: How long a frame is waited for [s]; more than a tick only for a ring in lock-step.
-        watchdog: Time without a frame after which drives give no torque [s].
-        pdo_sets: Sets of PDOs besides those that ship.
+        frames_per_tick: Frames per tick, such as 4 for a bus at 4 kHz; those between ticks repeat the torques.
+        reply_timeout: Timeout of a frame [s]; longer than a tick only for a ring in lock-step.
+        watchdog: Time without a frame after which drives switch torque off [s].
+        pdo_sets: Sets of PDOs besides the predefined ones.
     """
 
     interface: str
@@ -205,10 +205,10 @@ class BusSettings(ABC):
     @property
     @abstractmethod
     def budgets(self) -> RigLimits:
-        """How many bad ticks in a row the robot may have."""
+        """Limits of consecutive bad ticks."""
 
     def reading(self, values: Sequence[float]) -> Reading:
-        """The reading that the values of all devices make, in their order."""
+        """Makes a reading from the values of all devices, in their order."""
         return tuple(values)
 
     @property
@@ -217,7 +217,7 @@ class BusSettings(ABC):
         return tuple(device for device in self.devices.values() if isinstance(device, Motor))
 
     def __post_init__(self) -> None:
-        named = re.fullmatch(r"[!-.0-~]{1,15}", self.interface)  # SOEM copies whatever it gets into 16 bytes
+        named = re.fullmatch(r"[!-.0-~]{1,15}", self.interface)  # SOEM copies the name into 16 bytes without a check
         require(bool(named), "interface", self.interface, "name a network interface, such as 'eth0'")
         require(1e-4 <= self.tick <= 0.01, "tick", self.tick, "lie between 0.0001 and 0.01")
         require(1 <= self.frames_per_tick <= 10, "frames_per_tick", self.frames_per_tick, "lie between 1 and 10")
@@ -233,7 +233,7 @@ class BusSettings(ABC):
             self._check_use(table, device)
 
     def _check_slaves(self) -> None:
-        """Refuses names that are not distinct, and sets of PDOs that are not there."""
+        """Refuses names that are not distinct, and unknown sets of PDOs."""
         names = [slave.name for slave in self.slaves]
         require(len(set(names)) == len(names), "slaves", names, "have names that differ")
         written = [each.name for each in self.pdo_sets]
@@ -243,7 +243,7 @@ class BusSettings(ABC):
             require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
 
     def pdo_set(self, slave: Slave) -> PdoSet:
-        """What a slave exchanges."""
+        """PDOs that a slave exchanges."""
         return self._sets()[slave.pdos]
 
     def position(self, name: str) -> int:
@@ -254,7 +254,7 @@ class BusSettings(ABC):
         return {**PDO_SETS, **{written.name: written.pdo_set() for written in self.pdo_sets}}
 
     def _check_use(self, table: str, device: RigDevice) -> None:
-        """Refuses a slave that is not there, or that does not exchange the values a table needs."""
+        """Refuses an unknown slave, or one that does not exchange the values that a table needs."""
         outputs, inputs = _values_of(device)
         name, names = device.slave, [slave.name for slave in self.slaves]
         require(name in names, f"{table}.slave", name, f"name one of the slaves: {', '.join(names)}")
@@ -265,7 +265,7 @@ class BusSettings(ABC):
 
 
 def _values_of(device: RigDevice) -> tuple[set[str], set[str]]:
-    """Names of the values that a device takes from the master, and of those that it gives."""
+    """Names of the values that a device receives from the master, and of those that it sends."""
     if isinstance(device, Motor):
         return MOTOR_OUTPUTS, MOTOR_INPUTS
     return set(), {"counter"} if isinstance(device, Encoder) else {"force"}

@@ -1,7 +1,7 @@
-"""Frames to controllers and their replies, each exchange within a bounded time.
+"""Frames to controllers and their replies; each exchange has a timeout.
 
-The moteus library makes the frames and reads the replies; python-can carries them. The library's own transport needs
-asyncio and took 1.7 times as long for the same frames on the virtual bus, so it is left out.
+The moteus library encodes the frames and decodes the replies; python-can transports them. The library's own transport
+needs asyncio and took 1.7 times as long for the same frames on the virtual bus, so it is not used.
 """
 
 from collections.abc import Collection, Mapping
@@ -15,13 +15,13 @@ import moteus
 from stepgap.rigs.rig import RigFault
 
 REPLY_REQUIRED = 0x8000
-"""Bit of a CAN identifier: the controller is to answer."""
+"""Bit of a CAN identifier that requests a reply of the controller."""
 
 MOST_LATE = 64
-"""Frames of earlier exchanges that are thrown away at most before a new one."""
+"""Largest number of late frames of earlier exchanges that are discarded before a new one."""
 
 PADDING = b"\x50"
-"""Subframe that means nothing."""
+"""Subframe without content."""
 
 Registers = Mapping[int, float]
 """Values of a controller by register."""
@@ -31,8 +31,8 @@ class CanBus:
     """A CAN-FD bus with moteus controllers on it.
 
     Args:
-        interface: How python-can reaches it.
-        channel: Which one.
+        interface: Interface of python-can.
+        channel: Channel of that interface.
 
     Raises:
         RigFault: It cannot be opened.
@@ -52,31 +52,31 @@ class CanBus:
         return self._name
 
     def send(self, commands: Mapping[int, moteus.Command]) -> None:
-        """Sends a command to each controller; what came too late for earlier ones is forgotten.
+        """Sends a command to each controller; late replies to earlier commands are discarded.
 
         Raises:
-            RigFault: The interface takes no frames.
+            RigFault: The interface does not accept frames.
         """
         try:
-            self._forget()
+            self._discard_late_frames()
             for number, command in commands.items():
                 self._bus.send(_message(number, command))
         except (can.CanError, OSError) as error:
-            raise RigFault(f"the CAN bus {self._name} takes no frames: {error}") from None
+            raise RigFault(f"the CAN bus {self._name} does not accept frames: {error}") from None
 
     def receive(self, wanted: Collection[int], timeout: float) -> dict[int, Registers]:
-        """The replies of the controllers `wanted`, as many as came within `timeout` [s]."""
+        """Receives the replies of the controllers `wanted` that arrive within `timeout` [s]."""
         missing, replies, until = set(wanted), {}, monotonic() + timeout
         while missing:
-            left = until - monotonic()
-            frame = self._receive(max(left, 0.0))
+            remaining = until - monotonic()
+            frame = self._receive(max(remaining, 0.0))
             if frame:
                 sender, addressed = frame.arbitration_id >> 8, frame.arbitration_id & 0xFF
                 registers = _registers(bytes(frame.data)) if addressed == 0 and sender in missing else None
                 if registers:
                     missing.discard(sender)
                     replies[sender] = registers
-            if left <= 0:
+            if remaining <= 0:
                 break
         return replies
 
@@ -84,7 +84,7 @@ class CanBus:
         """Releases the bus."""
         self._bus.shutdown()
 
-    def _forget(self) -> None:
+    def _discard_late_frames(self) -> None:
         for _ in range(MOST_LATE):
             if not self._bus.recv(0.0):
                 return
@@ -107,7 +107,7 @@ def _message(number: int, command: moteus.Command) -> can.Message:
 
 
 def _registers(data: bytes) -> Registers | None:
-    """What a frame says, if it is a reply and nothing else."""
+    """Decodes the registers of a frame; None if it is not a reply."""
     found = {}
     try:
         for part in moteus.parse_frame(data):

@@ -1,4 +1,4 @@
-"""Commands and states of a joint, as many drive families have them, and what moteus makes of them."""
+"""Commands and states of a joint, as in many drive families, and their conversion for moteus."""
 
 from dataclasses import dataclass
 from math import isfinite, nan, tau
@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 
 class JointCommand(NamedTuple):
-    """The drive gives the torque kp (q − q_now) + kd (dq − dq_now) + tau.
+    """Command of a joint, whose drive gives the torque kp (q − q_now) + kd (dq − dq_now) + tau.
 
     Attributes:
         q: Angle [rad].
         dq: Its rate [rad/s].
         kp: Stiffness [N·m/rad].
         kd: Damping [N·m·s/rad].
-        tau: Torque added [N·m].
+        tau: Feedforward torque [N·m].
     """
 
     q: float
@@ -24,7 +24,7 @@ class JointCommand(NamedTuple):
 
 
 class JointState(NamedTuple):
-    """What a drive says of its joint.
+    """State of a joint, as measured by its drive.
 
     Attributes:
         q: Angle [rad].
@@ -39,11 +39,11 @@ class JointState(NamedTuple):
 
 @dataclass(frozen=True)
 class Scale:
-    """How a moteus controller counts: in turns and N·m of its output, gains as parts of those it is configured to.
+    """Units of a moteus controller: turns and N·m of its output, and gains as fractions of its configured ones.
 
     Attributes:
         gear: Turns of the controller's output per turn of the joint.
-        sign: 1 where the output turns as the joint does, else −1.
+        sign: 1 if output and joint turn in the same direction, else −1.
         zero: Position of the output at angle zero [turns].
         servo_kp: The controller's `servo.pid_position.kp` [N·m/turn].
         servo_kd: The controller's `servo.pid_position.kd` [N·m·s/turn].
@@ -56,11 +56,11 @@ class Scale:
     servo_kd: float
 
     def position_command(self, command: JointCommand) -> dict[str, float]:
-        """The arguments of `moteus.Controller.make_position`; without stiffness the position is "where you are".
+        """Converts a command to arguments of `moteus.Controller.make_position`; without stiffness the position is NaN.
 
         Raises:
-            ValueError: A number is not finite, a gain negative, or there is more damping than moteus would give: it
-                cuts the scale of kd to that of kp.
+            ValueError: A number is not finite, a gain is negative, or the damping is larger than moteus supports: it
+                limits the scale of kd to that of kp.
         """
         if not all(map(isfinite, command)):
             raise ValueError(f"a joint command must be finite, not {command}")
@@ -81,6 +81,6 @@ class Scale:
         }
 
     def joint_state(self, position: float, velocity: float, torque: float) -> JointState:
-        """The joint by the registers of its controller [turns, turns/s, N·m]."""
+        """Converts the registers of the controller [turns, turns/s, N·m] to the state of the joint."""
         angle = self.sign * tau / self.gear
         return JointState(angle * (position - self.zero), angle * velocity, self.sign * self.gear * torque)

@@ -15,22 +15,22 @@ from stepgap.rigs.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice,
 from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques
 
 POSITION_COUNTS = 2**16
-"""Counts a turn in which moteus keeps the position of its output."""
+"""Counts per turn in which moteus stores the position of its output."""
 
 ANALOG_COUNTS = 4096
-"""Counts of a controller's converter; what is finer is noise."""
+"""Counts of a controller's analog-digital converter; finer values are noise."""
 
 REGISTER_MAP = 5
-"""Version of the registers' meaning that this rig knows."""
+"""Version of the register map that this rig supports."""
 
 LIMITING = range(96, 104)
 """Fault codes of a controller that works, but at a limit."""
 
 ANSWER_TIMEOUT = 1.0
-"""How long controllers may take to answer first and to get ready [s]."""
+"""Timeout of the first answers of the controllers, and of their getting ready [s]."""
 
 _LAST_FRAMES = 3
-"""Stop commands that are sent when all is over, in case one is lost."""
+"""Number of stop commands that are sent at the end, in case one is lost."""
 
 FAULTS = {
     32: "calibration",
@@ -63,16 +63,16 @@ LIMP = JointCommand(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class MoteusRig(Rig):
-    """Controllers as `moteus.toml` describes them, in position mode with no gains of their own.
+    """Controllers as `moteus.toml` describes them, in position mode with gains zero.
 
-    `read` asks all controllers and waits for their answers, so that they are of this tick; `write` sends each a
-    command with the watchdog and the largest torque in it. A tick whose answers do not all come in time repeats the
-    reading before; too many in a row are a fault. Whatever is wrong stops all controllers, and the fault stays for the
-    life of the object. A controller found in fault at connect is reset once.
+    `read` queries all controllers and waits for their answers, so that they are of this tick; `write` sends each a
+    command that includes the watchdog and the torque limit. If answers are missing in a tick, the reading before is
+    repeated; too many such ticks in a row are a fault. Any fault stops all controllers and is latched for the life of
+    the object. A controller that is in fault at connect is reset once.
 
     Args:
-        settings: The robot's bus; its budget of lost frames holds.
-        sensor_model: How the robot reads the counts.
+        settings: The robot's bus, with its limit of lost frames.
+        sensor_model: Timing of the sensors and conversion of their counts.
     """
 
     def __init__(self, settings: CanSettings, sensor_model: SensorModel):
@@ -87,12 +87,12 @@ class MoteusRig(Rig):
 
     @property
     def sensor_model(self) -> SensorModel:
-        """How to read the counts; their zeros and signs are taken care of."""
+        """Timing of the sensors and conversion of their counts; zeros and signs are already applied."""
         return self._sensor_model
 
     @property
     def limits(self) -> RigLimits:
-        """What the safety function allows this robot."""
+        """Limits from the settings."""
         return self._settings.budgets
 
     @property
@@ -102,20 +102,20 @@ class MoteusRig(Rig):
 
     @property
     def joints(self) -> tuple[JointState, ...]:
-        """What the controllers said of the top links with the last good reading; for logs."""
+        """States of the top links from the controllers, at the last good reading; for logs."""
         return self._joints
 
     def connect(self) -> None:
-        """Opens the bus, checks the controllers, and readies them without torque.
+        """Opens the bus, checks the controllers, and prepares them without torque.
 
         The first `write` must follow within the watchdog's time.
 
         Raises:
-            RigFault: There is no such bus, a controller does not answer, is of another firmware or does not get
-                ready, an encoder does not work, or the rig had a fault before.
+            RigFault: There is no such bus, a controller does not answer, has another firmware or does not become ready,
+                an encoder does not work, or the rig had a fault before.
         """
         if self._fault:
-            raise RigFault(f"the rig had a fault: {self._fault}; see to it, then start anew")
+            raise RigFault(f"the rig had a fault: {self._fault}; remove its cause, then start again")
         self.close()
         self._bus = CanBus(self._settings.interface, self._settings.channel)
         try:
@@ -127,10 +127,10 @@ class MoteusRig(Rig):
         self._lost, self._written = 0, False
 
     def read(self) -> Reading:
-        """Counts and force at this tick, or earlier ones while no more answers than the budget are lost.
+        """Reads counts and force of this tick, or repeats earlier ones if no more answers than allowed are lost.
 
         Raises:
-            RigFault: Not connected, too many answers lost, or a controller does not take torques any more.
+            RigFault: Not connected, too many answers lost, or a controller no longer accepts torque commands.
         """
         bus = self._up()
         if not self._written:
@@ -164,14 +164,14 @@ class MoteusRig(Rig):
         return sent
 
     def close(self) -> None:
-        """Controllers stopped, the bus released; may be called twice."""
+        """Stops the controllers and releases the bus; may be called twice."""
         bus, self._bus = self._bus, None
         if bus:
             self._stop(bus)
             bus.close()
 
     def _controller(self, number: int) -> moteus.Controller:
-        """Makes the frames for one controller; its answers tell what the reading needs of it."""
+        """Creates the encoder of one controller's frames; its query covers the registers that a reading needs."""
         more = {int(Register.ENCODER_VALIDITY): moteus.INT8}
         for device in self._settings.devices.values():
             if device.id == number and not isinstance(device, Controller):
@@ -179,7 +179,7 @@ class MoteusRig(Rig):
         return moteus.Controller(id=number, query_resolution=_query(more))
 
     def _check_controllers(self, bus: CanBus) -> None:
-        """Stops all, which ends their faults, and asks for the version of their registers."""
+        """Stops all controllers, which resets their faults, and checks the version of their registers."""
         version = _query({Register.REGISTER_MAP_VERSION: moteus.INT32})
         self._stop(bus)
         until, replies = monotonic() + ANSWER_TIMEOUT, self._ask(bus, version)
@@ -195,7 +195,7 @@ class MoteusRig(Rig):
                 )
 
     def _get_ready(self, bus: CanBus) -> None:
-        """Commands no torque until all controllers take commands."""
+        """Commands zero torque until all controllers accept commands."""
         until = monotonic() + ANSWER_TIMEOUT
         while True:
             self._command(bus, [LIMP] * len(self._motors))
@@ -205,16 +205,16 @@ class MoteusRig(Rig):
                 return self._update_reading(replies)
             if monotonic() > until:
                 states = [_state(number, registers) for number, registers in replies.items()]
-                raise RigFault(f"the controllers do not get ready: {'; '.join(states) or 'no answers'}")
+                raise RigFault(f"the controllers do not become ready: {'; '.join(states) or 'no answers'}")
             sleep(self._settings.tick)
 
     def _ask(self, bus: CanBus, query: moteus.QueryResolution | None = None) -> dict[int, Registers]:
-        """The controllers' answers to a query, as many as come in time."""
+        """Queries the controllers; returns the answers that arrive in time."""
         self._send(bus, {number: each.make_query(query) for number, each in self._controllers.items()})
         return bus.receive(self._controllers, self._settings.reply_timeout)
 
     def _command(self, bus: CanBus, commands: Sequence[JointCommand]) -> None:
-        """A command to each controller, not to be answered."""
+        """Sends a command to each controller, without a reply."""
         frames = {}
         for motor, command in zip(self._motors, commands, strict=True):
             frames[motor.id] = self._controllers[motor.id].make_position(
@@ -232,15 +232,15 @@ class MoteusRig(Rig):
             raise self._trip(str(fault)) from None
 
     def _update_reading(self, replies: Mapping[int, Registers]) -> None:
-        """The reading of full answers, if all controllers take torques and all encoders work."""
+        """Updates the reading from complete answers; a controller without torque or an encoder error is a fault."""
         try:
             for number, registers in replies.items():
                 if registers[Register.MODE] != Mode.POSITION or registers[Register.FAULT] not in (0, *LIMITING):
-                    raise self._trip(f"{_state(number, registers)}: it takes no torque any more")
+                    raise self._trip(f"{_state(number, registers)}: it no longer accepts torque commands")
             self._joints = tuple(self._joint(replies, motor) for motor in self._motors)
             values = [sensor(replies) for sensor in self._sensors]
         except KeyError as missing:
-            raise self._trip(f"a controller does not tell register 0x{missing.args[0]:03X}") from None
+            raise self._trip(f"a controller does not report register 0x{missing.args[0]:03X}") from None
         except ValueError as error:
             raise self._trip(str(error)) from None
         self._reading = self._settings.reading(values)
@@ -258,7 +258,7 @@ class MoteusRig(Rig):
         return self._bus
 
     def _trip(self, message: str) -> RigFault:
-        """Stops all controllers at once and for good; returns the fault to raise."""
+        """Stops all controllers and latches the fault; returns it to be raised."""
         self._fault = message
         if self._bus:
             self._stop(self._bus)
@@ -266,7 +266,7 @@ class MoteusRig(Rig):
 
     def _stop(self, bus: CanBus) -> None:
         for _ in range(_LAST_FRAMES):
-            with suppress(RigFault):  # then their watchdogs must do it
+            with suppress(RigFault):  # then their watchdogs stop them
                 bus.send({number: each.make_stop() for number, each in self._controllers.items()})
 
     def _absent(self, replies: Mapping[int, Registers]) -> str:
@@ -274,31 +274,31 @@ class MoteusRig(Rig):
 
 
 class _Turns:
-    """Counts of an encoder at an auxiliary port, from its zero, forward positive; its register has the turn's share."""
+    """Counts of an encoder at an auxiliary port, relative to its zero; its register is a fraction of a turn."""
 
     def __init__(self, encoder: AuxEncoder):
         self.encoder = encoder
         self._turns = encoder.zero / encoder.counts_per_turn
 
     def counts(self, registers: Registers) -> int:
-        """Whole counts, nearest to those before.
+        """Unwraps the counts: they are the nearest to those before.
 
         Raises:
-            ValueError: The encoder does not work, or tells no share of a turn.
+            ValueError: The encoder does not work, or does not report a fraction of a turn.
         """
         encoder = self.encoder
         name = f"encoder {encoder.source} of controller {encoder.id}"
-        share = registers[ENCODER_POSITION[encoder.source]]
+        fraction = registers[ENCODER_POSITION[encoder.source]]
         if not int(registers[Register.ENCODER_VALIDITY]) & ENCODER_VALID[encoder.source]:
             raise ValueError(f"{name} does not work: see aux and motor_position in tview")
-        if not 0 <= share <= 1:
-            raise ValueError(f"{name} tells {share:g}, but it must be a share of a turn: is the firmware old?")
-        self._turns = share + round(self._turns - share)
+        if not 0 <= fraction <= 1:
+            raise ValueError(f"{name} reports {fraction:g}, but it must be a fraction of a turn: is the firmware old?")
+        self._turns = fraction + round(self._turns - fraction)
         return encoder.sign * (round(self._turns * encoder.counts_per_turn) - encoder.zero)
 
 
 def _query(more: dict[int, int]) -> moteus.QueryResolution:
-    """Asks for mode, position, velocity, torque, fault, and more registers at the given resolutions."""
+    """Creates a query of mode, position, velocity, torque, fault, and more registers at the given resolutions."""
     query = moteus.QueryResolution()
     query.voltage = query.temperature = moteus.IGNORE
     query._extra = more
@@ -307,25 +307,25 @@ def _query(more: dict[int, int]) -> moteus.QueryResolution:
 
 def _counts(position: float, motor: Controller) -> int:
     if not isfinite(position):
-        raise ValueError(f"the position of controller {motor.id} is no number")
+        raise ValueError(f"the position of controller {motor.id} is not finite")
     return motor.sign * round((position - motor.zero) * POSITION_COUNTS)
 
 
-def _force(share: float, sensor: AuxForce) -> float:
-    if not isfinite(share):
-        raise ValueError("the contact force is no number")
-    return sensor.newton_per_count * (round(ANALOG_COUNTS * share) - sensor.zero)
+def _force(fraction: float, sensor: AuxForce) -> float:
+    if not isfinite(fraction):
+        raise ValueError("the contact force is not finite")
+    return sensor.newton_per_count * (round(ANALOG_COUNTS * fraction) - sensor.zero)
 
 
 def _register(device: AuxEncoder | AuxForce) -> int:
-    """The register that tells what a sensor measures."""
+    """Register with the value of a sensor."""
     if isinstance(device, AuxEncoder):
         return ENCODER_POSITION[device.source]
     return ANALOG_INPUTS[device.port] + device.pin - 1
 
 
 def _sensor(device: CanDevice) -> Callable[[Mapping[int, Registers]], float]:
-    """What a device gives to a reading, from the answers of all controllers."""
+    """Creates the function that computes a device's value in a reading from the answers of all controllers."""
     if isinstance(device, Controller):
         return lambda replies: _counts(replies[device.id][Register.POSITION], device)
     if isinstance(device, AuxEncoder):
@@ -335,7 +335,7 @@ def _sensor(device: CanDevice) -> Callable[[Mapping[int, Registers]], float]:
 
 
 def _state(number: int, registers: Registers) -> str:
-    """What a controller says of itself."""
+    """Describes mode and fault of a controller."""
     mode, fault = int(registers.get(Register.MODE, -1)), int(registers.get(Register.FAULT, 0))
     name = Mode(mode).name.lower() if mode in set(Mode) else "getting ready" if 2 <= mode <= 4 else str(mode)
     cause = f", fault {fault}: {FAULTS.get(fault, 'see the manual')}" if fault else ""

@@ -1,4 +1,4 @@
-"""What is on the CAN bus and what its numbers mean: the part of `moteus.toml` that is the same for every robot."""
+"""Settings of a CAN bus and its devices: the part of `moteus.toml` that is the same for every robot."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -20,10 +20,10 @@ class Controller:
     """A controller and its motor; angle = 2π · sign · (turns − zero) / gear.
 
     Attributes:
-        id: Of the controller on the bus (its `id.id`).
+        id: Identifier of the controller on the bus (its `id.id`).
         torque_limit: Largest torque at the top link [N·m].
-        gear: Turns of the controller's output per turn of the top link; 1 where `rotor_to_output_ratio` says it all.
-        sign: 1 where the output's turns grow forward, else −1.
+        gear: Turns of the controller's output per turn of the top link; 1 if `rotor_to_output_ratio` includes it.
+        sign: 1 if the output's turns increase forward, else −1.
         zero: The controller's position at angle zero [turns].
         servo_kp: Its `servo.pid_position.kp` [N·m/turn].
         servo_kd: Its `servo.pid_position.kd` [N·m·s/turn].
@@ -47,7 +47,7 @@ class Controller:
 
     @property
     def scale(self) -> Scale:
-        """How the controller counts."""
+        """Units of the controller."""
         return Scale(self.gear, self.sign, self.zero, self.servo_kp, self.servo_kd)
 
 
@@ -56,10 +56,10 @@ class AuxEncoder:
     """An encoder at an auxiliary port of a controller; angle = 2π · sign · (counts − zero) / counts_per_turn.
 
     Attributes:
-        id: Of the controller, one of the motors'.
-        source: Which of its encoder sources, 1 or 2 (`motor_position.sources.N`); 0 is the motor's own.
+        id: Identifier of the controller, one of those of the motors.
+        source: Its encoder source, 1 or 2 (`motor_position.sources.N`); 0 is the motor's own.
         counts_per_turn: Its `cpr`.
-        sign: 1 where the counts grow forward or upward, else −1.
+        sign: 1 if the counts increase forward or upward, else −1.
         zero: Counts at angle zero.
     """
 
@@ -79,14 +79,14 @@ class AuxEncoder:
 
 @dataclass(frozen=True, kw_only=True)
 class AuxForce:
-    """A force as a voltage at an auxiliary port of a controller, newton_per_count · (counts − zero).
+    """A force sensor with a voltage at an auxiliary port of a controller; newton_per_count · (counts − zero).
 
     Attributes:
-        id: Of the controller, one of the motors'.
+        id: Identifier of the controller, one of those of the motors.
         port: Auxiliary port, 1 or 2.
         pin: Its pin, counted from 1, in analog mode.
-        newton_per_count: Its scale [N], 4096 counts being the whole range; negative where pressing lowers the voltage.
-        zero: Counts without force.
+        newton_per_count: Its scale [N]; 4096 counts are the full range; negative if the voltage falls under load.
+        zero: Counts without load.
     """
 
     id: int
@@ -104,19 +104,19 @@ class AuxForce:
 
 
 CanDevice = Controller | AuxEncoder | AuxForce
-"""What a table of `moteus.toml` describes: each gives one number of a reading, and a controller takes a torque."""
+"""A device of a table in `moteus.toml`: each gives one number of a reading, and a controller takes a torque."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CanSettings(ABC):
-    """The CAN-FD bus of a robot; each robot adds the tables of its controllers and sensors, and what they may do.
+    """The CAN-FD bus of a robot; each robot adds the tables of its controllers, sensors and limits.
 
     Attributes:
-        channel: Of the CAN-FD bus, such as 'can0'.
-        interface: How python-can reaches the bus.
+        channel: Channel of the CAN-FD bus, such as 'can0'.
+        interface: Interface of python-can.
         tick: Time between two commands [s].
-        reply_timeout: How long replies are waited for [s].
-        watchdog: Time without a command after which a controller gives up the torque [s].
+        reply_timeout: Timeout of replies [s].
+        watchdog: Time without a command after which a controller switches torque off [s].
     """
 
     channel: str
@@ -133,10 +133,10 @@ class CanSettings(ABC):
     @property
     @abstractmethod
     def budgets(self) -> RigLimits:
-        """How many bad ticks in a row the robot may have."""
+        """Limits of consecutive bad ticks."""
 
     def reading(self, values: Sequence[float]) -> Reading:
-        """The reading that the values of all devices make, in their order."""
+        """Makes a reading from the values of all devices, in their order."""
         return tuple(values)
 
     @property
@@ -159,7 +159,7 @@ class CanSettings(ABC):
         self._check_ids()
 
     def _check_ids(self) -> None:
-        """Refuses two controllers with one id, and sensors at a controller that is not there."""
+        """Refuses two controllers with the same id, and sensors at an unknown controller."""
         ids: dict[int, str] = {}
         for table, device in self.devices.items():
             if isinstance(device, Controller):

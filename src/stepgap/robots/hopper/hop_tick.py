@@ -1,8 +1,12 @@
-"""A tick of hopping as one compiled function: (settings, state, inputs) → (state, torques, flags).
+"""One tick of the hopper's control as a compiled function: (settings, state, inputs) → (state, torques, flags).
 
-`hop_tick` is pure, allocates no memory, needs no interpreter lock and reads no clock. The state is one named tuple,
-`HopState`. `tick` is its interface for Python: it keeps the state in a record (`base.compiled_record`), because a call
-that takes and returns fifty Python numbers costs ten times the tick.
+A *tick* is one period of the control loop, normally 1 ms: sensor counts in, motor torques out. In every tick,
+`hop_tick` estimates the motion, finds the phase of the hop, computes the torques and limits them for safety.
+
+`hop_tick` is pure: it allocates no memory, needs no interpreter lock and reads no clock. Its whole state is one named
+tuple, `HopState`. Python calls `tick`, which keeps the state in a NumPy record (`base.compiled_record`): to pass and
+return the fifty numbers of the state as Python objects would take ten times as long as the tick. `as_written` compiles
+a function so that its results are, to the last bit, those of the same code in Python.
 """
 
 import numpy as np
@@ -19,7 +23,7 @@ from stepgap.robots.hopper.sensing import sense, update_flight
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
 
-# Numba does not compile flags, so compiled code uses their numbers.
+# Numba cannot compile enum flags, so compiled code uses their integer values.
 _STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
     int(flag)
     for flag in (
@@ -35,16 +39,25 @@ _STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
 
 @as_written
 def hop_tick(settings, state, inputs):
-    """Returns (`HopState`, torques that may be written [N·m], flags) for `TickSettings`, `HopState`, `TickInputs`."""
+    """Computes one tick.
+
+    Args:
+        settings: `TickSettings`.
+        state: `HopState` after the tick before.
+        inputs: `TickInputs`.
+
+    Returns:
+        `HopState` after this tick, torques that may be written [N·m], and the sum of the `TickFlag`s.
+    """
     hop = _add_lost_force(settings.law, state, inputs.applied_1, inputs.applied_2)
-    sampled = state.sampled if inputs.stale else inputs.time - inputs.age
+    sampled = state.sampled if inputs.stale else inputs.time - inputs.age  # when the sensors were read [s]
     rates, motion, body = sense(settings, state.rates, sampled, inputs)
     flight, phase = update_flight(settings.sensor_model, state, sampled, motion, body, inputs)
     hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
-    wanted = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked
-    checked = check_torque(settings.limits, state.watch, motion, inputs, wanted[0], wanted[1])
-    hop = _check_failure(settings.law.leg, hop, motion, checked.limited)
+    requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
+    checked = check_torque(settings.limits, state.watch, motion, inputs, requested[0], requested[1])
+    hop = _update_status(settings.law.leg, hop, motion, checked.limited)
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
         flags, hop, flight, apex = _end_hop(hop, flight, apex, phase, body, inputs.time)
@@ -58,7 +71,10 @@ def hop_tick(settings, state, inputs):
 
 @as_written
 def _add_lost_force(law, state, applied_1, applied_2):
-    """`HopProgress` with the command force lost to limits in the last tick added, if the command acted in it."""
+    """`HopProgress` with the command force that was lost to torque limits in the last tick, if it was in THRUST.
+
+    The lost force is that of the requested torques minus that of the applied torques.
+    """
     hop = state.hop
     if state.phase != Phase.THRUST:
         return hop
@@ -74,7 +90,7 @@ def _add_lost_force(law, state, applied_1, applied_2):
 
 @as_written
 def _update_hop(hop, before, phase, mode_before, inputs):
-    """`HopProgress` and the phase of this tick, with take-off, deadline, release and command taken into account."""
+    """`HopProgress` and the phase of this tick: updates takeoff, deadline, release from the hold, and command."""
     deadline, left_ground, force_x, force_y = hop.deadline, hop.left_ground, hop.force_x, hop.force_y
     thrust_ticks, lost_x, lost_y = hop.thrust_ticks, hop.lost_x, hop.lost_y
     if phase == Phase.COMPRESSION and before != Phase.COMPRESSION:
@@ -82,7 +98,7 @@ def _update_hop(hop, before, phase, mode_before, inputs):
     if before == Phase.THRUST and phase != Phase.THRUST:
         left_ground = 1
     if inputs.mode == Mode.STEP and mode_before != Mode.STEP:
-        # the robot is held in the air, for any length of time
+        # the robot is held in the air, for any time, so there is no deadline until touchdown
         phase = Phase.DESCENT.value
         deadline, left_ground, force_x, force_y, thrust_ticks, lost_x, lost_y, _ = _new_hop(np.inf, hop.status)
     if inputs.mode == Mode.STEP and np.isnan(force_x) and _takes_command(phase, left_ground):
@@ -98,13 +114,13 @@ def _new_hop(deadline, status):
 
 @as_written
 def _takes_command(phase, left_ground):
-    """Whether a command can still act in full, because mid-stance is ahead."""
+    """Whether a command that comes now acts during the whole thrust, because mid-stance is still to come."""
     return (phase == Phase.DESCENT or phase == Phase.COMPRESSION) and left_ground == 0
 
 
 @as_written
-def _check_failure(leg, hop, motion, limited):
-    """`HopProgress` with its status updated: STOPPED by the safety function, or FELL."""
+def _update_status(leg, hop, motion, limited):
+    """`HopProgress` with a new status if the step has failed: the safety function stopped the robot, or it fell."""
     status = hop.status
     if limited & STOPS:
         status = StepStatus.STOPPED.value
@@ -122,9 +138,12 @@ def _with_status(hop, status):
 
 @as_written
 def _end_hop(hop, flight, apex, phase, body, time):
-    """Returns (flags, `HopProgress`, `FlightState`, `Apex`), updated if the hop has ended.
+    """Ends the hop if the robot has just passed the apex; fails it if its time is over.
 
-    A flight that is too short to be measured does not end the hop: the robot has bounced and continues.
+    After a flight that is too short for an estimate of speed and height, the hop does not end: the robot has bounced.
+
+    Returns:
+        Flags, `HopProgress`, `FlightState` and `Apex`.
     """
     if hop.status == StepStatus.OK and hop.left_ground and phase == Phase.DESCENT:
         speed = fitted_speed(flight.fit)
@@ -142,14 +161,14 @@ def _end_hop(hop, flight, apex, phase, body, time):
 
 @as_written
 def _mean_loss(hop):
-    """Mean command force lost to limits while the command acted [N]."""
+    """Mean command force that was lost to torque limits during THRUST [N]."""
     ticks = max(1, hop.thrust_ticks)
     return hop.lost_x / ticks, hop.lost_y / ticks
 
 
 @as_written
 def _flags(limits, hop, phase, checked):
-    """Sum of the flags, except that for the end of a step."""
+    """Sum of all flags except `STEP_ENDED`."""
     flags = 0
     if hop.status != StepStatus.OK:
         flags |= _FAILED
@@ -167,12 +186,13 @@ def tick(
     settings, memory, row, time, age, motor_1, motor_2, boom_horizontal, boom_vertical, contact_force, frame_lost,
     stale, late, emergency_stop, mode, share, force_x, force_y, applied_1, applied_2,
 ):  # fmt: skip
-    """Runs `hop_tick` on a state in memory; a reading that is not finite changes nothing.
+    """Runs `hop_tick` on a state in memory; after a reading that is not finite, the state is left as it was.
 
     Args:
         settings: Record of `TickSettings`.
-        memory: Record of `HopState`; before the call that of the previous tick, afterwards that of this tick.
-        row: Is filled with the fields of `TICK_UNITS`, except the torques that will be applied; shape (14,).
+        memory: Record of `HopState`, which is updated.
+        row: Row of the tick log, which is filled with the fields of `TICK_UNITS` except the applied torques, not known
+            yet; shape (14,).
         time: This and the other arguments are the fields of `TickInputs`.
 
     Returns:
@@ -206,8 +226,8 @@ def interrupted_hop(settings, memory, applied_1, applied_2):
     Args:
         settings: Record of `TickSettings`.
         memory: Record of `HopState`.
-        applied_1: Torque that was applied after the last tick [N·m]; NaN where none was.
-        applied_2: Torque that was applied after the last tick [N·m].
+        applied_1: Torque applied after the last tick [N·m]; NaN if none was applied.
+        applied_2: Torque applied after the last tick [N·m].
     """
     state = loaded(memory[0], HopState)  # pyright: ignore[reportCallIssue]
     hop = state.hop if np.isnan(applied_1) else _add_lost_force(settings[0].law, state, applied_1, applied_2)

@@ -1,4 +1,4 @@
-"""A machine of two flywheels, and a small master that speaks to a ring in this process."""
+"""A machine of two flywheels, and a small master for a ring in this process."""
 
 from collections.abc import Sequence
 from struct import Struct, pack, unpack_from
@@ -23,7 +23,7 @@ SOURCE = b"\x10\x10\x10\x10\x10\x10"
 
 
 class Flywheels(Machine):
-    """Counts grow by the sum of the torques so far; whole numbers, so that any run can be computed by head."""
+    """Counts increase by the sum of the torques so far; they are integers, so that any run can be computed by hand."""
 
     def __init__(self, largest_torque: float = float("inf")):
         self.torques: list[tuple[float, float]] = []
@@ -56,7 +56,7 @@ class Flywheels(Machine):
 
 
 class Bench:
-    """A ring with flywheels behind it, and a master in the hands of a test."""
+    """A ring with flywheels, and a master that a test controls."""
 
     def __init__(self, *faults: Fault, machine: Flywheels | None = None, **settings: object):
         self.machine = machine or Flywheels()
@@ -82,7 +82,7 @@ class Bench:
         assert self.ask(Command.FPWR, STATION + slave, offset, data).counter == 1
 
     def request(self, slave: int, state: int) -> tuple[int, int]:
-        """Status and code after a state was asked for."""
+        """Status and code after a state request."""
         self.write(slave, reg.AL_CONTROL, pack("<H", state))
         return self.status(slave)
 
@@ -120,13 +120,13 @@ class Bench:
 
     def map(self, slave: int, outputs: int, inputs: int, logical: int) -> None:
         """Sync managers and FMMUs of a slave: outputs, then inputs behind them."""
-        for number, place, length, control, kind in (
+        for number, physical, length, control, kind in (
             (2, OUTPUT_START, outputs, 0x64, 2),
             (3, INPUT_START, inputs, 0x20, 1),
         ):
-            manager = pack("<HHBBBB", place, length, control, 0, length > 0, 0)
+            manager = pack("<HHBBBB", physical, length, control, 0, length > 0, 0)
             self.write(slave, reg.SYNC_MANAGER + 8 * number, manager)
-            fmmu = pack("<IHBBHBBB3x", logical, length, 0, 7, place, 0, kind, length > 0)
+            fmmu = pack("<IHBBHBBB3x", logical, length, 0, 7, physical, 0, kind, length > 0)
             self.write(slave, reg.FMMU + 16 * (number - 2), fmmu)
             logical += length
 
@@ -149,7 +149,7 @@ class Bench:
         return Datagram(Command.LRW, 9, 0, 0, data)
 
     def cycle(self, torques: tuple[int, int] = (0, 0), controlword: int = 0x0F, mode: int = 10) -> list[Datagram]:
-        """What comes back for a cycle's frame: one datagram, none or two."""
+        """Datagrams that come back for a cycle's frame: one, none or two."""
         return [answer for (answer,) in self.send(self.frame(torques, controlword, mode))]
 
     def enabled(self) -> "Bench":

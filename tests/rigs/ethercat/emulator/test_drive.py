@@ -14,7 +14,7 @@ UP = [
 
 
 @given(STATES, WORDS, WORDS)
-def test_states_go_up_one_at_a_time_and_only_when_asked(state, controlword, before):
+def test_states_go_up_one_at_a_time_and_only_on_request(state, controlword, before):
     after = next_drive_state(state, controlword, before)
     if state in UP and after in UP:
         assert UP.index(after) <= UP.index(state) + 1
@@ -36,7 +36,7 @@ def test_without_voltage_or_quick_stop_bit_nothing_is_enabled(state, controlword
         assert next_drive_state(state, controlword & ~bit, before) is not DriveState.OPERATION_ENABLED
 
 
-def test_the_way_up_and_a_quick_stop():
+def test_enabling_and_a_quick_stop():
     state, seen = DriveState.SWITCH_ON_DISABLED, []
     for controlword in (0x06, 0x07, 0x0F, 0x0B, 0x0F):
         state = next_drive_state(state, controlword, 0)

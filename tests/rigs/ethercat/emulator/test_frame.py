@@ -35,14 +35,14 @@ FRAMES = st.builds(
 
 
 @given(FRAMES)
-def test_what_is_encoded_is_decoded(frame):
+def test_decoding_reverses_encoding(frame):
     raw = encode(frame)
     assert len(raw) >= SHORTEST_FRAME
     assert decode(raw) == frame
 
 
 @given(FRAMES, st.data())
-def test_a_frame_cut_off_is_refused(frame, data):
+def test_a_truncated_frame_is_refused(frame, data):
     raw = encode(frame)
     length = 16 + int.from_bytes(raw[14:16], "little") % 0x800
     with pytest.raises(FrameError):
@@ -59,7 +59,7 @@ def test_any_bytes_are_a_frame_or_refused(body):
     assert decode(encode(frame)) == frame
 
 
-def test_a_frame_as_the_standard_draws_it():
+def test_a_frame_of_the_standard():
     # a broadcast read of register 0, one byte
     raw = bytes.fromhex("ffffffffffff 101010101010 88a4 0d10 07 05 0000 0000 0100 0000 00 0000")
     assert encode(Frame(BROADCAST, b"\x10" * 6, (Datagram(Command.BRD, 5, 0, 0, b"\0"),))) == raw.ljust(60, b"\0")

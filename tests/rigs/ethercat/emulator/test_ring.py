@@ -1,4 +1,4 @@
-"""The ring frame by frame, with a master of the tests and flywheels whose counts can be computed by head."""
+"""The ring frame by frame, with a master of the tests and flywheels whose counts can be computed by hand."""
 
 from struct import pack, unpack, unpack_from
 
@@ -52,20 +52,20 @@ def test_one_slave_is_read_and_the_others_behind_it_written(command, address):
     assert [bench.read(slave, 0x1F00, 1)[0] for slave in range(6)] == [1, 42, 42, 42, 42, 42]
 
 
-def test_the_ports_tell_a_line():
+def test_the_ports_form_a_line():
     # ports with communication: bits 9 and 11 of the data link status
     bench = Bench()
     status = [unpack_from("<H", slave.memory, reg.DL_STATUS)[0] for slave in bench.ring.slaves]
     assert [(word >> 9 & 1, word >> 11 & 1) for word in status] == [(1, 1)] * 5 + [(1, 0)]
 
 
-def test_what_is_read_only_stays():
+def test_read_only_registers_do_not_change():
     bench = Bench()
     bench.ask(Command.BWR, 0, reg.AL_STATUS, b"\x08\0")
     assert bench.ask(Command.APRD, 0, reg.AL_STATUS, bytes(2)).data == b"\1\0"
 
 
-def test_the_eeprom_holds_the_identity():
+def test_the_eeprom_contains_the_identity():
     bench = Bench()
     bench.ask(Command.APWR, 0, reg.EEPROM_CONTROL, pack("<HI", reg.EEPROM_READ, 0x08))
     assert bench.ask(Command.APRD, 0, reg.EEPROM_DATA, bytes(8)).data == pack("<II", 0x9A, 0x30924)
@@ -171,7 +171,7 @@ def test_a_mapping_error_is_scripted_from_the_start_and_later():
 # ---- drives and machine
 
 
-def test_a_cycle_is_a_tick_and_shows_what_was_before_it():
+def test_a_cycle_is_a_tick_and_returns_the_inputs_before_it():
     bench = Bench().enabled()
     ticks = len(bench.machine.torques)
     answers = [bench.cycle((3, -2))[0] for _ in range(4)]
@@ -185,7 +185,7 @@ def test_a_cycle_is_a_tick_and_shows_what_was_before_it():
     assert unpack("<Hh", inputs(answers[-1], ANALOG)) == (0, 123)
 
 
-def test_a_cycle_can_show_what_is_after_it():
+def test_a_cycle_can_return_the_inputs_after_it():
     bench = Bench(inputs_after_tick=True).enabled()
     answers = [bench.cycle((3, -2))[0] for _ in range(4)]
     assert [drive_input(answer, 0)[0] for answer in answers] == [3, 6, 9, 12]
@@ -209,7 +209,7 @@ def test_a_drive_that_is_not_enabled_has_no_torque(controlword):
     assert bench.machine.torques[-1] == (0, 0)
 
 
-def test_the_machine_stands_until_both_drives_are_enabled_and_again_after_init():
+def test_the_machine_is_held_until_both_drives_are_enabled_and_again_after_init():
     bench = Bench().operational()
     for _ in range(10):
         bench.cycle(controlword=0x06)
@@ -241,7 +241,7 @@ def set_watchdog(bench: Bench, ticks: int) -> None:
 
 
 @pytest.mark.parametrize("limit", [5, 20])
-def test_the_watchdog_ends_torque_when_no_frame_comes(limit):
+def test_the_watchdog_ends_torque_without_frames(limit):
     bench = Bench(Silence(ENABLING + 3, 100)).enabled()
     set_watchdog(bench, limit)
     for _ in range(3):
@@ -257,7 +257,7 @@ def test_the_watchdog_ends_torque_when_no_frame_comes(limit):
     assert bench.machine.torques[-1] == (0, 0)
 
 
-def test_a_drive_that_tripped_stays_so_until_acknowledged_and_reset():
+def test_a_drive_that_tripped_remains_in_fault_until_acknowledged_and_reset():
     bench = Bench(Silence(ENABLING, 200)).enabled()
     bench.cycle((7, 7))
     for drive in DRIVES:
@@ -311,7 +311,7 @@ def test_a_duplicated_frame_moves_the_machine_once():
     assert bench.machine.torques[ticks:] == [(5, 5)]
 
 
-def test_a_slave_out_of_reach_takes_those_behind_it_along_and_comes_back():
+def test_a_disconnected_slave_disconnects_those_behind_it_and_comes_back():
     bench = Bench(Unplugged(ENABLING + 1, "drive_2", 3)).enabled()
     bench.cycle((4, 4))
     answers = [bench.cycle((5, 5))[0] for _ in range(3)]
@@ -328,7 +328,7 @@ def test_without_the_first_slave_nothing_comes_back():
     assert [len(bench.cycle()) for _ in range(3)] == [0, 0, 1]
 
 
-def test_a_slave_that_lost_power_comes_back_as_new():
+def test_a_slave_that_lost_power_is_reset():
     bench = Bench(PowerLost(ENABLING + 1, "drive_2", 2)).enabled()
     bench.cycle((4, 4))
     answers = [bench.cycle((5, 5))[0] for _ in range(3)]
@@ -350,7 +350,7 @@ def test_a_stalled_slave_still_counts():
     assert bench.machine.torques[-1] == (5, 5)
 
 
-def test_a_drive_fault_is_latched_and_told():
+def test_a_drive_fault_is_latched_and_reported():
     bench = Bench(DriveFault(ENABLING + 1, "drive_1", 0x2310)).enabled()
     answer = [bench.cycle((4, 4))[0] for _ in range(3)][-1]
     assert drive_input(answer, 0)[2] & 0x4F == 0x08
@@ -360,7 +360,7 @@ def test_a_drive_fault_is_latched_and_told():
     assert bench.sdo(0, 0x40, 0x603F, 0)[4:6] == pack("<H", 0x2310)
 
 
-def test_an_emergency_stops_nothing():
+def test_an_emergency_message_stops_nothing():
     bench = Bench(SentEmergency(ENABLING, "drive_2", 0x4210)).enabled()
     bench.cycle((4, 4))
     assert unpack("<HHB5x", bench.mail(1)) == (0x1000, 0x4210, 0)

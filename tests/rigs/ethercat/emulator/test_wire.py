@@ -117,7 +117,7 @@ def statusword(bus: Any, drive: int) -> int:
 
 
 def counts(bus: Any) -> list[int]:
-    """What a `HopperReading` holds, the contact force in counts."""
+    """Fields of a `HopperReading`, with the contact force in counts."""
     motors = [DRIVE_INPUT.unpack(bus.slaves[drive].input)[0] for drive in DRIVES]
     boom = [ENCODER_INPUT.unpack(bus.slaves[encoder].input)[1] for encoder in ENCODERS]
     return [*motors, *boom, ANALOG_INPUT.unpack(bus.slaves[5].input)[1]]
@@ -173,7 +173,7 @@ def test_a_wrong_mapping_is_refused():
         assert states(bus)[1] == (PREOP | ERROR, 0x1E)
 
 
-def test_silence_ends_torque_and_is_told():
+def test_missing_frames_end_torque_and_are_reported():
     with master(RingSettings(faults=(Silence(10, 200),))) as bus:
         enabled(bus)
         for _ in range(8):
@@ -184,7 +184,7 @@ def test_silence_ends_torque_and_is_told():
         assert bus.emergencies == [0x8130]
 
 
-def test_lost_frames_are_timeouts_and_heal():
+def test_lost_frames_are_timeouts_without_consequences():
     with master(RingSettings(faults=(LostFrames(8, 3),))) as bus:
         enabled(bus)
         counters = [cycle(bus, 10, 10) for _ in range(10)]
@@ -193,7 +193,7 @@ def test_lost_frames_are_timeouts_and_heal():
         assert states(bus) == [(OP, 0)] * 6
 
 
-def test_a_drive_fault_shows_in_the_statusword():
+def test_a_drive_fault_is_in_the_statusword():
     with master(RingSettings(faults=(DriveFault(8, "drive_1", 0x2310),))) as bus:
         enabled(bus)
         for _ in range(8):
@@ -202,7 +202,7 @@ def test_a_drive_fault_shows_in_the_statusword():
         assert bus.slaves[0].sdo_read(0x603F, 0) == pack("<H", 0x2310)
 
 
-def test_a_slave_gone_and_back_is_found_lost():
+def test_a_slave_that_was_disconnected_is_detected_as_lost():
     with master(RingSettings(faults=(PowerLost(8, "contact_force", 3),))) as bus:
         enabled(bus)
         counters = [cycle(bus, 10, 10) for _ in range(8)]
@@ -211,7 +211,7 @@ def test_a_slave_gone_and_back_is_found_lost():
         assert [slave.state for slave in bus.slaves] == [OP] * 5 + [0]
 
 
-def test_on_the_wall_clock_time_goes_on_without_frames():
+def test_on_the_wall_clock_time_advances_without_frames():
     with master(RingSettings(lock_step=False)) as bus:
         enabled(bus)
         before = counts(bus)
@@ -232,15 +232,15 @@ def not_of_other_tests(names: Iterable[str]) -> set[str]:
     return {name for name in names if name.startswith(INTERFACE) or not name.startswith("sg")}
 
 
-def test_nothing_is_left_behind():
+def test_the_interfaces_are_deleted():
     with emulated(INTERFACE, Flywheels, RingSettings()):
         assert INTERFACE in interfaces()
     assert INTERFACE not in interfaces()
 
 
-def test_a_ring_that_is_there_already_is_said():
-    said = pytest.raises(NoNetwork, match=f"{INTERFACE}.*exists; end the emulator that has it")
-    with wire(INTERFACE), said, emulated(INTERFACE, Flywheels, RingSettings()):
+def test_an_existing_ring_is_reported():
+    refused = pytest.raises(NoNetwork, match=f"{INTERFACE}.*exists; end the emulator that uses it")
+    with wire(INTERFACE), refused, emulated(INTERFACE, Flywheels, RingSettings()):
         pass
 
 
@@ -249,7 +249,7 @@ def test_a_name_too_long_is_refused():
         pass
 
 
-def test_a_missing_interface_is_said():
+def test_a_missing_interface_is_reported():
     with pytest.raises(NoNetwork, match="'nothing-there' cannot be used: No such device"):
         raw_socket("nothing-there")
 
@@ -277,7 +277,7 @@ def run_program(program: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_it_and_takes_the_interface_away(number):
+def test_a_signal_ends_it_and_deletes_the_interface(number):
     with run_program(PROGRAM.format(interface=INTERFACE)) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == (
@@ -288,7 +288,7 @@ def test_a_signal_ends_it_and_takes_the_interface_away(number):
     assert INTERFACE not in interfaces()
 
 
-def test_what_is_killed_leaves_no_interface_either():
+def test_a_killed_ring_leaves_no_interface():
     with run_program(PROGRAM.format(interface=INTERFACE)) as process:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("EtherCAT ring")
@@ -309,7 +309,7 @@ def test_a_thread_is_back_in_its_network_while_the_ring_is_in_another():
         assert not_of_other_tests(name for _, name in socket.if_nameindex()) == interfaces()
 
 
-def test_where_no_namespace_may_be_made_the_pair_is_in_one(monkeypatch):
+def test_without_a_new_namespace_both_ends_are_in_one(monkeypatch):
     """As in a container with CAP_NET_ADMIN alone."""
     monkeypatch.setattr("stepgap.rigs.ethercat.emulator.network.CLONE_NEWNET", 1)  # which unshare refuses
     with wire(INTERFACE):
@@ -317,12 +317,12 @@ def test_where_no_namespace_may_be_made_the_pair_is_in_one(monkeypatch):
     assert not {INTERFACE, f"{INTERFACE}-ring"} & interfaces()
 
 
-def test_a_namespace_of_its_own_hides_it():
+def test_a_separate_namespace_hides_it():
     with run_program(APART.format(program=PROGRAM.format(interface=INTERFACE))) as process:
         assert process.stdout is not None
-        said = process.stdout.readline()
-        if not said.startswith("EtherCAT ring"):
-            pytest.skip(said)
+        line = process.stdout.readline()
+        if not line.startswith("EtherCAT ring"):
+            pytest.skip(line)
         assert INTERFACE not in interfaces()
         process.terminate()
         assert process.wait() == 0

@@ -1,4 +1,4 @@
-"""The object dictionary of a slave, and its process data cut from it (ETG.1000.6 §5.6, CiA 301)."""
+"""The object dictionary of a slave, and its process data (ETG.1000.6 §5.6, CiA 301)."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ MOST_PDOS = 8
 
 
 class Abort(StepGapError):
-    """An SDO request is refused.
+    """Refusal of an SDO request.
 
     Args:
         code: Abort code (ETG.1000.6, SDO abort codes).
@@ -42,9 +42,9 @@ class ObjectEntry:
     Attributes:
         value: The number.
         bits: Its size.
-        signed: The number may be negative.
-        writable: By SDO.
-        text: Stands instead of the number, ASCII.
+        signed: Whether the number may be negative.
+        writable: Whether SDO may write it.
+        text: ASCII text instead of a number.
     """
 
     value: int
@@ -54,7 +54,7 @@ class ObjectEntry:
     text: bytes = b""
 
     def encoded(self) -> bytes:
-        """Little-endian bytes as an SDO carries them."""
+        """Encodes the value as little-endian bytes for an SDO."""
         if self.text:
             return self.text
         size = (self.bits + 7) // 8
@@ -63,7 +63,7 @@ class ObjectEntry:
 
 @dataclass(frozen=True)
 class Mapped:
-    """A part of a PDO: an entry, or padding where `index` is 0."""
+    """A part of a PDO: an entry, or padding if `index` is 0."""
 
     index: int
     subindex: int
@@ -71,14 +71,14 @@ class Mapped:
 
 
 Pdos = Mapping[int, tuple[Mapped, ...]]
-"""PDOs by the index of their mapping object, 0x1600… from the master, 0x1A00… to it."""
+"""PDOs by the index of their mapping object: 0x1600… from the master, 0x1A00… to it."""
 
 
 class Image:
-    """Process data as bytes: the entries of the assigned PDOs one after the other, lowest bit first.
+    """Process data as bytes: the consecutive entries of the assigned PDOs, lowest bit first.
 
     Args:
-        parts: Entry and bits of each part; no entry where it is padding.
+        parts: Entry and number of bits of each part; the entry of padding is None.
     """
 
     def __init__(self, parts: Iterable[tuple[ObjectEntry | None, int]]):
@@ -88,17 +88,17 @@ class Image:
                 self._fields.append((entry, (1 << bits) - 1, shift))
             shift += bits
         self.length = (shift + 7) // 8
-        """Bytes."""
+        """Length [bytes]."""
 
     def pack(self) -> bytes:
-        """The entries' present values."""
+        """Packs the present values of the entries."""
         word = 0
         for entry, mask, shift in self._fields:
             word |= (entry.value & mask) << shift
         return word.to_bytes(self.length, "little")
 
     def unpack(self, data: bytes) -> None:
-        """Takes the entries' values out of `data`."""
+        """Sets the entries to the values in `data`."""
         word = int.from_bytes(data, "little")
         for entry, mask, shift in self._fields:
             value = word >> shift & mask
@@ -106,16 +106,16 @@ class Image:
 
 
 class Dictionary:
-    """Objects of a slave: who it is, its PDOs, and those of its application.
+    """Objects of a slave: its identity, its PDOs, and those of its application.
 
     Args:
         identity: Objects 0x1008 and 0x1018.
         objects: The application's entries by index and subindex.
         outputs: PDOs that may be assigned to sync manager 2.
         inputs: PDOs that may be assigned to sync manager 3.
-        assigned_outputs: Those assigned to begin with.
-        assigned_inputs: Those assigned to begin with.
-        check: Raises `Abort` where a number must not be written to an index.
+        assigned_outputs: Output PDOs assigned initially.
+        assigned_inputs: Input PDOs assigned initially.
+        check: Raises `Abort` if a number must not be written to an index.
     """
 
     def __init__(
@@ -144,10 +144,10 @@ class Dictionary:
             self._entries |= _array(index, words, 32)
 
     def read(self, index: int, subindex: int) -> bytes:
-        """An entry's bytes.
+        """Reads the bytes of an entry.
 
         Raises:
-            Abort: There is none.
+            Abort: There is no such entry.
         """
         return self._find(index, subindex).encoded()
 
@@ -155,13 +155,13 @@ class Dictionary:
         """Sets an entry from its bytes.
 
         Args:
-            index: Of the object.
-            subindex: Of the entry.
-            data: Little-endian, as long as the entry.
-            may_assign: The slave is in a state where PDOs may be assigned (PREOP).
+            index: Index of the object.
+            subindex: Subindex of the entry.
+            data: Value, little-endian, as long as the entry.
+            may_assign: Whether the slave is in a state where PDOs may be assigned (PREOP).
 
         Raises:
-            Abort: It cannot be written, or not now, or not with this value.
+            Abort: The entry cannot be written, not in this state, or not with this value.
         """
         entry = self._find(index, subindex)
         if index in self._pdos:
@@ -177,7 +177,7 @@ class Dictionary:
         entry.value = value
 
     def image(self, assignment: int) -> Image:
-        """The process data of ASSIGN_OUTPUTS or ASSIGN_INPUTS as they are assigned now."""
+        """Process data of ASSIGN_OUTPUTS or ASSIGN_INPUTS with the present assignment."""
         pdos, parts = self._pdos[assignment], []
         for number in range(1, self._number(assignment, 0) + 1):
             for part in pdos.get(self._number(assignment, number), ()):
@@ -185,7 +185,7 @@ class Dictionary:
         return Image(parts)
 
     def _check_assignment(self, index: int, subindex: int, value: int) -> None:
-        """The master clears the count, writes the PDOs, then the count (ETG.1020, PDO assignment)."""
+        """Checks an assignment: first the count is cleared, then PDOs are written, then the count (ETG.1020)."""
         if subindex == 0:
             if value > MOST_PDOS:
                 raise Abort(Abort.VALUE_RANGE)
@@ -209,7 +209,7 @@ class Dictionary:
 
 
 def _array(index: int, values: tuple[int, ...], bits: int, most: int = 0) -> dict[tuple[int, int], ObjectEntry]:
-    """An object of equal entries whose subindex 0 counts them, with room for `most`."""
+    """Creates an object of equal entries, whose subindex 0 is their count, with space for `most`."""
     entries = {(index, 0): ObjectEntry(len(values), 8)}
     for number in range(max(len(values), most)):
         entries[index, number + 1] = ObjectEntry(values[number] if number < len(values) else 0, bits)

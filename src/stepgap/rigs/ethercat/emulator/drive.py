@@ -1,4 +1,4 @@
-"""A torque-controlled drive: CiA 402-2, device control (ETG.6010), as the drive runs it; mode 10 only."""
+"""A torque-controlled drive: its side of the device control of CiA 402-2 (ETG.6010), mode 10 only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,23 +20,23 @@ SUPPORTED_MODES = 0x6502
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 
 COMMUNICATION_LOST, SPEED_RUN_AWAY = 0x8130, 0x8400
-"""Error codes (CiA 402-2, error codes): process data stayed out while enabled; the machine left its bounds."""
+"""Error codes (CiA 402-2, error codes): no process data while enabled; the machine left its bounds."""
 
 GENERIC_ERROR = 0x01
 """Bit of the error register (CiA 301)."""
 
 ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)
-"""An identity as Elmo's Gold drives have it."""
+"""Identity of Elmo's Gold drives."""
 
 _SWITCH_ON, VOLTAGE, NO_QUICK_STOP, _ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
 """Bits of the controlword (CiA 402-2, object 0x6040)."""
 
 VOLTAGE_ENABLED, REMOTE, FOLLOWS = 0x0010, 0x0200, 0x1000
-"""Bits of the statusword besides the state: power stage fed, controlwords obeyed, torque follows its target."""
+"""Bits of the statusword besides the state: voltage enabled, remote, drive follows the command value."""
 
 
 class DriveState(IntEnum):
-    """States, as the low bits of the statusword show them (CiA 402-2, object 0x6041)."""
+    """States, with their low bits in the statusword (CiA 402-2, object 0x6041)."""
 
     SWITCH_ON_DISABLED = 0x40
     READY_TO_SWITCH_ON = 0x21
@@ -47,12 +47,12 @@ class DriveState(IntEnum):
 
 
 def next_drive_state(state: DriveState, controlword: int, before: int) -> DriveState:
-    """The state after a controlword (CiA 402-2, device control state machine); at most one state up at a time.
+    """Next state for a controlword (CiA 402-2, device control state machine); at most one transition upwards.
 
     Args:
         state: Present state.
-        controlword: The new one.
-        before: The one before, since a fault is reset by a rising edge.
+        controlword: New controlword.
+        before: Previous controlword, since a fault is reset by a rising edge.
     """
     if state is DriveState.FAULT:
         rises = controlword & ~before & FAULT_RESET
@@ -72,13 +72,13 @@ def next_drive_state(state: DriveState, controlword: int, before: int) -> DriveS
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """A drive's data.
+    """Parameters of a drive.
 
     Attributes:
-        identity: Who it is.
-        rated_torque: What 1000 of a torque object means [mN·m].
-        largest_torque: Limit of the drive, in 1/1000 of `rated_torque`; the master may lower or raise it by SDO.
-        period: Of a tick [s].
+        identity: Its identity.
+        rated_torque: Torque of the value 1000 of a torque object [mN·m].
+        largest_torque: Limit of the drive, in 1/1000 of `rated_torque`; the master may change it by SDO.
+        period: Time of a tick [s].
     """
 
     identity: Identity = ELMO_GOLD
@@ -101,16 +101,16 @@ INPUT_PDOS = {
     ),
     0x1A11: (Mapped(VELOCITY, 0, 32),),
 }
-"""PDOs for torque as Elmo's drives map them; only 0x1602 and 0x1A02 are assigned after power-up."""
+"""PDOs for torque control with the mapping of Elmo's drives; only 0x1602 and 0x1A02 are assigned after power-up."""
 
 
 class Drive(EmulatedDevice):
     """A drive behind a slave controller.
 
     Args:
-        name: What it is called in the ring.
-        settings: Its data.
-        counts: Its motor's encoder counts in a reading.
+        name: Its name in the ring.
+        settings: Its parameters.
+        counts: Selects its motor's encoder counts from a reading.
     """
 
     def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
@@ -120,7 +120,7 @@ class Drive(EmulatedDevice):
         self.power_on()
 
     def power_on(self) -> None:
-        """Begins anew: switch-on disabled, no torque, PDOs as after power-up."""
+        """Resets the drive: switch-on disabled, no torque, PDOs as after power-up."""
         settings = self._settings
         self._control, self._status = ObjectEntry(0, 16, writable=True), ObjectEntry(DriveState.SWITCH_ON_DISABLED, 16)
         self._mode, self._mode_display = ObjectEntry(0, 8, True, True), ObjectEntry(0, 8, True)
@@ -157,11 +157,11 @@ class Drive(EmulatedDevice):
 
     @property
     def is_enabled(self) -> bool:
-        """Torque follows its target, if process data say so."""
+        """Whether the drive is enabled, so that torque follows its target."""
         return self.state is DriveState.OPERATION_ENABLED
 
     def update(self, operational: bool) -> None:
-        """State machine, then torque; whoever is enabled and no longer gets process data trips."""
+        """Updates the state, then the torque; an enabled drive without process data trips."""
         if operational:
             self.state = next_drive_state(self.state, self._control.value, self._before)
             self._before = self._control.value
@@ -177,7 +177,7 @@ class Drive(EmulatedDevice):
         self._act()
 
     def trip(self, code: int) -> None:
-        """A fault: torque off, emergency sent, latched until reset; the first one is kept."""
+        """Enters the fault state: torque off, emergency sent, latched until reset; the first fault is kept."""
         if self.state is not DriveState.FAULT:
             self.state = DriveState.FAULT
             self._error.value, self._register.value = code, GENERIC_ERROR
@@ -185,13 +185,13 @@ class Drive(EmulatedDevice):
         self._act()
 
     def sense(self, reading: Reading) -> None:
-        """Position and velocity of the motor, in counts and counts a second."""
+        """Updates position and velocity of the motor [counts, counts/s]."""
         counts = round(self._counts(reading))
         self._velocity.value = round((counts - self._position.value) / self._settings.period)
         self._position.value = counts
 
     def _act(self) -> None:
-        """Torque [N·m] and statusword as the state has them."""
+        """Sets torque [N·m] and statusword according to the state."""
         follows = self.state is DriveState.OPERATION_ENABLED and self._mode_display.value == CYCLIC_SYNCHRONOUS_TORQUE
         limit = self._largest.value
         self._torque.value = min(max(self._target.value, -limit), limit) if follows else 0
@@ -200,6 +200,6 @@ class Drive(EmulatedDevice):
 
 
 def _check(index: int, value: int) -> None:
-    """Only cyclic synchronous torque is there; 0 is no mode."""
+    """Refuses modes other than cyclic synchronous torque and 0, which is no mode."""
     if index == MODE and value not in (0, CYCLIC_SYNCHRONOUS_TORQUE):
         raise Abort(Abort.VALUE_RANGE)

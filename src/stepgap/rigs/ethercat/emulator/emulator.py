@@ -1,4 +1,4 @@
-"""The ring on a network interface: frames come, answers go, until it is told to stop."""
+"""The ring on a network interface: it answers frames until it is stopped."""
 
 import gc
 import os
@@ -18,69 +18,69 @@ from stepgap.rigs.ethercat.emulator.ring import Ring
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 
 LARGEST_LAG = 100
-"""Ticks that a ring on the wall clock makes up for; where it falls further behind, its time stands still meanwhile."""
+"""Largest number of ticks that a ring on the wall clock catches up with; with more, its time lags behind."""
 
 PRIORITY = 90
-"""Of SCHED_FIFO; more than a master's, who waits for a frame as for hardware, on a single core for ever."""
+"""Priority of SCHED_FIFO; above a master's, which on a single core would wait for a frame without end."""
 
 READY = ""
-"""What the ring's process says when it can be used; anything else is why it cannot."""
+"""Message of the ring's process when it is ready; any other message is the reason why it failed."""
 
 
 def run_emulator(
     interface: str,
     machine: Machine,
     settings: RingSettings,
-    say: Callable[[str], None] = print,
+    report: Callable[[str], None] = print,
     stop: Connection | None = None,
 ) -> None:
-    """Makes a veth pair, serves the ring on it until Ctrl-C, SIGTERM or `stop`, and takes the pair away.
+    """Creates a veth pair, runs the ring on it until Ctrl-C, SIGTERM or `stop`, and deletes the pair.
 
     Args:
         interface: Name of the end that a master opens.
-        machine: What the drives move.
-        settings: Of the ring.
-        say: Is told once where the ring is, when it can be used.
-        stop: Ends it when something can be read there, or it is closed on the other side.
+        machine: Machine that the drives move.
+        settings: Settings of the ring.
+        report: Called once, when the ring is ready, with a line that names its interface.
+        stop: Ends the ring when it becomes readable or is closed on the other side.
 
     Raises:
-        NoNetwork: The interface cannot be had; the message says what to do.
+        NoNetwork: The interface cannot be created; the message contains the remedy.
         ValueError: The settings do not fit.
     """
     ring = Ring(machine, settings)
-    _ask_for_realtime()
+    _request_realtime()
     names = ", ".join(slave.device.name for slave in ring.slaves)
     with terminated_as_interrupted(), suppress(KeyboardInterrupt), wire(interface) as raw:
-        say(f"EtherCAT ring on {interface}: {names}")
+        report(f"EtherCAT ring on {interface}: {names}")
         period = None if settings.lock_step else round(machine.period * 1e9)
         _serve(ring, raw, stop, period)
 
 
 @contextmanager
 def emulated(interface: str, make_machine: Callable[[], Machine], settings: RingSettings) -> Iterator[None]:
-    """The ring in a process of its own, which ends with the block, and also when this process dies.
+    """Runs the ring in a separate process, which ends with the block, and also when this process dies.
 
     Args:
         interface: Name of the end that the master opens.
-        make_machine: Makes what the drives move, in that process; it must be possible to pickle it.
-        settings: Of the ring.
+        make_machine: Creates the machine that the drives move, in that process; it must be possible to pickle it.
+        settings: Settings of the ring.
 
     Raises:
-        NoNetwork: The ring cannot be had; the message says what to do.
+        NoNetwork: The ring cannot be started; the message contains the remedy.
     """
     context = get_context("spawn")
     here, there = context.Pipe()
-    process = context.Process(target=_run_apart, args=(interface, make_machine, settings, there), daemon=True)
+    process = context.Process(target=_run_in_process, args=(interface, make_machine, settings, there), daemon=True)
     process.start()
     there.close()
     with here:
         try:
-            said = here.recv()
+            message = here.recv()
         except EOFError:
-            said = "the ring's process ended before it was ready"
-        if said != READY:
+            message = "the ring's process ended before it was ready"
+        if message != READY:
             process.join()
-            raise NoNetwork(said)
+            raise NoNetwork(message)
         try:
             yield
         finally:
@@ -88,14 +88,16 @@ def emulated(interface: str, make_machine: Callable[[], Machine], settings: Ring
             process.join()
 
 
-def _ask_for_realtime() -> None:
-    """Asks for SCHED_FIFO, since a master waits for an answer no longer than half a tick."""
+def _request_realtime() -> None:
+    """Requests SCHED_FIFO, since a master waits for an answer no longer than half a tick."""
     gc.freeze()
     with suppress(AttributeError, PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
-def _run_apart(interface: str, make_machine: Callable[[], Machine], settings: RingSettings, parent: Connection) -> None:
+def _run_in_process(
+    interface: str, make_machine: Callable[[], Machine], settings: RingSettings, parent: Connection
+) -> None:
     try:
         run_emulator(interface, make_machine(), settings, lambda _: parent.send(READY), parent)
     except (NoNetwork, ValueError) as reason:
@@ -103,7 +105,7 @@ def _run_apart(interface: str, make_machine: Callable[[], Machine], settings: Ri
 
 
 def _serve(ring: Ring, raw: socket.socket, stop: Connection | None, period: int | None) -> None:
-    """Answers frames until `stop` can be read; `period` of a tick on the wall clock [ns], none in lock-step."""
+    """Answers frames until `stop` is readable; `period` of a tick on the wall clock [ns], None in lock-step."""
     raw.setblocking(False)
     poll = select.poll()
     poll.register(raw, select.POLLIN)
@@ -111,7 +113,7 @@ def _serve(ring: Ring, raw: socket.socket, stop: Connection | None, period: int 
         poll.register(stop, select.POLLIN)
     due = monotonic_ns()
     while True:
-        # poll knows only milliseconds; on the wall clock a tick may come late, but none is left out
+        # the resolution of poll is a millisecond; on the wall clock a tick may be late, but none is skipped
         ready = poll.poll(None if period is None else max(0, (due - monotonic_ns() + 999_999) // 1_000_000))
         if period is not None:
             due = _catch_up(ring, due, period)
@@ -123,7 +125,7 @@ def _serve(ring: Ring, raw: socket.socket, stop: Connection | None, period: int 
 
 
 def _catch_up(ring: Ring, due: int, period: int) -> int:
-    """Makes the ticks that are due [ns]; when the next one is."""
+    """Makes the ticks that are due; returns when the next one is due [ns]."""
     now = monotonic_ns()
     due = max(due, now - LARGEST_LAG * period)
     while due <= now:

@@ -1,4 +1,4 @@
-"""Scripted disturbances of a ring. Cycles are frames with outputs (LRW, LWR), counted from 0 since the ring began."""
+"""Scripted faults of a ring; cycles are frames with outputs (LRW, LWR), counted from 0 since the ring started."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ class LostFrames:
     """Frames that never reach the slaves.
 
     Attributes:
-        cycle: The first one.
-        cycles: How many in a row.
+        cycle: First lost frame.
+        cycles: Number of consecutive lost frames.
     """
 
     cycle: int
@@ -18,7 +18,7 @@ class LostFrames:
 
 @dataclass(frozen=True)
 class LateFrame:
-    """A frame that reaches the slaves in time and comes back only with the next one, before it."""
+    """A frame that reaches the slaves in time but comes back only immediately before the next one."""
 
     cycle: int
 
@@ -32,11 +32,11 @@ class DuplicatedFrame:
 
 @dataclass(frozen=True)
 class Silence:
-    """Time in which no frame comes, as if the master stood still before it sent this one.
+    """A pause without frames, as if the master stopped before it sent this one.
 
     Attributes:
-        cycle: The frame before which it is silent.
-        ticks: How long, in ticks of the machine.
+        cycle: Frame before which the pause is.
+        ticks: Duration in ticks of the machine.
     """
 
     cycle: int
@@ -45,12 +45,12 @@ class Silence:
 
 @dataclass(frozen=True)
 class Unplugged:
-    """A slave and all behind it are out of reach for a while, with power on; a ring without slaves answers nothing.
+    """A slave and all behind it are disconnected for a while, with power on; a ring without slaves does not answer.
 
     Attributes:
-        cycle: The first one without it.
+        cycle: First cycle without the slave.
         slave: Its name.
-        cycles: How many.
+        cycles: Number of cycles.
     """
 
     cycle: int
@@ -60,12 +60,12 @@ class Unplugged:
 
 @dataclass(frozen=True)
 class PowerLost(Unplugged):
-    """A slave loses power and comes back in INIT; those behind it are out of reach meanwhile."""
+    """A slave loses power and comes back in INIT; those behind it are disconnected meanwhile."""
 
 
 @dataclass(frozen=True)
 class Stalled(Unplugged):
-    """A slave's application hangs: inputs freeze, torque stays; its slave controller goes on and counts."""
+    """A slave's application hangs: inputs and torque do not change; its slave controller still processes frames."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class DriveFault:
     """A drive trips.
 
     Attributes:
-        cycle: When.
-        slave: The drive's name.
+        cycle: Cycle in which it trips.
+        slave: Name of the drive.
         code: Error code (object 0x603F).
     """
 
@@ -85,11 +85,11 @@ class DriveFault:
 
 @dataclass(frozen=True)
 class SentEmergency:
-    """A slave sends an emergency and goes on.
+    """A slave sends an emergency and continues.
 
     Attributes:
-        cycle: When.
-        slave: Its name.
+        cycle: Cycle in which it is sent.
+        slave: Name of the slave.
         code: Error code in the message.
     """
 
@@ -100,11 +100,11 @@ class SentEmergency:
 
 @dataclass(frozen=True)
 class WrongMapping:
-    """A slave wants one byte of inputs more than its PDOs have: SAFEOP is refused, or lost, with code 0x1E.
+    """A slave expects one byte of inputs more than its PDOs have: SAFEOP is refused, or lost, with code 0x1E.
 
     Attributes:
-        cycle: From when on; 0 is from the beginning.
-        slave: Its name.
+        cycle: First cycle; 0 is from the start.
+        slave: Name of the slave.
     """
 
     cycle: int

@@ -9,7 +9,7 @@ from stepgap.base.errors import StepGapError
 ETHERTYPE = 0x88A4
 BROADCAST = b"\xff" * 6
 SHORTEST_FRAME = 60
-"""Bytes of an Ethernet frame without check sequence; shorter ones are padded."""
+"""Least length of an Ethernet frame without check sequence [bytes]; shorter ones are padded."""
 LONGEST_FRAME = 1514
 
 _ETHERNET = Struct("!6s6sH")
@@ -20,11 +20,11 @@ _LENGTH_MASK, _MORE_FOLLOW, _DATAGRAMS = 0x07FF, 0x8000, 0x1000
 
 
 class FrameError(StepGapError, ValueError):
-    """The bytes are no EtherCAT frame with datagrams."""
+    """The bytes are not an EtherCAT frame with datagrams."""
 
 
 class Command(IntEnum):
-    """Commands of a datagram (ETG.1000.4 §5.4.1): address by position (AP), station (FP), everyone (B), logic (L)."""
+    """Commands of a datagram (ETG.1000.4 §5.4.1): by position (AP), station (FP), broadcast (B), logical (L)."""
 
     NOP = 0
     APRD = 1
@@ -48,13 +48,13 @@ class Datagram(NamedTuple):
 
     Attributes:
         command: A `Command`; others are passed on.
-        mark: The master's number to find the answer by.
+        mark: Index by which the master identifies the answer.
         address: Position or station address; the low half of a logical address.
         offset: Register or memory address; the high half of a logical address.
-        data: To be written, or what was read.
-        counter: Working counter: how many slaves took part (+1 read, +1 written, +2 written by LRW).
-        flags: Reserved and circulating bits of the length field, kept as they are.
-        event: Event field, kept as it is.
+        data: Data to be written, or data read.
+        counter: Working counter: number of accesses by slaves (+1 read, +1 written, +2 written by LRW).
+        flags: Reserved and circulating bits of the length field, kept unchanged.
+        event: Event field, kept unchanged.
     """
 
     command: int
@@ -68,7 +68,7 @@ class Datagram(NamedTuple):
 
     @property
     def logical_address(self) -> int:
-        """Of LRD, LWR and LRW."""
+        """Logical address of LRD, LWR and LRW."""
         return self.offset << 16 | self.address
 
 
@@ -81,10 +81,10 @@ class Frame(NamedTuple):
 
 
 def decode(raw: bytes) -> Frame:
-    """The datagrams in an Ethernet frame.
+    """Decodes the datagrams in an Ethernet frame.
 
     Raises:
-        FrameError: Not EtherCAT, or cut off.
+        FrameError: It is not EtherCAT, or it is truncated.
     """
     start = _ETHERNET.size + _ETHERCAT.size
     if len(raw) < start:
@@ -93,18 +93,18 @@ def decode(raw: bytes) -> Frame:
     (header,) = _ETHERCAT.unpack_from(raw, _ETHERNET.size)
     end = start + (header & _LENGTH_MASK)
     if kind != ETHERTYPE or header & 0xF000 != _DATAGRAMS:
-        raise FrameError(f"type {kind:#06x} with header {header:#06x} does not hold EtherCAT datagrams")
+        raise FrameError(f"type {kind:#06x} with header {header:#06x} is not that of EtherCAT datagrams")
     if end > len(raw):
-        raise FrameError("the frame is shorter than its header says")
+        raise FrameError("the frame is shorter than the length in its header")
     datagrams, more = [], True
     while more:
         data_start = start + _DATAGRAM.size
         if data_start > end:
-            raise FrameError("a datagram's header is cut off")
+            raise FrameError("the header of a datagram is truncated")
         command, mark, address, offset, length, event = _DATAGRAM.unpack_from(raw, start)
         data_end = data_start + (length & _LENGTH_MASK)
         if data_end + _COUNTER.size > end:
-            raise FrameError("a datagram's data are cut off")
+            raise FrameError("the data of a datagram are truncated")
         (counter,) = _COUNTER.unpack_from(raw, data_end)
         flags, more = length & ~_LENGTH_MASK & ~_MORE_FOLLOW, bool(length & _MORE_FOLLOW)
         data = bytes(raw[data_start:data_end])
@@ -114,11 +114,11 @@ def decode(raw: bytes) -> Frame:
 
 
 def encode(frame: Frame) -> bytes:
-    """The Ethernet frame, padded to the shortest allowed."""
+    """Encodes an Ethernet frame, padded to the least length."""
     parts = []
-    for left, datagram in zip(range(len(frame.datagrams) - 1, -1, -1), frame.datagrams, strict=True):
+    for remaining, datagram in zip(range(len(frame.datagrams) - 1, -1, -1), frame.datagrams, strict=True):
         command, mark, address, offset, data, counter, flags, event = datagram
-        length = len(data) | flags | (_MORE_FOLLOW if left else 0)
+        length = len(data) | flags | (_MORE_FOLLOW if remaining else 0)
         parts += _DATAGRAM.pack(command, mark, address, offset, length, event), data, _COUNTER.pack(counter & 0xFFFF)
     body = b"".join(parts)
     ethernet = _ETHERNET.pack(frame.destination, frame.source, ETHERTYPE)

@@ -1,4 +1,4 @@
-"""What the drives move: torques in, sensor values out, a tick at a time."""
+"""The interface of the machine that the drives move: torques in, sensor values out, tick by tick."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -18,16 +18,16 @@ class Machine(ABC):
 
     @abstractmethod
     def devices(self, settings: RingSettings) -> Sequence[EmulatedDevice]:
-        """The ring of its drives and sensors, in the order in which frames pass them."""
+        """Creates its drives and sensors, in the order in which frames pass them."""
 
     @abstractmethod
     def start(self) -> Reading:
-        """Puts it to where it starts from, held there until the first tick."""
+        """Puts the machine into its start position, where it is held until the first tick."""
 
     @abstractmethod
     def tick(self, torques: Torques) -> Reading:
-        """Moves on by one tick under the motors' torques [N·m] and says what the sensors read then.
+        """Simulates one tick with the motors' torques [N·m] and returns the sensor values at its end.
 
         Raises:
-            RigFault: It left its bounds.
+            RigFault: The machine left its bounds.
         """

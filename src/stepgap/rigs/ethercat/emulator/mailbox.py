@@ -1,4 +1,4 @@
-"""CANopen over EtherCAT in a slave's mailbox: SDO requests answered, emergencies sent (ETG.1000.6 §5.6)."""
+"""CANopen over EtherCAT in a slave's mailbox: answers to SDO requests, and emergencies (ETG.1000.6 §5.6)."""
 
 from struct import Struct, error, pack
 
@@ -8,27 +8,27 @@ MAILBOX_ERROR, COE = 0, 3
 """Mailbox types (ETG.1000.4, mailbox header)."""
 
 EMERGENCY, SDO_REQUEST, SDO_RESPONSE = 1, 2, 3
-"""CoE services (ETG.1000.6, CoE header). An abort is a request, whoever sends it."""
+"""CoE services (ETG.1000.6, CoE header). An abort is a request, also from a slave."""
 
 UPLOAD, DOWNLOAD = 0x40, 0x20
 ABORT = 0x80
 COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
-"""SDO command byte (ETG.1000.6, SDO services): what, and its bits."""
+"""Command and flags in the SDO command byte (ETG.1000.6, SDO services)."""
 
 UNSUPPORTED_PROTOCOL = 0x0002
-"""Detail of a mailbox error: this mailbox type is not served."""
+"""Detail of a mailbox error: this mailbox type is not supported."""
 
 _HEADER = Struct("<HHBB")
 _SDO = Struct("<HBHB")
 
 
 def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) -> bytes:
-    """The mailbox message that answers one.
+    """Answers a mailbox message.
 
     Args:
-        dictionary: What is read and written.
-        request: Mailbox message of a master; anything may be in it.
-        may_assign: PDOs may be assigned in the present state.
+        dictionary: Dictionary that is read and written.
+        request: Mailbox message of a master; it may contain arbitrary bytes.
+        may_assign: Whether PDOs may be assigned in the present state.
         room: Longest answer [bytes]; longer objects are refused, since segments are not supported.
     """
     try:
@@ -53,12 +53,12 @@ def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) 
 
 
 def emergency(code: int, register: int, detail: bytes = b"") -> bytes:
-    """An emergency message (ETG.1000.6, emergency service).
+    """Encodes an emergency message (ETG.1000.6, emergency service).
 
     Args:
         code: Error code, as in object 0x603F.
         register: Error register, as in object 0x1001.
-        detail: Up to five bytes of the vendor's.
+        detail: Up to five bytes that the vendor defines.
     """
     return _message(COE, pack("<HHB", EMERGENCY << 12, code, register) + detail[:5].ljust(5, b"\0"))
 
@@ -73,7 +73,7 @@ def _uploaded(value: bytes, room: int) -> tuple[int, bytes]:
 
 
 def _downloaded(command: int, data: bytes) -> bytes:
-    """The value in a download."""
+    """Value of a download."""
     if command & EXPEDITED:
         return data[: 4 - (command >> 2 & 3) if command & SIZE_GIVEN else 4]
     size = int.from_bytes(data[:4], "little")
@@ -87,5 +87,5 @@ def _sdo(service: int, index: int, subindex: int, command: int, data: bytes) -> 
 
 
 def _message(kind: int, body: bytes) -> bytes:
-    """A mailbox message; the slave counts it when it is sent (bits 4–6 of the type byte)."""
+    """Encodes a mailbox message; the slave sets its counter when it is sent (bits 4–6 of the type byte)."""
     return _HEADER.pack(len(body), 0, 0, kind) + body

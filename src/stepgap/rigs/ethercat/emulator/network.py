@@ -1,4 +1,4 @@
-"""A wire in software: a veth pair, one end for the master, one for the ring; Linux only."""
+"""A virtual network cable: a veth pair, with one end for the master and one for the ring; Linux only."""
 
 import ctypes
 import os
@@ -16,11 +16,11 @@ _LONGEST_NAME = 15
 """Characters of an interface's name (IFNAMSIZ − 1)."""
 
 RING_END = "-ring"
-"""What the name of the ring's end has after the master's."""
+"""Suffix of the name of the ring's end."""
 
 _ADVICE = (
     "raw Ethernet needs root (CAP_NET_ADMIN and CAP_NET_RAW). Run it with sudo; or without, where your system "
-    "allows it, in a network of its own: `unshare -Urn COMMAND`, master and ring in the same COMMAND; "
+    "allows it, in a separate network: `unshare -Urn COMMAND`, master and ring in the same COMMAND; "
     "in a container add --cap-add NET_ADMIN --cap-add NET_RAW"
 )
 
@@ -29,24 +29,24 @@ CLONE_NEWNET = 0x40000000
 
 
 class NoNetwork(StepGapError):
-    """The network interface cannot be had; the message says what to do."""
+    """The network interface cannot be created; the message contains the remedy."""
 
 
 @contextmanager
 def wire(name: str) -> Iterator[socket.socket]:
-    """Makes a veth pair, up on both ends, and takes it away in the end.
+    """Creates a veth pair, up on both ends, and deletes it at the end.
 
-    Where the kernel grants one, the ring's end lies in a network namespace that only its socket keeps alive: both ends
-    then go with the process, even if it is killed.
+    If the kernel allows it, the ring's end is in a network namespace that only its socket keeps alive: then both ends
+    vanish with the process, even if it is killed.
 
     Args:
-        name: Of the master's end; the ring's end is called NAME-ring.
+        name: Name of the master's end; the ring's end is called NAME-ring.
 
     Yields:
         A socket at the ring's end.
 
     Raises:
-        NoNetwork: It cannot be made.
+        NoNetwork: It cannot be created.
     """
     other = name + RING_END
     if not name or len(other) > _LONGEST_NAME:
@@ -65,7 +65,7 @@ def wire(name: str) -> Iterator[socket.socket]:
 
 @contextmanager
 def _other_namespace() -> Iterator[Sequence[str]]:
-    """This thread in a network namespace of its own, if it may; `ip`'s words for where it was, else none."""
+    """Moves this thread to a new network namespace, if allowed; yields `ip`'s arguments for the former one."""
     here, libc = os.open("/proc/thread-self/ns/net", os.O_RDONLY), ctypes.CDLL(None, use_errno=True)
     try:
         if libc.unshare(CLONE_NEWNET):
@@ -75,13 +75,13 @@ def _other_namespace() -> Iterator[Sequence[str]]:
             yield "netns", f"/proc/{os.getpid()}/fd/{here}"
         finally:
             if libc.setns(here, CLONE_NEWNET):
-                raise OSError(ctypes.get_errno(), "cannot go back to the network namespace")
+                raise OSError(ctypes.get_errno(), "cannot return to the network namespace")
     finally:
         os.close(here)
 
 
 def raw_socket(interface: str) -> socket.socket:
-    """A socket for the EtherCAT frames on an interface; it does not hear what it sends itself.
+    """Opens a socket for the EtherCAT frames on an interface; it does not receive the frames that it sends.
 
     Raises:
         NoNetwork: Raw sockets are not allowed, or there is no such interface.
@@ -101,9 +101,9 @@ def raw_socket(interface: str) -> socket.socket:
 
 
 def run_in_namespace(command: Sequence[str]) -> NoReturn:
-    """Becomes `command` in a user and network namespace of its own, where interfaces can be made without being root.
+    """Replaces this process by `command` in a new user and network namespace, where interfaces need no root.
 
-    Ring and master must both be in there; all interfaces in it end with the last process.
+    Ring and master must both be in it; its interfaces vanish with its last process.
 
     Raises:
         NoNetwork: The system does not allow it.
@@ -124,8 +124,8 @@ def _ip(*arguments: str) -> None:
         raise NoNetwork("the command `ip` is missing; Debian, Ubuntu: apt install iproute2")
     outcome = subprocess.run([program, *arguments], capture_output=True, text=True, check=False)
     if outcome.returncode:
-        said = outcome.stderr.strip()
-        if "not permitted" in said:
-            raise NoNetwork(f"ip {' '.join(arguments)}: {said}: {_ADVICE}")
-        exists = "; end the emulator that has it, or take it away by `ip link del`" if "exists" in said else ""
-        raise NoNetwork(f"ip {' '.join(arguments)}: {said}{exists}")
+        error = outcome.stderr.strip()
+        if "not permitted" in error:
+            raise NoNetwork(f"ip {' '.join(arguments)}: {error}: {_ADVICE}")
+        remedy = "; end the emulator that uses it, or delete it by `ip link del`" if "exists" in error else ""
+        raise NoNetwork(f"ip {' '.join(arguments)}: {error}{remedy}")

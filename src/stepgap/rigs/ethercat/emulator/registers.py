@@ -10,19 +10,19 @@ TYPE, FMMU_COUNT, SYNC_MANAGER_COUNT, RAM_SIZE, _PORTS, ESC_FEATURES = (
     0x0007,
     0x0008,
 )
-"""What the slave controller is (§6.1.1)."""
+"""Type and features of the slave controller (§6.1.1)."""
 
 STATION_ADDRESS, STATION_ALIAS = 0x0010, 0x0012
 DL_CONTROL, DL_STATUS = 0x0100, 0x0110
-"""Data link: DL_STATUS tells which ports are linked, open or looped back, and so the topology (§6.1.4)."""
+"""Data link: DL_STATUS contains which ports are linked, open or looped back, and so the topology (§6.1.4)."""
 
 AL_CONTROL, AL_STATUS, AL_STATUS_CODE = 0x0120, 0x0130, 0x0134
-"""Application layer: state asked for, present state, why it was refused (ETG.1000.6 §5.3)."""
+"""Application layer: requested state, present state, reason of a refusal (ETG.1000.6 §5.3)."""
 
 PDI_CONTROL, INTERRUPT_MASK, ERROR_COUNTERS = 0x0140, 0x0200, 0x0300
 
 WATCHDOG_DIVIDER, WATCHDOG_TIME, WATCHDOG_STATUS, WATCHDOG_COUNTER = 0x0400, 0x0420, 0x0440, 0x0442
-"""Of the process data: (divider + 2) · 40 ns is the unit of the time; status bit 0 falls when it ran out (§6.3)."""
+"""Watchdog of process data: its time has the unit (divider + 2) · 40 ns; status bit 0 is 0 once it expired (§6.3)."""
 
 PDI_WATCHDOG_TIME = 0x0410
 EEPROM_CONFIGURATION, EEPROM_CONTROL, EEPROM_ADDRESS, EEPROM_DATA = 0x0500, 0x0502, 0x0504, 0x0508
@@ -60,7 +60,7 @@ WRITABLE = (
     (DC_OFFSET, DC_END),
     (PROCESS_RAM, MEMORY_SIZE),
 )
-"""Ranges [from, to) that a master may write; elsewhere writing changes nothing."""
+"""Ranges [from, to) that a master may write; other bytes do not change."""
 
 
 class AlState(IntEnum):
@@ -73,7 +73,7 @@ class AlState(IntEnum):
 
 
 ERROR_FLAG = ACKNOWLEDGE = 0x10
-"""Bit of AL_STATUS: the last change was refused or a state was lost; bit of AL_CONTROL: the master has seen it."""
+"""Bit of AL_STATUS: the last change was refused or a state was lost; bit of AL_CONTROL: the master acknowledges it."""
 
 
 class StatusCode(IntEnum):

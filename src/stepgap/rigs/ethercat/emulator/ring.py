@@ -1,4 +1,4 @@
-"""The ring: a frame in, frames out, and a machine that moves on with them; no sockets and no clock in it."""
+"""The ring: a frame in, frames out, and a machine that moves tick by tick; without sockets and clock."""
 
 from collections.abc import Sequence
 
@@ -33,18 +33,18 @@ _SEEN = 0x02
 
 
 class Ring:
-    """Slaves in a line; the drives among them turn a machine's motors, in their order.
+    """Slaves in a line; the drives among them move a machine's motors, in their order.
 
-    The machine stands still until every drive has been enabled once, and goes back to its start when a master
-    broadcasts INIT, as masters do first of all.
+    The machine is held until every drive has been enabled once, and returns to its start when a master broadcasts INIT,
+    which masters do first.
 
     Args:
-        machine: What the drives move.
-        settings: How frames pass.
-        devices: In the order in which frames pass them; the machine's by default.
+        machine: Machine that the drives move.
+        settings: Settings of the ring.
+        devices: Devices in the order in which frames pass them; by default those of the machine.
 
     Raises:
-        ValueError: There is no drive, names are not distinct, or a fault names none of them.
+        ValueError: There is no drive, names are not distinct, or a fault names an unknown slave.
     """
 
     def __init__(self, machine: Machine, settings: RingSettings, devices: Sequence[EmulatedDevice] | None = None):
@@ -56,13 +56,13 @@ class Ring:
         for fault in settings.faults:
             name = getattr(fault, "slave", self.slaves[0].device.name)
             if name not in self._by_name:
-                raise ValueError(f"{fault} names no slave; those are {', '.join(self._by_name)}")
+                raise ValueError(f"{fault} names an unknown slave; the slaves are {', '.join(self._by_name)}")
         self._machine, self._settings = machine, settings
         self._period = round(machine.period * 1e9)
         self.cycles = 0
-        """Frames with outputs so far, lost ones included."""
+        """Number of frames with outputs so far, including lost ones."""
         self.ticks = 0
-        """Ticks of the ring's time; the machine may have stood still in some."""
+        """Number of ticks of the ring; in some the machine may have been held."""
         self._late: list[bytes] = []
         self._start()
         for fault in settings.faults:
@@ -71,7 +71,7 @@ class Ring:
         self._reach(len(self.slaves))
 
     def pass_frame(self, raw: bytes) -> list[bytes]:
-        """The frames that come back for one sent; none for what is not EtherCAT."""
+        """Passes a frame through the ring; returns the frames that come back, none if it is not EtherCAT."""
         try:
             frame = decode(raw)
         except FrameError:
@@ -81,7 +81,7 @@ class Ring:
         return self._pass_cycle(frame)
 
     def advance(self) -> None:
-        """One tick of time: the slaves act on their outputs, the machine moves, the slaves sense."""
+        """Advances by one tick: the slaves act on their outputs, the machine moves, the slaves sense."""
         for slave in self.slaves:
             slave.take_outputs()
         if not self._released and all(drive.is_enabled for drive in self.drives):
@@ -102,7 +102,7 @@ class Ring:
             slave.device.sense(self._reading)
 
     def _pass_cycle(self, frame: Frame) -> list[bytes]:
-        """A frame with outputs, disturbed as the script says; in lock-step a tick follows."""
+        """Passes a frame with outputs, with its scripted faults; in lock-step a tick follows."""
         cycle, settings = self.cycles, self._settings
         self.cycles += 1
         lost, copies, late = False, 1, False
@@ -115,17 +115,17 @@ class Ring:
         if settings.lock_step:
             self.advance()
             if settings.inputs_after_tick:
-                answers = [self._sensed_anew(answer) for answer in answers]
+                answers = [self._with_new_inputs(answer) for answer in answers]
         answers, self._late = self._late + answers * copies, []
         if late:
             answers, self._late = [], answers
         return answers
 
     def _answers(self, frame: Frame) -> list[bytes]:
-        """The frame after it has passed all slaves in reach; nothing where the first one is not."""
+        """The frame after it has passed all connected slaves; nothing if the first one is not connected."""
         if self._reached == 0:
             return []
-        if any(datagram.command == Command.BWR and _asks_for_init(datagram) for datagram in frame.datagrams):
+        if any(datagram.command == Command.BWR and _requests_init(datagram) for datagram in frame.datagrams):
             self._start()
         datagrams = tuple(self._pass(datagram) for datagram in frame.datagrams)
         source = bytes([frame.source[0] | _SEEN]) + frame.source[1:]
@@ -140,8 +140,8 @@ class Ring:
                 address = address + 1 & 0xFFFF
         return datagram._replace(address=address, data=bytes(data), counter=counter & 0xFFFF)
 
-    def _sensed_anew(self, raw: bytes) -> bytes:
-        """An answer with the inputs as they are now."""
+    def _with_new_inputs(self, raw: bytes) -> bytes:
+        """Updates the inputs in an answer."""
         frame, datagrams = decode(raw), []
         for datagram in frame.datagrams:
             data = bytearray(datagram.data)
@@ -152,14 +152,14 @@ class Ring:
         return encode(frame._replace(datagrams=tuple(datagrams)))
 
     def _reach(self, count: int) -> None:
-        """Frames turn back after so many slaves, and the ports say so."""
+        """Connects the first `count` slaves: frames turn back after them, and their ports are set accordingly."""
         self._reached = count
         for number, slave in enumerate(self.slaves, 1):
             slave.link(1 if number in (count, len(self.slaves)) else 2)
 
     def _disturb(self, cycle: int) -> None:
-        """What the script does to slaves and time in this cycle."""
-        reached, number = len(self.slaves), {name: place for place, name in enumerate(self._by_name)}
+        """Applies the scripted faults of this cycle to slaves and time."""
+        reached, number = len(self.slaves), {name: index for index, name in enumerate(self._by_name)}
         for fault in self._settings.faults:
             if isinstance(fault, Stalled):
                 self._by_name[fault.slave].stalled = _lasts(fault, cycle)
@@ -171,7 +171,7 @@ class Ring:
             self._reach(reached)
 
     def _begin(self, fault: Fault) -> None:
-        """What happens once."""
+        """Applies the part of a fault that happens once."""
         slave = self._by_name.get(getattr(fault, "slave", ""))
         if isinstance(fault, Silence):
             for _ in range(fault.ticks):
@@ -195,6 +195,6 @@ def _lasts(fault: LostFrames | Unplugged, cycle: int) -> bool:
     return fault.cycle <= cycle < fault.cycle + fault.cycles
 
 
-def _asks_for_init(datagram: Datagram) -> bool:
-    place = reg.AL_CONTROL - datagram.offset
-    return 0 <= place < len(datagram.data) and datagram.data[place] & 0x0F == AlState.INIT
+def _requests_init(datagram: Datagram) -> bool:
+    index = reg.AL_CONTROL - datagram.offset
+    return 0 <= index < len(datagram.data) and datagram.data[index] & 0x0F == AlState.INIT

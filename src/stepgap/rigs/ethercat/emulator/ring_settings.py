@@ -1,4 +1,4 @@
-"""How an emulated ring is made up and how it passes frames."""
+"""Settings of an emulated ring."""
 
 from dataclasses import dataclass
 
@@ -7,16 +7,16 @@ from stepgap.rigs.ethercat.emulator.faults import Fault
 
 @dataclass(frozen=True)
 class RingSettings:
-    """How the ring is made up and how it passes frames.
+    """Settings of the ring's devices and of its timing.
 
     Attributes:
-        rated_torque: What 1000 of a drive's torque means [mN·m].
+        rated_torque: Torque of the value 1000 of a drive's torque object [mN·m].
         largest_torque: The drives' limit in 1/1000 of `rated_torque`.
         force_resolution: Contact force of one count of the analog input [N].
-        lock_step: A frame with outputs is one tick of the machine; otherwise `Ring.advance` makes ticks.
-        inputs_after_tick: In lock-step, such a frame brings back the inputs after its tick, as if sensors were faster
-            than the frame; otherwise those before it, as on a real ring, where a cycle passes before an effect is seen.
-        faults: Scripted disturbances.
+        lock_step: Whether a frame with outputs is one tick of the machine; otherwise `Ring.advance` makes ticks.
+        inputs_after_tick: In lock-step, whether such a frame returns the inputs after its tick, as if sensors were
+            faster than the frame; otherwise those before it, as on a real ring, where effects appear a cycle later.
+        faults: Scripted faults.
     """
 
     rated_torque: int = 16_000

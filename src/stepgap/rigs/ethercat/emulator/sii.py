@@ -1,4 +1,4 @@
-"""The slave information interface: the EEPROM a master reads before it knows a slave (ETG.1000.6 §5.4, ETG.2010)."""
+"""The slave information interface: the EEPROM by which a master identifies a slave (ETG.1000.6 §5.4, ETG.2010)."""
 
 from dataclasses import dataclass
 from struct import pack
@@ -10,7 +10,7 @@ CANOPEN = 0x04
 """Bit of the mailbox protocols in word 0x1C: CANopen over EtherCAT."""
 
 SDO, PDO_ASSIGN = 0x01, 0x04
-"""Bits of GENERAL's CoE details: SDOs are served, 0x1C12 and 0x1C13 may be written."""
+"""Bits of GENERAL's CoE details: SDOs are supported, 0x1C12 and 0x1C13 may be written."""
 
 FIRST_CATEGORY = 0x80
 """Byte address of the first category."""
@@ -18,13 +18,13 @@ FIRST_CATEGORY = 0x80
 
 @dataclass(frozen=True)
 class Identity:
-    """Who a slave is: the EEPROM and object 0x1018 say the same (ETG.1000.6, identity object).
+    """Identity of a slave, in the EEPROM and in object 0x1018 (ETG.1000.6, identity object).
 
     Attributes:
-        name: Of the product, ASCII; the EEPROM and object 0x1008 tell it.
+        name: Name of the product, ASCII, in the EEPROM and in object 0x1008.
         vendor: Vendor number given by the EtherCAT Technology Group.
         product: The vendor's product code.
-        revision: Of the product.
+        revision: Revision of the product.
         serial: Serial number.
     """
 
@@ -41,7 +41,7 @@ class Area:
 
     Attributes:
         start: First byte in the slave's memory.
-        length: Bytes.
+        length: Length [bytes].
         control: Register 4 of the sync manager: buffer or mailbox, direction, watchdog.
         use: 1 mailbox in, 2 mailbox out, 3 outputs, 4 inputs.
     """
@@ -59,10 +59,10 @@ OUTPUT_CONTROL, INPUT_CONTROL = 0x64, 0x20
 
 
 def build_image(identity: Identity, areas: tuple[Area, ...]) -> bytes:
-    """A slave's EEPROM.
+    """Builds the content of a slave's EEPROM.
 
     Args:
-        identity: Who it is.
+        identity: Identity of the slave.
         areas: Its sync managers, empty for a slave without mailbox and process data.
     """
     fixed = bytearray(FIRST_CATEGORY)

@@ -34,11 +34,11 @@ for _start, _end in reg.WRITABLE:
 
 
 class _Fmmu(NamedTuple):
-    """An active mapping: logical bytes [start, end) ↔ memory from `place` on (ETG.1000.4 §6.6; whole bytes only)."""
+    """An active mapping: logical bytes [start, end) ↔ memory from `physical` on (ETG.1000.4 §6.6; only full bytes)."""
 
     start: int
     end: int
-    place: int
+    physical: int
     reads: bool
     writes: bool
 
@@ -56,18 +56,18 @@ class EmulatedSlave:
         self._areas = areas
         self._eeprom = build_image(device.identity, areas)
         self.stalled = False
-        """The device no longer acts nor senses; the slave controller goes on."""
+        """Whether the device no longer acts nor senses, while the slave controller is running."""
         self.wrong_mapping = False
-        """The device wants one byte more than the PDOs assigned to it have."""
+        """Whether the device expects one byte more than its assigned PDOs have."""
         self.power_on()
 
     @property
     def status_code(self) -> int:
-        """Why the last change of state was refused, or a state was lost."""
+        """Reason why the last change of state was refused, or a state was lost."""
         return unpack_from("<H", self.memory, reg.AL_STATUS_CODE)[0]
 
     def power_on(self) -> None:
-        """Everything as after power-up."""
+        """Resets the slave to its state after power-up."""
         self.memory = bytearray(reg.MEMORY_SIZE)
         self.memory[reg.TYPE] = 0x11
         self.memory[reg.FMMU_COUNT : reg.ESC_FEATURES] = bytes([reg.FMMU_SLOTS, reg.SYNC_MANAGER_SLOTS, 4, 0x0F])
@@ -86,14 +86,14 @@ class EmulatedSlave:
         self.device.power_on()
 
     def link(self, ports: int) -> None:
-        """Says that the first `ports` (1 or 2) are linked, the others looped (DL_STATUS, ETG.1000.4 §6.1.4)."""
+        """Sets the first `ports` (1 or 2) as linked, the others as looped back (DL_STATUS, ETG.1000.4 §6.1.4)."""
         pack_into("<H", self.memory, reg.DL_STATUS, 0x5611 if ports == 1 else 0x5A31)
 
     def exchange(self, command: int, address: int, offset: int, data: bytearray) -> int:
-        """Takes part in a datagram that passes (ETG.1000.4 §5.4.1); changes `data`.
+        """Processes a datagram that passes (ETG.1000.4 §5.4.1); changes `data`.
 
         Returns:
-            By how much the working counter grows.
+            Increment of the working counter.
         """
         if Command.LRD <= command <= Command.LRW:
             return self._exchange_logical(command, offset << 16 | address, data)
@@ -115,7 +115,7 @@ class EmulatedSlave:
         return counter
 
     def take_outputs(self) -> None:
-        """Before a tick of the machine: watches over the outputs and lets the device act on them."""
+        """Checks the watchdog of the outputs and lets the device act on them, before a tick of the machine."""
         if self.state is AlState.OP:
             self._watch()
         if not self.stalled:
@@ -130,7 +130,7 @@ class EmulatedSlave:
             self._load_mail()
 
     def give_inputs(self, reading: Reading, time: int) -> None:
-        """After a tick of the machine: what the sensors say, and the ring's time [ns]."""
+        """Updates the inputs from the sensors, and the ring's time [ns], after a tick of the machine."""
         self._time = time
         pack_into("<Q", self.memory, reg.DC_SYSTEM_TIME, time)
         if self.stalled:
@@ -139,7 +139,7 @@ class EmulatedSlave:
         self._refresh_inputs()
 
     def drop(self, state: AlState, code: StatusCode) -> None:
-        """Falls back to a state and says why; the master has to acknowledge it."""
+        """Falls back to a state with a status code; the master must acknowledge it."""
         self._set_state(state, code)
 
     def _refresh_inputs(self) -> None:
@@ -147,7 +147,7 @@ class EmulatedSlave:
             self.memory[self._inputs_at : self._inputs_at + self._inputs.length] = self._inputs.pack()
 
     def _watch(self) -> None:
-        """The watchdog of the process data (ETG.1000.4 §6.3, ETG.1000.6 §6.4.1): back to SAFEOP."""
+        """Returns to SAFEOP when the watchdog of the process data expires (ETG.1000.4 §6.3, ETG.1000.6 §6.4.1)."""
         limit = self._word(reg.WATCHDOG_TIME) * (self._word(reg.WATCHDOG_DIVIDER) + 2) * 40
         if self._outputs.length and limit and self._time - self._written >= limit:
             self.memory[reg.WATCHDOG_STATUS] = 0
@@ -160,23 +160,23 @@ class EmulatedSlave:
         return self.memory[address] | self.memory[address + 1] << 8
 
     def _exchange_logical(self, command: int, address: int, data: bytearray) -> int:
-        """LRD, LWR, LRW: old memory goes out, new data come in, through every FMMU that overlaps."""
+        """Processes LRD, LWR, LRW: reads the old memory and writes the new data through every overlapping FMMU."""
         read = written = False
         end, incoming = address + len(data), bytes(data)
         for fmmu in self._fmmus:
             low, high = max(address, fmmu.start), min(end, fmmu.end)
             if low >= high:
                 continue
-            place, part = fmmu.place + low - fmmu.start, slice(low - address, high - address)
+            physical, part = fmmu.physical + low - fmmu.start, slice(low - address, high - address)
             if fmmu.reads and command != Command.LWR:
-                data[part] = self.memory[place : place + high - low]
+                data[part] = self.memory[physical : physical + high - low]
                 read = True
             if fmmu.writes and command != Command.LRD:
-                written |= bool(self._write(place, incoming[part]))
+                written |= bool(self._write(physical, incoming[part]))
         return read + written * (2 if command == Command.LRW else 1)
 
     def _read_into(self, offset: int, data: bytearray, combine: bool = False) -> int:
-        """Copies memory into `data`, or for a broadcast ORs it; 1 if it could be read."""
+        """Copies memory into `data`, or combines it by OR for a broadcast; returns 1 if it could be read."""
         end = offset + len(data)
         if end > reg.MEMORY_SIZE or not data:
             return 0
@@ -192,7 +192,7 @@ class EmulatedSlave:
         return 1
 
     def _write(self, offset: int, data: bytes) -> int:
-        """Writes where a master may, and does what the registers written stand for; 1 if it could be written."""
+        """Writes the bytes that a master may write and acts on changed registers; returns 1 if it could be written."""
         end = offset + len(data)
         if end > reg.MEMORY_SIZE or not data:
             return 0
@@ -200,9 +200,9 @@ class EmulatedSlave:
             self.memory[offset:end] = data
             self._take_written(offset, end)
             return 1
-        for place, byte in enumerate(data, offset):
-            if _WRITABLE[place]:
-                self.memory[place] = byte
+        for register, byte in enumerate(data, offset):
+            if _WRITABLE[register]:
+                self.memory[register] = byte
         self._act_on_registers(offset, end)
         return 1
 
@@ -222,31 +222,31 @@ class EmulatedSlave:
             pack_into("<II", self.memory, reg.DC_RECEIVE_TIME, *2 * (self._time & 0xFFFFFFFF,))
 
     def _take_written(self, start: int, end: int) -> None:
-        """Process data feed the watchdog; the last byte of a mailbox sets it off."""
+        """Restarts the watchdog after process data; answers a mailbox message after its last byte."""
         base = reg.SYNC_MANAGER + 2 * reg.SYNC_MANAGER_SIZE
-        place, length = unpack_from("<HH", self.memory, base)
-        if start < place + length and place < end and self.memory[base + 4] & reg.WATCHDOG_TRIGGER:
+        first, length = unpack_from("<HH", self.memory, base)
+        if start < first + length and first < end and self.memory[base + 4] & reg.WATCHDOG_TRIGGER:
             self._written = self._time
             self.memory[reg.WATCHDOG_STATUS] = 1
-        place, length, _ = self._mailbox(0)
-        if self.device.dictionary and start < place + length <= end and self.state is not AlState.INIT:
-            request = bytes(self.memory[place : place + length])
+        first, length, _ = self._mailbox(0)
+        if self.device.dictionary and start < first + length <= end and self.state is not AlState.INIT:
+            request = bytes(self.memory[first : first + length])
             room = self._mailbox(1)[1]
             self._mail.append(answer(self.device.dictionary, request, self.state is AlState.PREOP, room))
             self._load_mail()
 
     def _read_fmmu(self, slot: int) -> _Fmmu | None:
-        """The mapping in a slot if it is active and within memory; `length` counts bytes."""
+        """Reads the mapping of a slot; None if it is not active or not within memory."""
         base = reg.FMMU + slot * reg.FMMU_SIZE
-        start, length, _, _, place, _, kind, active = unpack_from("<IHBBHBBB", self.memory, base)
-        if not active & 1 or place < reg.PROCESS_RAM or place + length > reg.MEMORY_SIZE:
+        start, length, _, _, physical, _, kind, active = unpack_from("<IHBBHBBB", self.memory, base)
+        if not active & 1 or physical < reg.PROCESS_RAM or physical + length > reg.MEMORY_SIZE:
             return None
-        return _Fmmu(start, start + length, place, bool(kind & 1), bool(kind & 2))
+        return _Fmmu(start, start + length, physical, bool(kind & 1), bool(kind & 2))
 
     # ---- mailbox (ETG.1000.4 §5.6)
 
     def _mailbox(self, number: int) -> tuple[int, int, bool]:
-        """Start, length and fullness of sync manager 0 or 1; no length where it is off or not in free memory."""
+        """Start, length and full flag of sync manager 0 or 1; length 0 if it is off or not in free memory."""
         base = reg.SYNC_MANAGER + number * reg.SYNC_MANAGER_SIZE
         start, length, _, status, active = unpack_from("<HHBBB", self.memory, base)
         on = active & reg.SYNC_MANAGER_ENABLED and reg.PROCESS_RAM <= start <= reg.MEMORY_SIZE - length
@@ -267,7 +267,7 @@ class EmulatedSlave:
         self.memory[reg.SYNC_MANAGER + reg.SYNC_MANAGER_SIZE + 5] |= reg.MAILBOX_FULL
 
     def _repeat_mail(self) -> None:
-        """A master that lost an answer toggles the repeat bit, and finds its echo when the answer lies there again."""
+        """Repeats the last answer if the master toggled the repeat bit, since it lost that answer; echoes the bit."""
         base = reg.SYNC_MANAGER + reg.SYNC_MANAGER_SIZE
         if (self.memory[base + 6] ^ self.memory[base + 7]) & reg.REPEAT:
             start, length, _ = self._mailbox(1)
@@ -280,8 +280,8 @@ class EmulatedSlave:
     def _serve_eeprom(self) -> None:
         """Reads eight bytes at a word address (ETG.1000.4 §6.4); writing is not supported and changes nothing."""
         if self._word(reg.EEPROM_CONTROL) & reg.EEPROM_COMMANDS == reg.EEPROM_READ:
-            place = 2 * unpack_from("<I", self.memory, reg.EEPROM_ADDRESS)[0]
-            content = self._eeprom[place : place + 8].ljust(8, b"\xff")
+            address = 2 * unpack_from("<I", self.memory, reg.EEPROM_ADDRESS)[0]
+            content = self._eeprom[address : address + 8].ljust(8, b"\xff")
             self.memory[reg.EEPROM_DATA : reg.EEPROM_DATA + 8] = content
         pack_into("<H", self.memory, reg.EEPROM_CONTROL, reg.EEPROM_READS_8_BYTES)
 
@@ -294,7 +294,7 @@ class EmulatedSlave:
         pack_into("<H", self.memory, reg.AL_STATUS_CODE, code)
 
     def _request_state(self, control: int) -> None:
-        """A master asks for a state (ETG.1000.6 §6.4.1): up one at a time, down at will, errors acknowledged first."""
+        """Handles a state request (ETG.1000.6 §6.4.1): up one state, down to any, after errors are acknowledged."""
         if self.memory[reg.AL_STATUS] & reg.ERROR_FLAG and not control & reg.ACKNOWLEDGE:
             return
         wanted, present = control & 0x0F, self.state
@@ -307,7 +307,7 @@ class EmulatedSlave:
             self._refresh_inputs()
 
     def _enter(self, wanted: AlState, present: AlState) -> tuple[AlState, StatusCode]:
-        """The state reached, and why it is not the one wanted."""
+        """Changes the state; returns the state reached and the reason if it is not the wanted one."""
         if wanted is AlState.INIT:
             self._mail.clear()
             return wanted, StatusCode.NONE
@@ -320,7 +320,7 @@ class EmulatedSlave:
         return wanted, StatusCode.NONE
 
     def _enter_safe_operational(self) -> tuple[AlState, StatusCode]:
-        """The lengths that the master mapped must be those of the assigned PDOs."""
+        """Enters SAFEOP if the lengths that the master mapped are those of the assigned PDOs."""
         dictionary = self.device.dictionary
         self._outputs, self._inputs = NO_IMAGE, NO_IMAGE
         if dictionary is not None:
@@ -335,14 +335,14 @@ class EmulatedSlave:
         return AlState.SAFEOP, StatusCode.NONE
 
     def _maps(self, number: int, expected: int) -> bool:
-        """A sync manager of process data is on, in free memory, as long as expected; off where nothing is."""
+        """Whether a sync manager of process data is on, in free memory, with the expected length; off for length 0."""
         start, length, enabled = self._manager(number)
         if not expected:
             return not (enabled and length)
         return enabled and length == expected and reg.PROCESS_RAM <= start <= reg.MEMORY_SIZE - length
 
     def _managers_agree(self, *numbers: int) -> bool:
-        """The mailboxes lie where the EEPROM says."""
+        """Whether the mailboxes are those of the EEPROM."""
         return not self._areas or all(
             self._manager(number) == (self._areas[number].start, self._areas[number].length, True) for number in numbers
         )

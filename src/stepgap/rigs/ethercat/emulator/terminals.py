@@ -23,22 +23,22 @@ class Coupler(EmulatedDevice):
         super().__init__(name, identity)
 
     def update(self, operational: bool) -> None:
-        """Nothing to act on."""
+        """Does nothing: a coupler has no outputs."""
 
     def sense(self, reading: Reading) -> None:
-        """Nothing to sense."""
+        """Does nothing: a coupler has no inputs."""
 
     def power_on(self) -> None:
-        """Nothing to forget."""
+        """Does nothing: a coupler has no state."""
 
 
 class EncoderTerminal(EmulatedDevice):
-    """An incremental encoder's counter, 32 bits, which wraps; it can be latched and set in reality, not here.
+    """An incremental encoder's counter, 32 bits, which wraps; latching and setting it are not emulated.
 
     Args:
-        name: What it is called in the ring.
-        counts: The encoder's counts in a reading.
-        identity: Who it is.
+        name: Its name in the ring.
+        counts: Selects the encoder's counts from a reading.
+        identity: Its identity.
     """
 
     def __init__(self, name: str, counts: Callable[[Reading], float], identity: Identity = ENCODER_IDENTITY):
@@ -47,7 +47,7 @@ class EncoderTerminal(EmulatedDevice):
         self.power_on()
 
     def power_on(self) -> None:
-        """PDOs as after power-up; the counter follows the machine, as if the encoder were absolute."""
+        """Resets the PDOs; the counter follows the machine, as if the encoder were absolute."""
         self._counter = ObjectEntry(0, 32)
         objects = {
             (INPUTS, VALUE): self._counter,
@@ -59,10 +59,10 @@ class EncoderTerminal(EmulatedDevice):
         self.dictionary = Dictionary(self.identity, objects, outputs, inputs, (0x1600,), (0x1A00,))
 
     def update(self, operational: bool) -> None:
-        """Setting the counter is not supported."""
+        """Does nothing: setting the counter is not supported."""
 
     def sense(self, reading: Reading) -> None:
-        """The counter, which wraps at 2³²."""
+        """Updates the counter, which wraps at 2³²."""
         self._counter.value = round(self._counts(reading)) & 0xFFFFFFFF
 
 
@@ -70,10 +70,10 @@ class AnalogInput(EmulatedDevice):
     """An analog input of 16 bits, saturating.
 
     Args:
-        name: What it is called in the ring.
-        value: The value in a reading.
+        name: Its name in the ring.
+        value: Selects the value from a reading.
         resolution: Value of one count.
-        identity: Who it is.
+        identity: Its identity.
     """
 
     def __init__(
@@ -84,15 +84,15 @@ class AnalogInput(EmulatedDevice):
         self.power_on()
 
     def power_on(self) -> None:
-        """PDOs as after power-up."""
+        """Resets counts and PDOs."""
         self._counts = ObjectEntry(0, 16, True)
         objects = {(INPUTS, VALUE): self._counts}
         inputs = {0x1A00: (Mapped(0, 0, 16), Mapped(INPUTS, VALUE, 16))}
         self.dictionary = Dictionary(self.identity, objects, {}, inputs, (), (0x1A00,))
 
     def update(self, operational: bool) -> None:
-        """Nothing to act on."""
+        """Does nothing: an analog input has no outputs."""
 
     def sense(self, reading: Reading) -> None:
-        """The value in counts."""
+        """Updates the value in counts."""
         self._counts.value = min(max(round(self._value(reading) / self._resolution), -32768), 32767)
