@@ -56,5 +56,5 @@ def test_plans_must_be_as_many_as_hops(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     write("log.csv", "time,height,forward", made_log(3)[2])
     Path("plan.csv").write_text("v\n1\n")
-    with pytest.raises(SystemExit, match="1 plans of 3 hops"):
+    with pytest.raises(SystemExit, match="1 plans for 3 hops"):
         runpy.run_path(str(EXAMPLE))["main"](["log.csv", "--plan", "plan.csv", "--plan-columns", "v"])

@@ -173,7 +173,9 @@ def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -
     np.testing.assert_array_equal(found, ticks[: len(found)])
     assert len(found) > 1000
     assert contents(run / "ticks") == before
-    refused(stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: logs of a rig do not name")
+    refused(
+        stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: not valid for the tick logs of a rig"
+    )
     refused(stepgap("export", run, "--to", "mjcf"), "plant 'ethercat'")
     shutil.rmtree(run / "ticks")
     refused(stepgap("export", run, "--to", "mcap"), "run/ticks: contains no .mcap file")
@@ -237,7 +239,7 @@ def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
     whole = Path("a.mcap").read_bytes()
     Path("a.mcap").write_bytes(whole[:200_000])
     result = stepgap("recover", "a.mcap", "--out", "b.mcap")
-    assert result.out.splitlines()[0].startswith("a.mcap: it breaks off")
+    assert result.out.splitlines()[0].startswith("a.mcap: it is truncated")
     _, found = read_ticks(Path("b.mcap"))
     assert result.out.splitlines()[1:] == [f"{len(found)} ticks recovered", "b.mcap"]
     np.testing.assert_array_equal(found, ticks[: len(found)])
@@ -341,7 +343,7 @@ def test_doctor_knows_a_machine_that_has_nothing(
     doctor()
     found = capsys.readouterr().out
     for parts in (
-        "none; only MuJoCo's own pictures need it",
+        "none; needed only for MuJoCo's own pictures",
         "apt install libegl1",
         "EtherCAT needs",
         "the trial failed",

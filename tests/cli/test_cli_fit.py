@@ -55,7 +55,7 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     assert lines[-3:] == ["fit.json", "fit.png", "model.json"]
     sentences = dict(line.split(":", 1) for line in lines if line.startswith(("v:", "y:", "all together:")))
     assert "constant is better than none by" in sentences["v"]
-    assert "no residual beats the constant: nothing more to learn" in sentences["v"]
+    assert "no residual is better than the constant: nothing more to learn" in sentences["v"]
     assert "nothing to learn: no residual is significantly better than none" in sentences["y"]
     report = json.loads(Path("fit.json").read_text())
     assert report["best"] == {"v": "constant", "y": "none", "all": "constant"}
@@ -121,7 +121,7 @@ def test_columns_from_a_file(stepgap: Command) -> None:
         ("fit", ["LOG: none given"]),
         ("fit none.csv", ["none.csv: No such file or directory; give the folder of a run"]),
         ("fit folder", ["folder/steps.csv: No such file or directory; give the folder of a run"]),
-        ("fit log.csv", ["log.csv, line 1: the columns must be iteration,", "say what its columns hold"]),
+        ("fit log.csv", ["log.csv, line 1: the columns must be iteration,", "name its columns, see --help"]),
         ("fit log.csv --state v,y", ["--command: no column"]),
         ("fit log.csv --state w,y --command fx", ["log.csv, line 1: state 'w': no column 'w'; there is v, y, fx"]),
         ("fit log.csv --state v,y --command fxx", ["command 'fxx': no column 'fxx'; did you mean 'fx'?"]),

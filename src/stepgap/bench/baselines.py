@@ -131,14 +131,14 @@ class PhysicalError:
     rest_length: float = 0.005
 
 
-PRIOR_STD = PhysicalError()
+PARAMETER_PRIOR_STD = PhysicalError()
 """Standard deviations of the prior: the defaults above."""
 
 
 def identify(nominal: ApexMap, log: StepLog) -> AdjustedMap:
     """The physics model with parameters fitted to the recorded steps by least squares with a weak prior."""
     steps = log.completed()
-    prior_std = np.array([getattr(PRIOR_STD, field.name) for field in fields(PRIOR_STD)])
+    prior_std = np.array([getattr(PARAMETER_PRIOR_STD, field.name) for field in fields(PARAMETER_PRIOR_STD)])
 
     def residuals(scaled: Array) -> Array:
         step_map = with_error(nominal, PhysicalError(*(scaled * prior_std).tolist()))

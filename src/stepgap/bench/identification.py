@@ -21,7 +21,7 @@ import numpy as np
 from mujoco import sysid
 from numpy.typing import NDArray
 
-from stepgap.bench.baselines import PRIOR_STD, AdjustedMap, PhysicalError, erring_robot, with_error
+from stepgap.bench.baselines import PARAMETER_PRIOR_STD, AdjustedMap, PhysicalError, erring_robot, with_error
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.leg import foot, four_bar, knee_angle, leg_of
 from stepgap.robots.hopper.parameters import RobotParameters
@@ -68,7 +68,7 @@ OFFSETS = {"motor_offset_1": 0.005, "motor_offset_2": 0.005}
 UNKNOWN = {"joint_friction": 0.05, "joint_damping": 0.005, "boom_friction": 0.5, "torque_lag": 0.002}
 """Parameters that are fields of `RealityGap` without equivalents in the physics model; prior standard deviations."""
 
-PRIOR_STDS = {name: getattr(PRIOR_STD, name) for name in SHARED} | OFFSETS | UNKNOWN
+PRIOR_STDS = {name: getattr(PARAMETER_PRIOR_STD, name) for name in SHARED} | OFFSETS | UNKNOWN
 
 Values = dict[str, float]
 """Parameters by the names of PRIOR_STDS."""
