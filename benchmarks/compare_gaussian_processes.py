@@ -1,4 +1,4 @@
-"""The Gaussian process beside scikit-learn and OpenTURNS, taking turns on one machine.
+"""Comparison of the Gaussian process with scikit-learn and OpenTURNS, which take turns on one machine.
 
     ./go python -m benchmarks.compare_gaussian_processes [--quick] [--out FILE]
 
@@ -16,7 +16,7 @@ from stepgap.bench.gaussian_process import bench_gp, describe_gp_bench
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="take some seconds, with few points and few peers")
+    parser.add_argument("--quick", action="store_true", help="run for some seconds, with few points and few peers")
     parser.add_argument("--out", type=Path, help="new JSON file for the result")
     options = parser.parse_args()
     peers = gp_peers(options.quick)

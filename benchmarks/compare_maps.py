@@ -1,4 +1,4 @@
-"""The nominal map beside SciPy, heyoka and MuJoCo, taking turns on one machine.
+"""Comparison of the nominal map with SciPy, heyoka and MuJoCo, which take turns on one machine.
 
     ./go python -m benchmarks.compare_maps [--quick] [--out FILE] [--seed 0]
 
@@ -18,7 +18,7 @@ from stepgap.robots.hopper.apex_map import ApexMap
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="take half a minute, with few points and few peers")
+    parser.add_argument("--quick", action="store_true", help="run for half a minute, with few points and few peers")
     parser.add_argument("--out", type=Path, help="new JSON file for the result")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()

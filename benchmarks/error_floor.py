@@ -1,8 +1,8 @@
-"""What the tracking errors of a deployment are made of: noise, and what a map could still learn.
+"""Division of the tracking errors of a deployment into noise and the part that a map could still learn.
 
-The last deployment of a run on the twin is made again, and each of its steps is taken several times over by copies of
-the twin in the very same motion at the same place, but with other torque noise. Their spread is the noise; what is left
-of the errors is what the controller's map missed, an oscillating boom, which no sensor shows, included.
+The last deployment of a run on the twin is simulated again. Each of its steps is also taken by several copies of the
+twin in exactly the same motion at the same yaw, but with other torque noise. Their standard deviation is the noise; the
+remaining error is that of the controller's map, including the effect of an oscillating boom, which no sensor measures.
 
     ./go python benchmarks/error_floor.py RUN…
 """
@@ -18,7 +18,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.noise_floor import repeated
-from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.plants import plant_on, replay_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import StepLog
@@ -30,19 +30,19 @@ from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepRecord, StepSpace
 
 REPEATS = 8
-"""How often each step is taken."""
+"""Number of copies that take each step."""
 
 
 class Repeating(Plant):
     """A plant on a twin that takes every step in copies before it takes it itself.
 
     Args:
-        plant: Hops the twin.
-        twin: The one that `plant` hops.
+        plant: Plant of the twin.
+        twin: The twin in `plant`.
         rng: Draws the copies' noise.
 
     Attributes:
-        variances: Of the next states of the copies, step by step; shapes (n,).
+        variances: Variances of the next states of the copies, step by step; shapes (n,).
     """
 
     def __init__(self, plant: RigPlant, twin: Twin, rng: np.random.Generator):
@@ -51,7 +51,7 @@ class Repeating(Plant):
 
     @property
     def space(self) -> StepSpace:
-        """That of the plant."""
+        """State and command of the plant."""
         return self._plant.space
 
     def start(self) -> Array:
@@ -59,7 +59,7 @@ class Repeating(Plant):
         return self._plant.start()
 
     def take_step(self, command: Array) -> StepRecord:
-        """Takes the step in `REPEATS` copies, then for good."""
+        """Takes the step in `REPEATS` copies, then in the plant itself."""
         ends = [repeated(self._plant, self._twin, command, self._rng) for _ in range(REPEATS)]
         self.variances.append(np.var(ends, axis=0, ddof=1))
         return self._plant.take_step(command)
@@ -70,26 +70,26 @@ class Repeating(Plant):
 
 
 def floor(folder: Path) -> tuple[int, Array, Array]:
-    """Number of the last deployment, RMS of its steady errors, and RMS of the noise in them; shapes (n,).
+    """Number of the last deployment, RMS of its steady errors, and RMS of their noise; shapes (n,).
 
     Raises:
-        ValueError: The steps made again are not those recorded.
+        ValueError: The simulated steps are not the recorded ones.
     """
     settings = read_experiment(folder / "experiment.toml")
     nominal, reference = ApexMap(settings.robot, settings.gains, settings.command), paper_reference()
     recorded = read_step_log(folder / "steps.csv", nominal.space)
     last = recorded.iterations[-1]
     before = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < last))
-    rig, twin = remade_rig(settings, last)
+    rig, twin = replay_rig(settings, last)
     plant = Repeating(plant_on(settings, rig), twin, random_stream(settings.seed, last, 2))
-    with threadpool_limits(limits=1, user_api="blas"):  # as in a run, or last digits differ
+    with threadpool_limits(limits=1, user_api="blas"):  # as in a run, otherwise the last digits differ
         learner = Learner.start(nominal, before, settings.learning, last)
         with closing(deploy(learner, plant, reference, last)) as steps:
-            again = StepLog(nominal.space, steps)
-    if [*map(row_of, again)] != [*map(row_of, recorded.of_iteration(last))]:
-        raise ValueError(f"{folder}: deployment {last} made again is another one; use the versions that made it")
+            simulated = StepLog(nominal.space, steps)
+    if [*map(row_of, simulated)] != [*map(row_of, recorded.of_iteration(last))]:
+        raise ValueError(f"{folder}: deployment {last} could not be reproduced; use the versions that recorded it")
     steady = reference.steady
-    errors = (again.next_state - again.target)[steady]
+    errors = (simulated.next_state - simulated.target)[steady]
     return last, np.sqrt(np.mean(errors**2, axis=0)), np.sqrt(np.mean(np.array(plant.variances)[steady], axis=0))
 
 
@@ -99,8 +99,8 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", type=Path)
     for run in parser.parse_args().runs:
         last, errors, noise = floor(run)
-        missed = np.sqrt(np.maximum(errors**2 - noise**2, 0.0))
-        named = {"steady error": errors, "noise": noise, "missed by the map": missed}
+        remaining = np.sqrt(np.maximum(errors**2 - noise**2, 0.0))
+        named = {"steady error": errors, "noise": noise, "error of the map": remaining}
         parts = (f"{name} {1e3 * speed:.1f}, {1e3 * height:.2f}" for name, (speed, height) in named.items())
         print(f"{run.name}, deployment {last}: {'; '.join(parts)}", flush=True)
 

@@ -1,14 +1,14 @@
 """Fits the twin's `RealityGap` to the tracking errors of the paper's robot without learning.
 
-The uncorrected controller hops the paper's reference on three twins that differ in floor, place and noise; damped
-Gauss–Newton steps on a few differences bring the mean of their errors to those of the hardware (Figs. 4–7), with a
-prior on each difference. All else stays as `RealityGap()` has it. By default the hardware is known by eight numbers
-alone; a digitised Fig. 4 with the columns step, v_ref, v_nogp, y_ref, y_nogp adds the mean error on each of the 18
-stairs. `--start` tells from where: a JSON of an earlier fit.
+The uncorrected controller tracks the paper's reference on three twins that differ in floor, yaw and noise. Damped
+Gauss–Newton steps in a few differences fit the mean of their errors to those of the hardware (Figs. 4–7), with a prior
+on each difference. All other values are those of `RealityGap()`. By default the hardware is described by eight numbers
+only; a digitised Fig. 4 with the columns step, v_ref, v_nogp, y_ref, y_nogp adds the mean error on each of the 18
+stairs. `--start` gives the JSON file of an earlier fit to start from.
 
-The numbers in `RealityGap()` are such a fit to a digitised Fig. 4, rounded; it was begun by hand near its end and
-gone on with when the forward force was doubled. `--check` tells what they are worth as they stand: so was
-paper_gap.json made.
+The numbers in `RealityGap()` are rounded results of such a fit to a digitised Fig. 4; it was started by hand near its
+end and continued after the forward force had been doubled. `--check` evaluates the present numbers, as for
+paper_gap.json.
 
     ./go python benchmarks/fit_paper_gap.py [--digitised FIG4.csv] [--start FIT.json] --out FIT.json
     ./go python benchmarks/fit_paper_gap.py --check --out benchmarks/paper_gap.json    # RealityGap() as it is
@@ -50,23 +50,23 @@ HARDWARE = {measure: tuple(NO_GP[measure].values()) for measure in MEASURES}
 """Errors of the hardware without learning, speed [m/s] and height [m]."""
 
 TOLERANCE = (0.002, 0.0006)
-"""Distance [m/s, m] at which one of those numbers costs one."""
+"""Difference [m/s, m] from one of these numbers with a cost of one."""
 
 STAIR_TOLERANCE = (0.03, 0.003)
-"""Likewise of the mean error on one stair: hardware and twin wander about that much from place to place."""
+"""Difference of the mean error on one stair with a cost of one: hardware and twin vary about that much with the yaw."""
 
 FALL = 10.0
-"""What each of them counts if the robot falls."""
+"""Value of each scaled difference if the robot falls."""
 
 FITTED_SEEDS = range(3)
-"""Whose mean errors are fitted."""
+"""Seeds of the deployments whose mean errors are fitted."""
 
 
 class Prior(NamedTuple):
-    """What a difference is expected to be: a mean, and a spread that costs one."""
+    """Normal prior of a difference."""
 
     mean: float
-    spread: float
+    std: float
 
 
 PRIORS = {
@@ -77,7 +77,7 @@ PRIORS = {
     "ground_friction": Prior(0.4, 0.08),
     "motor_offset": Prior(0.0, 0.008),
 }
-"""The differences that are fitted; `motor_offset` is that of both motors, which leans the leg."""
+"""The fitted differences; `motor_offset` is the offset of both motors, which changes the leg angle."""
 
 
 def with_values(gap: RealityGap, values: Array) -> RealityGap:
@@ -93,7 +93,7 @@ def values_of(gap: RealityGap) -> Array:
 
 
 def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) -> tuple[StepLog, Deployment]:
-    """What deployment 0 of `stepgap run` with this seed does, all of it or its first steps.
+    """Deployment 0 of `stepgap run` with this seed, completely or only its first steps.
 
     Raises:
         RigFault: The hop before the first step failed.
@@ -112,7 +112,7 @@ def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) 
 
 
 def stairs() -> list[slice]:
-    """Steps, from 0, of each stair after the robot has settled."""
+    """Steps, counted from 0, of each stair after the robot has settled."""
     starts = [*(step for step in paper_reference().changes if step > 0), len(paper_reference())]
     return [slice(start + SETTLING_STEPS, end) for start, end in pairwise(starts)]
 
@@ -130,34 +130,35 @@ def stair_errors(log: StepLog) -> Array:
     return np.array([error[stair].mean(axis=0) for stair in stairs()])
 
 
-def misfit(gap: RealityGap, hardware: Array | None) -> Array:
-    """What the fit makes small: differences from the hardware and from the priors, each in its tolerance."""
+def scaled_differences(gap: RealityGap, hardware: Array | None) -> Array:
+    """Residuals of the fit: differences from the hardware and from the priors, divided by their tolerances."""
     logs, deployments = zip(*(first_deployment(gap, seed) for seed in FITTED_SEEDS), strict=True)
     values, priors = values_of(gap), list(PRIORS.values())
-    prior = [(value - mean) / spread for value, (mean, spread) in zip(values, priors, strict=True)]
+    prior = [(value - mean) / std for value, (mean, std) in zip(values, priors, strict=True)]
     if any(deployment.falls for deployment in deployments):
         return np.full(2 * len(HARDWARE) + (0 if hardware is None else hardware.size) + len(PRIORS), FALL)
     parts: list[Array] = []
-    for name, wanted in HARDWARE.items():
-        parts.append((np.mean([getattr(deployment, name) for deployment in deployments], axis=0) - wanted) / TOLERANCE)
+    for name, measured in HARDWARE.items():
+        mean = np.mean([getattr(deployment, name) for deployment in deployments], axis=0)
+        parts.append((mean - measured) / TOLERANCE)
     if hardware is not None:
         parts.append(((np.mean([stair_errors(log) for log in logs], axis=0) - hardware) / STAIR_TOLERANCE).ravel())
     return np.concatenate([*parts, prior])
 
 
 def fit(start: RealityGap, hardware: Array | None, rounds: int) -> RealityGap:
-    """Gauss–Newton steps from a start; each is halved until it helps."""
-    spreads = np.array([prior.spread for prior in PRIORS.values()])
+    """Gauss–Newton steps from a start, each full or halved, as long as they reduce the cost."""
+    prior_std = np.array([prior.std for prior in PRIORS.values()])
     values, gap = values_of(start), start
     with ProcessPoolExecutor(2) as pool:
-        found = misfit(gap, hardware)
+        found = scaled_differences(gap, hardware)
         for _ in range(rounds):
             print(f"cost {found @ found:.2f} at {dict(zip(PRIORS, values.round(5).tolist(), strict=True))}", flush=True)
-            moved = [with_values(start, values + 0.25 * spreads * unit) for unit in np.eye(len(values))]
-            slopes = np.array(list(pool.map(misfit, moved, [hardware] * len(moved)))) - found
-            step = np.clip(np.linalg.lstsq(slopes.T / 0.25, -found, rcond=None)[0], -1, 1) * spreads
+            moved = [with_values(start, values + 0.25 * prior_std * unit) for unit in np.eye(len(values))]
+            changes = np.array(list(pool.map(scaled_differences, moved, [hardware] * len(moved)))) - found
+            step = np.clip(np.linalg.lstsq(changes.T / 0.25, -found, rcond=None)[0], -1, 1) * prior_std
             trials = [with_values(start, values + share * step) for share in (1.0, 0.5)]
-            results = list(pool.map(misfit, trials, [hardware] * len(trials)))
+            results = list(pool.map(scaled_differences, trials, [hardware] * len(trials)))
             trial, result = min(zip(trials, results, strict=True), key=lambda pair: pair[1] @ pair[1])
             if not result @ result < 0.98 * (found @ found):
                 break
@@ -166,7 +167,7 @@ def fit(start: RealityGap, hardware: Array | None, rounds: int) -> RealityGap:
 
 
 def quality(gap: RealityGap, seeds: Sequence[int], hardware: Array | None = None) -> list[dict[str, object]]:
-    """Errors of the first deployment, seed by seed, and how far its stairs are from the hardware's, RMS."""
+    """Errors of the first deployment by seed, and the RMS differences of its stairs from the hardware's."""
     rows: list[dict[str, object]] = []
     for seed in seeds:
         log, deployment = first_deployment(gap, seed)
@@ -180,12 +181,12 @@ def quality(gap: RealityGap, seeds: Sequence[int], hardware: Array | None = None
 
 
 def main() -> None:
-    """Fits, and writes the differences with the errors of seeds 0 to 5: speed [m/s], height [m]."""
+    """Fits, and writes the fitted differences and the errors of seeds 0 to 5: speed [m/s], height [m]."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--digitised", type=Path, help="Fig. 4 of the paper, read off its plot")
-    parser.add_argument("--start", type=Path, help="JSON of an earlier fit; without it the priors' means")
+    parser.add_argument("--start", type=Path, help="JSON file of an earlier fit [default: the means of the priors]")
     parser.add_argument("--rounds", type=int, default=4)
-    parser.add_argument("--check", action="store_true", help="fit nothing")
+    parser.add_argument("--check", action="store_true", help="evaluate without a fit")
     parser.add_argument("--out", type=Path, help="JSON file for the result")
     options = parser.parse_args()
     hardware = hardware_stairs(options.digitised) if options.digitised else None

@@ -1,4 +1,4 @@
-"""Whether 95 % intervals of a fitted Gaussian process hold 95 % of new noisy values, on functions made up anew.
+"""Coverage of new noisy values by the 95 % intervals of a fitted Gaussian process, on random functions.
 
 ./go python benchmarks/gp_calibration.py --datasets 20
 """
@@ -19,7 +19,7 @@ BASES: tuple[Basis, ...] = ("constant", "linear")
 
 
 def draw_function(kind: str, rng: np.random.Generator) -> Callable[[Array], Array]:
-    """A function of points (N, 4) of the size of errors of a step map."""
+    """Random function of points (N, 4) with values like the errors of a step map."""
     if kind == "smooth":
         shift = rng.uniform(-0.5, 0.5, 4)
         return lambda points: smooth_function(points + shift)
@@ -30,7 +30,7 @@ def draw_function(kind: str, rng: np.random.Generator) -> Callable[[Array], Arra
 
 
 def coverage(kind: str, basis: Basis, size: int, datasets: int, seed: int) -> tuple[float, float]:
-    """Share of new noisy values within the interval, over all data sets, and the least of any data set."""
+    """Fraction of new noisy values within the interval, over all data sets, and the smallest of a data set."""
     shares = []
     for dataset in range(datasets):
         rng = np.random.default_rng([seed, size, dataset])

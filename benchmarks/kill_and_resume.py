@@ -1,10 +1,10 @@
-"""Kills `stepgap run` at random moments and resumes it: the record must be that of a run never broken off.
+"""Kills `stepgap run` at random times and resumes it; the record must equal that of an uninterrupted run.
 
     ./go python benchmarks/kill_and_resume.py [--kills 10] [--seed 0] [--iterations 1] [--steps 40]
 
-Half of the kills hit one run, which is resumed after each; every other kill hits a run of its own. A kill comes up to
-50 ms after a step chosen at random was written, the last of a deployment among them. Then every run is resumed to its
-end, and all files but figures and report are compared byte by byte. Exits with 1 if anything differs.
+Half of the kills are applied to one run, which is resumed after each; each other kill is applied to a separate run. A
+kill comes up to 50 ms after a random step was written, which may be the last one of a deployment. Then every run is
+resumed to its end, and all files except figures and report are compared byte by byte. Exits with 1 if a file differs.
 """
 
 import argparse
@@ -25,10 +25,10 @@ STEPGAP = [sys.executable, "-c", "from stepgap.cli.app import main; main()"]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Kills stepgap run and resumes it.")
-    parser.add_argument("--kills", type=int, default=10, help="how many")
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
-    parser.add_argument("--iterations", type=int, default=1, help="redeployments")
-    parser.add_argument("--steps", type=int, default=40, help="how many of the paper's targets")
+    parser.add_argument("--kills", type=int, default=10, help="number of kills")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random times")
+    parser.add_argument("--iterations", type=int, default=1, help="number of redeployments")
+    parser.add_argument("--steps", type=int, default=40, help="number of the paper's targets")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         failures = sum(benchmark(Path(name), arguments))
@@ -37,35 +37,36 @@ def main() -> None:
 
 
 def benchmark(folder: Path, arguments: argparse.Namespace) -> Iterator[bool]:
-    """Whether each run failed to be as one never broken off."""
+    """Yields for each run whether it differs from an uninterrupted one."""
     reference = paper_reference()
     targets = reference.targets[: arguments.steps].tolist()
     rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in targets)]
     (folder / "targets.csv").write_text("\n".join(rows) + "\n")
     start = ["--reference", str(folder / "targets.csv"), "--iterations", str(arguments.iterations)]
-    run(folder / "unbroken", start)
-    total = len(lines_of(folder / "unbroken"))
-    print(f"unbroken run: {total - 1} steps\n run  kill  lines before  killed at  lines after  last line whole")
-    rng, wanted = np.random.default_rng(arguments.seed), record(folder / "unbroken")
+    run(folder / "uninterrupted", start)
+    total = len(lines_of(folder / "uninterrupted"))
+    print(f"uninterrupted run: {total - 1} steps\n run  kill  lines before  killed at  lines after  last line complete")
+    rng, expected = np.random.default_rng(arguments.seed), record(folder / "uninterrupted")
     chained = arguments.kills // 2
     for number, kills in enumerate([chained, *[1] * (arguments.kills - chained)]):
-        broken, failed = folder / f"broken_{number}", False
+        killed, failed = folder / f"killed_{number}", False
         for kill, line in enumerate(np.sort(rng.integers(0, total + 1, kills)), start=1):
-            before = lines_of(broken)
-            run(broken, start, kill_at=int(line), delay=float(rng.uniform(0.0, 0.05)))
-            after = lines_of(broken)
+            before = lines_of(killed)
+            run(killed, start, kill_at=int(line), delay=float(rng.uniform(0.0, 0.05)))
+            after = lines_of(killed)
             failed = failed or after[: len(before)] != before
             print(
-                f"{number:4}  {kill:4}  {len(before):12}  {line:9}  {len(after):11}  {ends_whole(broken)}", flush=True
+                f"{number:4}  {kill:4}  {len(before):12}  {line:9}  {len(after):11}  {has_complete_end(killed)}",
+                flush=True,
             )
-        run(broken, start)
-        different = sorted({name for name, _ in record(broken).items() ^ wanted.items()})
-        print(f"{number:4}   end  {'DIFFERENT: ' + ', '.join(different) if different else 'as unbroken'}", flush=True)
+        run(killed, start)
+        different = sorted({name for name, _ in record(killed).items() ^ expected.items()})
+        print(f"{number:4}   end  {'DIFFERENT: ' + ', '.join(different) if different else 'equal'}", flush=True)
         yield failed or bool(different)
 
 
 def run(folder: Path, start: list[str], kill_at: int | None = None, delay: float = 0.0) -> None:
-    """Starts or resumes a run; kills it some seconds after `steps.csv` has so many lines, unless it has ended then."""
+    """Starts or resumes a run; kills it a delay [s] after `steps.csv` has `kill_at` lines, unless it has ended."""
     options = ["--resume"] if (folder / "experiment.toml").exists() else start
     process = subprocess.Popen([*STEPGAP, "run", "--out", folder, "--quiet", *options], stdout=subprocess.DEVNULL)
     while kill_at is not None and process.poll() is None:
@@ -80,20 +81,20 @@ def run(folder: Path, start: list[str], kill_at: int | None = None, delay: float
 
 
 def lines_of(folder: Path) -> list[str]:
-    """The whole lines of `steps.csv`."""
+    """Complete lines of `steps.csv`."""
     path = folder / "steps.csv"
     text = path.read_text() if path.exists() else ""
     return text[: text.rfind("\n") + 1].splitlines()
 
 
-def ends_whole(folder: Path) -> str:
-    """Whether `steps.csv` ends with a line that is whole."""
+def has_complete_end(folder: Path) -> str:
+    """Whether the last line of `steps.csv` is complete."""
     path = folder / "steps.csv"
     return "no file" if not path.exists() else "yes" if path.read_bytes()[-1:] in (b"\n", b"") else "no"
 
 
 def record(folder: Path) -> dict[str, bytes]:
-    """All files but figures and report."""
+    """Contents of all files except figures and report."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")

@@ -1,6 +1,6 @@
-"""How long torque lasts when the real-time process is killed with SIGKILL, on the wall clock.
+"""Time for which torque lasts after the real-time process was killed with SIGKILL, on the wall clock.
 
-The emulated ring notes when its drives give torque; its watchdog is 50 ms. Several kills, each while the robot hops.
+The emulated ring records when its drives give torque; its watchdog is 50 ms. Several kills, each while the robot hops.
 
     ./go python benchmarks/killed_process.py --kills 5
 """
@@ -22,6 +22,7 @@ from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.rigs.ethercat.emulator.emulator import run_emulator
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
+from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.ethercat import hopper_on_ethercat
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -36,24 +37,24 @@ RING = RingSettings(lock_step=False)
 COMMAND = np.array([-5.0, -8.0])
 
 
-class Watched(TwinMachine):
-    """The twin; notes when it felt torque last."""
+class ObservedTwin(TwinMachine):
+    """The twin behind the ring; it reports every tick with torque."""
 
-    def __init__(self, felt: Callable[[], None]):
+    def __init__(self, on_torque: Callable[[], None]):
         super().__init__(Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=3.0))
-        self._felt = felt
+        self._on_torque = on_torque
 
-    def tick(self, torque_1: float, torque_2: float) -> HopperReading:
-        if torque_1 or torque_2:
-            self._felt()
-        return super().tick(torque_1, torque_2)
+    def tick(self, torques: Torques) -> HopperReading:
+        if any(torques):
+            self._on_torque()
+        return super().tick(torques)
 
 
 def serve(interface: str, last, pipe) -> None:
-    def felt() -> None:
+    def record_time() -> None:
         last[0] = monotonic()
 
-    run_emulator(interface, Watched(felt), RING, lambda _: pipe.send("ready"), pipe)
+    run_emulator(interface, ObservedTwin(record_time), RING, lambda _: pipe.send("ready"), pipe)
 
 
 def kill_once(interface: str, folder: Path) -> float:
@@ -64,8 +65,8 @@ def kill_once(interface: str, folder: Path) -> float:
     ring = context.Process(target=serve, args=(interface, last, there), daemon=True)
     ring.start()
     here.recv()
-    layout = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).sensor_model
-    settings = replace(emulated_settings(layout, ROBOT, RING, interface), watchdog=0.05)
+    sensors = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).sensor_model
+    settings = replace(emulated_settings(sensors, ROBOT, RING, interface), watchdog=0.05)
     with RealtimePlant(
         RealtimeSetup(partial(hopper_on_ethercat, settings, ROBOT), HopperControl(ROBOT, GAINS, BOUNDS)), folder
     ) as plant:

@@ -2,8 +2,8 @@
 
     python -m benchmarks.map_accuracy [--count 1000] [--seed 0] [--stiffness K2] [--torque-limit T] [--wide]
 
-Run from the repository's root. The error is relative to the larger of |reference| and half the range of
-use. `--wide` draws from far outside the range of use, where most hops fail, and compares the reasons.
+Run from the repository's root. The error is relative to the larger of |reference| and half the range.
+`--wide` draws from a much larger range, where most hops fail, and compares the status codes.
 """
 
 import argparse
@@ -25,7 +25,7 @@ WIDE = np.array([[-3.0, 0.1, -300.0, -300.0], [3.0, 1.5, 300.0, 300.0]])
 
 @cache
 def hopper(robot: RobotParameters, gains: Gains) -> Hopper:
-    """The reference, derived once in each process."""
+    """The reference, derived once per process."""
     return Hopper(robot, gains)
 
 
@@ -37,8 +37,8 @@ def reference(robot: RobotParameters, gains: Gains, point: np.ndarray) -> tuple[
 def draw(apex_map: ApexMap, wide: bool, count: int, seed: int) -> np.ndarray:
     """Random points (speed, height, fx, fy)."""
     quantities = (*apex_map.space.state, *apex_map.space.command)
-    use = [[quantity.lower for quantity in quantities], [quantity.upper for quantity in quantities]]
-    return np.random.default_rng(seed).uniform(*(WIDE if wide else use), (count, 4))
+    ranges = [[quantity.lower for quantity in quantities], [quantity.upper for quantity in quantities]]
+    return np.random.default_rng(seed).uniform(*(WIDE if wide else ranges), (count, 4))
 
 
 def median_time(apex_map: ApexMap, points: np.ndarray) -> float:
@@ -52,7 +52,7 @@ def median_time(apex_map: ApexMap, points: np.ndarray) -> float:
 
 
 def main() -> None:
-    """Prints the largest errors and where the reasons differ."""
+    """Prints the largest errors and the points where the status codes differ."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
@@ -73,15 +73,16 @@ def main() -> None:
     scale = np.maximum(np.abs(expected), apex_map.space.state_scale)
     error = np.abs(outcome.next_state - expected) / scale
     both = (statuses == StepStatus.OK) & (outcome.status == StepStatus.OK)
-    print(f"reasons of {len(points)} points:", {StepStatus(k).label: n for k, n in Counter(statuses.tolist()).items()})
+    counts = {StepStatus(code).label: count for code, count in Counter(statuses.tolist()).items()}
+    print(f"status codes of {len(points)} points: {counts}")
     if both.any():
         for name, column in zip(apex_map.space.state_names, error[both].T, strict=True):
             print(f"{name}: largest relative error {column.max():.2g}, median {np.median(column):.2g}")
     different = np.flatnonzero(statuses != outcome.status)
-    print(f"reasons that differ: {len(different)}")
+    print(f"status codes that differ: {len(different)}")
     for i in different[:40]:
-        found, wanted = StepStatus(int(outcome.status[i])).label, StepStatus(int(statuses[i])).label
-        print(f"  {points[i].tolist()}: map {found} {outcome.next_state[i]}, reference {wanted} {expected[i]}")
+        found, correct = StepStatus(int(outcome.status[i])).label, StepStatus(int(statuses[i])).label
+        print(f"  {points[i].tolist()}: map {found} {outcome.next_state[i]}, reference {correct} {expected[i]}")
     print(f"median time of one evaluation: {1e6 * median_time(apex_map, points[:500]):.0f} µs")
 
 

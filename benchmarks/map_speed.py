@@ -21,11 +21,11 @@ from stepgap.robots.hopper.hop import Tolerances
 from stepgap.step import difference_jacobian
 
 EXACT = Tolerances(flight=Tolerance(1e-12, 1e-12), stance=Tolerance(1e-12, 1e-12))
-ONE_CORE = 2 * SMALLEST_SHARE - 1  # points that are not shared out
+ONE_CORE = 2 * SMALLEST_SHARE - 1  # points that are not divided among cores
 
 
 def draw(apex_map: ApexMap, count: int, seed: int) -> np.ndarray:
-    """Random points (speed, height, fx, fy) in the range of use."""
+    """Random points (speed, height, fx, fy) within the ranges."""
     quantities = (*apex_map.space.state, *apex_map.space.command)
     use = [[quantity.lower for quantity in quantities], [quantity.upper for quantity in quantities]]
     return np.random.default_rng(seed).uniform(*use, (count, 4))
@@ -65,7 +65,7 @@ def report_jacobian(apex_map: ApexMap, points: np.ndarray) -> None:
 
 
 def report_root_solves(apex_map: ApexMap, points: np.ndarray) -> None:
-    """Prints how long the step controller takes to find the command of a target, and how many it finds."""
+    """Prints the time in which the step controller finds the command for a target, and how many it finds."""
     controller, targets = StepController(apex_map), apex_map(points[:, :2], points[:, 2:])
     durations, reached = [], 0
     for point, target in zip(points, targets, strict=True):

@@ -1,12 +1,12 @@
-"""What learning from hop to hop costs: taking in a step and planning the next one, while fits run in the background.
+"""Cost of learning from hop to hop: adding a step and planning the next one, while fits run in the background.
 
-A model whose body is heavier stands for the robot. Between two steps a little is computed every millisecond, as a
-control loop does, for as long as a hop lasts, so that a fit in the background has the time that it would have.
+A model with a heavier body replaces the robot. Between two steps a small computation runs every millisecond for the
+duration of a hop, as in a control loop, so that a fit in the background has as much time as on the robot.
 
     ./go python benchmarks/online_step.py --known 500
 
-Where other programs want the cores, too, the scheduler takes one away for some 4 ms now and then, in whatever is
-running. A control loop therefore has real-time priority, and to measure what it would see: `chrt -f 10 ./go python …`.
+If other programs use the cores as well, the scheduler sometimes interrupts the computation for about 4 ms. A control
+loop therefore has real-time priority. To measure with it: `chrt -f 10 ./go python …`.
 """
 
 import argparse
@@ -29,12 +29,12 @@ from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import RobotParameters
 
 NOISE = np.array([0.008, 0.0013])
-"""Repeatability of the twin [m/s, m]."""
+"""Noise floor of the twin [m/s, m]."""
 TICK, STATE, COMMAND = 1e-3, np.array([0.2, 0.58]), np.zeros(2)
 
 
 def hops(nominal: ApexMap, count: int, seed: int) -> list[LoggedStep]:
-    """Steps of the uncorrected controller on the heavier robot, deployment after deployment."""
+    """Steps of the uncorrected controller on the heavier robot, from consecutive deployments."""
     robot = RobotParameters()
     heavier = ApexMap(replace(robot, body_mass=1.15 * robot.body_mass))
     steps: list[LoggedStep] = []
@@ -46,7 +46,7 @@ def hops(nominal: ApexMap, count: int, seed: int) -> list[LoggedStep]:
 
 
 def measure(nominal: ApexMap, known: list[LoggedStep], new: list[LoggedStep], hop: float) -> list[float]:
-    """Seconds from a measured apex to the next command, for each of the new steps."""
+    """Times from a measured apex to the next command, for each of the new steps [s]."""
     seconds = []
     learner = Learner.start(nominal, StepLog(nominal.space, known), LearningSettings(online=True), 0)
     with BackgroundThread() as background:
@@ -62,7 +62,7 @@ def measure(nominal: ApexMap, known: list[LoggedStep], new: list[LoggedStep], ho
 
 
 def _tick_for(duration: float, nominal: ApexMap) -> None:
-    """A stand-in for the 1 kHz loop of a hop."""
+    """Computation in place of the 1 kHz loop of a hop."""
     end = perf_counter() + duration
     while perf_counter() < end:
         nominal(STATE, COMMAND)
@@ -70,10 +70,10 @@ def _tick_for(duration: float, nominal: ApexMap) -> None:
 
 
 def main() -> None:
-    """Prints the quantiles."""
+    """Prints quantiles of the times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--known", type=int, default=500, help="steps known before")
-    parser.add_argument("--steps", type=int, default=100, help="steps that are timed")
+    parser.add_argument("--known", type=int, default=500, help="number of known steps")
+    parser.add_argument("--steps", type=int, default=100, help="number of timed steps")
     parser.add_argument("--hop", type=float, default=0.75, help="duration of a hop [s]")
     options = parser.parse_args()
     nominal = ApexMap()

@@ -1,8 +1,8 @@
-"""Which residual predicts the next deployment best? Fits every model to the deployments before, scores it on the next.
+"""Comparison of residuals: each is fitted to all earlier deployments and scored on the next one.
 
-Scored is what a run would have predicted of each step when it began, drift followed, of the commands that were given.
+The score is that of the predictions before each step, as in a run, with the drift estimated, for the given commands.
 
-Give it folders of runs: ./go python benchmarks/residuals.py RUN… [--lagged-inputs auto]
+    ./go python benchmarks/residuals.py RUN… [--lagged-inputs auto]
 """
 
 import argparse
@@ -22,22 +22,22 @@ from stepgap.step import Array
 
 
 def scores(nominal: ApexMap, learning: LearningSettings, log: StepLog, iteration: int) -> tuple[str, Array, float]:
-    """What was fitted, its RMSE on a deployment (n,), and its mean log density there, summed over the state."""
+    """Name of the fitted residual, its RMSE on a deployment (n,), and its mean log density summed over the state."""
     before = StepLog(log.space, (logged for logged in log if logged.iteration < iteration))
-    rest, std = [], []
+    errors, std = [], []
     learner = Learner.start(nominal, before, learning, iteration)
     name = learner.residual.name
     for logged in log.of_iteration(iteration).completed():
         step_map, record = learner.step_map(), logged.record
-        rest.append(record.next_state - step_map(record.state, record.applied))
+        errors.append(record.next_state - step_map(record.state, record.applied))
         std.append(np.hypot(step_map.std(record.state, record.applied), step_map.noise_std))
         learner = learner.after(logged)
-    density = np.mean(-0.5 * np.square(np.divide(rest, std)) - np.log(std) - 0.5 * np.log(2 * np.pi), axis=0)
-    return name, np.sqrt(np.mean(np.square(rest), axis=0)), float(density.sum())
+    density = np.mean(-0.5 * np.square(np.divide(errors, std)) - np.log(std) - 0.5 * np.log(2 * np.pi), axis=0)
+    return name, np.sqrt(np.mean(np.square(errors), axis=0)), float(density.sum())
 
 
 def main() -> None:
-    """Prints a line per model and redeployment, then means over the first redeployments and over the later ones."""
+    """Prints a line per model and redeployment, then means over the first and over the later redeployments."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path)
     parser.add_argument("--lagged-inputs", default="none")

@@ -1,9 +1,9 @@
-"""What learning the error in the time domain would cost, against one point per step, on the same hops of the twin.
+"""Cost of learning the error in the time domain, compared with one point per step, on the same hops of the twin.
 
-A Gaussian process of the time domain gets a point per sample of a hop (leg, hip, torques → change of the vertical speed
-until the next sample), ours a point per hop (state, command → error of the next state). Both are one output, fitted
-by the same code on one thread. A fit to many points is some dozen factorisations, each ∝ N³; a row marked * is
-extrapolated so from the largest fit measured.
+A Gaussian process in the time domain gets a point per sample of a hop (leg, hip, torques → change of the vertical speed
+until the next sample); StepGap's gets a point per hop (state, command → error of the next state). Both have one output
+and are fitted by the same code on one thread. A fit to many points needs some dozen factorisations, each ∝ N³; a row
+marked * is extrapolated accordingly from the largest measured fit.
 
     ./go python benchmarks/time_domain_gp.py --hops 4
 """
@@ -27,15 +27,15 @@ from stepgap.step import Array
 
 PAPER_STEPS = 227
 RATES = (1000, 200, 20)
-"""Samples a second; the works that the paper names sample at 20 to 200 Hz, joints are controlled at 1,000."""
+"""Samples per second; the works cited in the paper sample at 20 to 200 Hz, joints are controlled at 1,000 Hz."""
 
 
 def record(steps: int, trajectory_hops: int, seed: int) -> tuple[Array, Array, Array]:
-    """Hops to random targets on the twin.
+    """Records hops to random targets on the twin.
 
     Returns:
-        For each step state, applied command and error, shape (steps, 6); for each tick of the first hops hip
-        height, rates of the hip, leg angles, their rates and torques, shape (ticks, 9); ticks of each of these hops.
+        For each step the state, applied command and error, shape (steps, 6); for each tick of the first hops the hip
+        height, rates of the hip, leg angles, their rates and torques, shape (ticks, 9); the ticks of each such hop.
     """
     robot, gains, bounds, nominal = RobotParameters(), Gains(), CommandBounds(), ApexMap()
     rng = np.random.default_rng(seed)
@@ -76,15 +76,15 @@ def fit_and_predict(points: Array, values: Array, input_scale: Array, value_scal
 
 
 def show(name: str, hops: int, points: int, fitted: float, predicted: float | None, mark: str = "") -> None:
-    """Prints a row; the factor's memory is 8 N² bytes."""
-    shown = "" if predicted is None else f"{1e6 * predicted:.0f} µs"
-    print(f"{name:18}{hops:6}{points:9}{fitted:14.3g} s{mark:1}{shown:>15}{8e-6 * points**2:14.4g} MB", flush=True)
+    """Prints a row; the memory of the factor is 8 N² bytes."""
+    prediction = "" if predicted is None else f"{1e6 * predicted:.0f} µs"
+    print(f"{name:18}{hops:6}{points:9}{fitted:14.3g} s{mark:1}{prediction:>15}{8e-6 * points**2:14.4g} MB", flush=True)
 
 
 def main() -> None:
-    """Prints the table."""
+    """Measures and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hops", type=int, default=4, help="hops of the time domain at 1,000 Hz")
+    parser.add_argument("--hops", type=int, default=4, help="number of hops in the time domain at 1,000 Hz")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
 
@@ -95,10 +95,10 @@ def main() -> None:
     space = ApexMap().space
     scale = np.concatenate([space.state_scale, space.command_scale])
     with threadpool_limits(limits=1):
-        fit_and_predict(steps[:20, :4], steps[:20, 4], scale, space.state_scale[0])  # compiles
+        fit_and_predict(steps[:20, :4], steps[:20, 4], scale, space.state_scale[0])  # compiles the code
         for hops in (20, PAPER_STEPS):
             times = fit_and_predict(steps[:hops, :4], steps[:hops, 4], scale, space.state_scale[0])
-            show("one a hop", hops, hops, *times)
+            show("one per hop", hops, hops, *times)
         largest = (0.0, 0)
         for rate in RATES:
             every = 1000 // rate

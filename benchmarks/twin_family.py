@@ -1,8 +1,8 @@
-"""A family of random twins, to benchmark learning on more than one robot.
+"""Survey of the family of random twins on which learning is benchmarked.
 
-The family is that of `stepgap.robots.hopper.twin.family`. A draw whose uncorrected robot does not get through the
-first 20 steps may be drawn again, as `stepgap bench learning` does; the share of these, and of those that fall later in
-the first deployment, is what this script measures: 1 and 0 of 24 with seed 0.
+The family is that of `stepgap.robots.hopper.twin.family`. If the uncorrected robot falls within the first 20 steps, the
+twin may be drawn again, as in `stepgap bench learning`. This script measures the fractions of these twins and of those
+that fall later in the first deployment: 1 and 0 of 24 with seed 0.
 
     ./go python benchmarks/twin_family.py --draws 24
 """
@@ -17,19 +17,19 @@ from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 FIRST_STEPS = 20
-"""Steps that the uncorrected robot of a draw must manage, or else it may be drawn again."""
+"""Number of steps that the uncorrected robot must make without a fall; otherwise the twin may be drawn again."""
 
 
 def hops(gap: RealityGap) -> bool:
-    """Whether the uncorrected robot manages the first steps."""
+    """Whether the uncorrected robot makes the first steps without a fall."""
     try:
         return first_deployment(gap, seed=0, most_steps=FIRST_STEPS)[1].falls == 0
-    except RigFault:  # not even the hop before them
+    except RigFault:  # the hop before the first step failed
         return False
 
 
 def main() -> None:
-    """Prints a line per draw, and the shares that fall."""
+    """Prints a line per draw, and the numbers of falls."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,7 +1,7 @@
-"""How far the twin without any gap is from the physics model, step by step, at several tick lengths.
+"""Difference of the twin without a gap from the physics model, step by step, at several tick lengths.
 
-With short ticks it must be the model; at 1 kHz what remains must be the torques held from tick to tick: it shrinks in
-proportion to the tick, and the model with held torques (`SampledApexMap`) has most of it, too.
+With short ticks the twin must equal the model. At 1 kHz the remaining difference must be the effect of torques held
+from tick to tick: it is proportional to the tick, and the model with held torques (`SampledApexMap`) has most of it.
 
     ./go python benchmarks/twin_fidelity.py --steps 50
 """

@@ -1,8 +1,8 @@
-"""Apexes from the log of a hopping robot, as steps that `stepgap fit` reads; without arguments, of a made-up log.
+"""Apexes from the log of a hopping robot, as steps for `stepgap fit`; without arguments, from a synthetic log.
 
-The log is one CSV file, or several with the same instants, with the body's height and forward position or the angles of
-its boom. Around every top, a parabola gives the height of the apex and a line the forward speed there. Columns of a
-plan that has a row for every hop are put beside the hops.
+The log is one CSV file, or several with the same sampling times, with the body's height and forward position or the
+angles of its boom. A parabola fitted around every top gives the height of the apex, and a line the forward speed.
+Columns of a plan that has a row for every hop are added to the hops.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from scipy.signal import find_peaks
 
 
 def read_columns(files):
-    """Columns of all files by name, as texts; the first file that has a name gives it."""
+    """Columns of all files by name, as strings; the first file with a name is used."""
     columns = {}
     for file in files:
         with Path(file).open(encoding="utf-8", newline="") as stream:
@@ -29,14 +29,14 @@ def read_columns(files):
 
 
 def find_apexes(time, height, forward, rise, window):
-    """Forward speed and height at every top that stands out by `rise`; fitted over `window` seconds on either side."""
+    """Forward speed and height at every top with prominence `rise`, fitted over `window` seconds on each side."""
     found = []
     for top in find_peaks(height, prominence=rise)[0]:
         near = np.abs(time - time[top]) <= window
         since = time[near] - time[top]
-        bend, slope, level = np.polyfit(since, height[near], 2)
-        at = np.clip(-slope / (2 * bend), -window, window)
-        found.append((np.polyfit(since - at, forward[near], 1)[0], level + slope * at + bend * at**2))
+        curvature, rate, level = np.polyfit(since, height[near], 2)
+        at = np.clip(-rate / (2 * curvature), -window, window)
+        found.append((np.polyfit(since - at, forward[near], 1)[0], level + rate * at + curvature * at**2))
     return np.array(found)
 
 
@@ -52,7 +52,7 @@ def first_number(cell):
 
 
 def steps_of(options):
-    """Names of columns, and a row for every hop that has one before it."""
+    """Returns the names of the columns, and a row for every hop except the first."""
     log = read_columns(options.log)
     time, height, forward = (np.array(log[name], float) for name in (options.time, options.height, options.forward))
     if options.boom:
@@ -64,7 +64,7 @@ def steps_of(options):
         chosen = options.plan_columns.split(",")
         plan = np.array([[first_number(cell) for cell in texts[name]] for name in chosen]).T
         if len(plan) != len(apexes):
-            sys.exit(f"{options.plan}: {len(plan)} plans of {len(apexes)} hops; change --rise until they are as many")
+            sys.exit(f"{options.plan}: {len(plan)} plans for {len(apexes)} hops; change --rise until both are equal")
         names += chosen
         parts.append(plan[1:])
         if options.gravity:
@@ -74,7 +74,7 @@ def steps_of(options):
 
 
 def demonstrate(folder):
-    """A made-up log of twelve hops, as a command line."""
+    """Writes a synthetic log of twelve hops and returns the command line for it."""
     rng, rows, start = np.random.default_rng(0), [], 0.0
     for speed, take_off in zip(rng.uniform(0.1, 0.4, 12), rng.uniform(1.0, 1.4, 12), strict=True):
         for since in np.arange(0, 2 * take_off / 5.2, 0.005):
@@ -87,7 +87,7 @@ def demonstrate(folder):
 
 def main(arguments):
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("log", nargs="+", help="CSV files with a row for each instant")
+    parser.add_argument("log", nargs="+", help="CSV files with a row for each sampling time")
     parser.add_argument("--time", default="time", help="column of the time [s]")
     parser.add_argument(
         "--height", default="height", help="column of the height [m], or with --boom of the pitch [rad]"
@@ -96,7 +96,7 @@ def main(arguments):
         "--forward", default="forward", help="column of the position [m], or with --boom of the yaw [rad]"
     )
     parser.add_argument("--boom", type=float, help="length of the boom [m]")
-    parser.add_argument("--rise", type=float, default=0.03, help="least rise of a hop [m]")
+    parser.add_argument("--rise", type=float, default=0.03, help="smallest rise of a hop [m]")
     parser.add_argument("--window", type=float, default=0.04, help="half the time over which an apex is fitted [s]")
     parser.add_argument("--plan", help="CSV file with a row for each hop")
     parser.add_argument("--plan-columns", help="its columns to copy; launch speed, angle, ground height for --gravity")

@@ -1,4 +1,4 @@
-"""Our controllers in the Gymnasium environment `stepgap/Step-v0`: the twin is hopped, learnt from, and hopped again."""
+"""StepGap's controllers in the Gymnasium environment `stepgap/Step-v0`: an episode, learning, and an episode again."""
 
 import gymnasium
 import numpy as np
@@ -18,16 +18,17 @@ space, nominal = env.unwrapped.space, env.unwrapped.nominal
 
 
 def episode(plan, seed, iteration):
-    """Closes the loop for one episode; returns its steps and the root-mean-square tracking error."""
-    seen, _ = env.reset(seed=seed)
-    steps, errors, over = [], [], False
-    while not over:
-        state, target = np.split(seen, 2)
+    """Runs the controller for one episode; returns its steps and the root-mean-square tracking error."""
+    observation, _ = env.reset(seed=seed)
+    steps, errors, done = [], [], False
+    while not done:
+        state, target = np.split(observation, 2)
         planned = plan(state, target)
-        seen, _, fell, at_end, info = env.step(space.point_of(planned.command))
-        over, status = fell or at_end, StepStatus[info["status"].upper()]
-        errors.append(seen[:2] - target)
-        record = StepRecord(state, info["command"], info["applied"], seen[:2], status, info.get("yaw", np.nan))
+        observation, _, fell, truncated, info = env.step(space.point_of(planned.command))
+        next_state, status = observation[:2], StepStatus[info["status"].upper()]
+        done = fell or truncated
+        errors.append(next_state - target)
+        record = StepRecord(state, info["command"], info["applied"], next_state, status, info.get("yaw", np.nan))
         steps.append(LoggedStep(iteration, len(errors), target, planned.predicted, np.zeros(2), record))
     return steps, np.sqrt(np.mean(np.square(errors), axis=0))
 
@@ -35,6 +36,6 @@ def episode(plan, seed, iteration):
 steps, first = episode(StepController(nominal), 0, 0)
 learner = Learner.start(nominal, StepLog(space, steps), LearningSettings(), 1)
 _, second = episode(CautiousController(learner.step_map(), nominal, learner.failures), 1, 1)
-print("model's map: speed {:.4f} m/s, height {:.4f} m".format(*first))
+print("nominal map: speed {:.4f} m/s, height {:.4f} m".format(*first))
 print("corrected:   speed {:.4f} m/s, height {:.4f} m".format(*second))
 env.close()

@@ -1,4 +1,4 @@
-"""Three hops of the twin through the 1 kHz loop, and what one tick tells."""
+"""Three hops of the twin through the 1 kHz loop, and the content of one tick."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The method in one screen: a heavier robot with a softer leg than its model is learnt from 60 hops, then tracks."""
+"""The method on one page: the error of the model is learned from 60 hops of a heavier robot with a softer leg."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ targets = np.repeat(rng.uniform([0.05, 0.55], [0.35, 0.62], (12, 2)), 5, axis=0)
 
 
 def deploy(step_map):
-    """Tracks the targets; returns what happened."""
+    """Tracks the targets; returns the records of the steps."""
     controller, records = StepController(step_map), []
     with ModelPlant(real, np.array([0.2, 0.58]), np.array([0.004, 0.0015]), rng) as plant:
         state = plant.start()

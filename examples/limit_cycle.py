@@ -1,4 +1,4 @@
-"""A limit cycle of the model: the command that repeats an apex, and whether small errors die out."""
+"""Limit cycles of the model: the commands that repeat an apex, and whether small errors decay."""
 
 from stepgap import ApexMap, fixed_point
 

@@ -1,8 +1,8 @@
-"""A robot of your own: a runner on a springy leg, whose model knows of no losses, learns to track speed and height.
+"""A robot other than the hopper: a spring-mass runner, whose model has no losses, learns to track speed and height.
 
-The model is a point mass on a massless spring that lands at the angle commanded and, from its greatest compression on,
-pushes with an added stiffness (SLIP; Blickhan, The spring-mass model for running and hopping, 1989). What really runs
-is heavier and softer, and its leg has damping and friction.
+The model is a point mass on a massless spring that lands at the commanded angle and pushes with an added stiffness
+after its largest compression (SLIP; Blickhan, The spring-mass model for running and hopping, 1989). The real robot is
+heavier and softer, and its leg has damping and friction.
 """
 
 from dataclasses import astuple, dataclass
@@ -23,7 +23,7 @@ GRAVITY = 9.81
 
 @njit
 def motion(z, robot, push, phase):
-    """Rates of z = (x, y, ẋ, ẏ) with the foot at the origin, and what is positive until the phase ends."""
+    """Rates of z = (x, y, ẋ, ẏ) with the foot at the origin, and the guard, which is positive until the phase ends."""
     mass, stiffness, rest_length, damping, friction = robot
     length = np.hypot(z[0], z[1])
     rate = (z[0] * z[2] + z[1] * z[3]) / length
@@ -33,17 +33,17 @@ def motion(z, robot, push, phase):
 
 
 @njit
-def follow(z, robot, push, phase):
-    """The state at the end of compression (phase −1) or extension (phase 1): Runge–Kutta steps, halved before it."""
+def integrate(z, robot, push, phase):
+    """State at the end of compression (phase −1) or extension (phase 1), by Runge–Kutta steps that are halved there."""
     step = 2e-3
     while step > 1e-12 and z[1] > 0:
         k1 = motion(z, robot, push, phase)[0]
         k2 = motion(z + step / 2 * k1, robot, push, phase)[0]
         k3 = motion(z + step / 2 * k2, robot, push, phase)[0]
         k4 = motion(z + step * k3, robot, push, phase)[0]
-        ahead = z + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        if motion(ahead, robot, push, phase)[1] > 0:
-            z = ahead
+        following = z + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        if motion(following, robot, push, phase)[1] > 0:
+            z = following
         else:
             step /= 2
     return z
@@ -51,14 +51,14 @@ def follow(z, robot, push, phase):
 
 @guvectorize(["f8[:], f8[:], f8[:], f8[:], i8[:]"], "(n),(m),(p)->(n),()")
 def hop(state, command, robot, next_state, status):
-    """From apex to apex; NumPy broadcasts it over leading axes."""
+    """Step from apex to apex; NumPy broadcasts it over leading axes."""
     x, y = -robot[2] * np.sin(command[0]), robot[2] * np.cos(command[0])
     next_state[:], status[0] = np.nan, StepStatus.FELL
     if not np.isfinite(state.sum() + command.sum()):
         status[0] = StepStatus.INVALID
     elif state[1] > y:
         z = np.array([x, y, state[0], -np.sqrt(2 * GRAVITY * (state[1] - y))])
-        z = follow(follow(z, robot, 0.0, -1.0), robot, command[1], 1.0)
+        z = integrate(integrate(z, robot, 0.0, -1.0), robot, command[1], 1.0)
         if z[1] > 0:
             status[0] = StepStatus.OK if z[3] > 0 else StepStatus.NO_TAKE_OFF
         if status[0] == StepStatus.OK:
@@ -86,7 +86,7 @@ class SpringRunner(StepMap):
 
 
 def make_plant(rng):
-    """What really runs; it draws its noise from `rng`."""
+    """Plant of the real robot, whose noise is drawn from `rng`."""
     real = SpringRunner(mass=10.6, stiffness=2850.0, damping=6.0, friction=4.0)
     return ModelPlant(real, np.array([1.0, 0.58]), np.array([0.01, 0.002]), rng)
 

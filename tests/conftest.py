@@ -17,7 +17,7 @@ from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from tests.cli.command_line import Command, Said
+from tests.cli.command_line import Command, CommandResult
 from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats, leave_out_report
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
@@ -82,7 +82,7 @@ def stepgap(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pyte
     """Runs a command line in an empty folder, as the shell sees it, everything compiled already."""
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments: object) -> Said:
+    def run(*arguments: object) -> CommandResult:
         capfd.readouterr()
         try:
             main([str(argument) for argument in arguments])
@@ -91,6 +91,6 @@ def stepgap(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pyte
             code = int(end.code or 0)
         out, err = capfd.readouterr()
         err = re.sub(r"^stepgap: compiling for this machine.*\n", "", err, count=1)  # depends on the cache
-        return Said(code, str(out), str(err))
+        return CommandResult(code, str(out), str(err))
 
     return run

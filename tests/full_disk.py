@@ -1,15 +1,15 @@
-"""A disk that takes no more, for tests of what is said then."""
+"""Simulation of a full disk, for tests of the error messages."""
 
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-SAYS = "File too large"
+FILE_TOO_LARGE = "File too large"
 
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """Lets this process write no file beyond a size [bytes]: the system's error names no file, as on a full disk."""
+    """Limits the size of files that this process writes [bytes]; as on a full disk, the error names no file."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:

@@ -9,7 +9,7 @@ from stepgap.report import WrittenReport, drawing
 
 
 def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
-    """A run takes its noise floor for known; to measure it takes as long as a deployment."""
+    """Replaces the measurement of the noise floor, which takes as long as a deployment."""
     patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, 0.01]))
 
 

@@ -113,8 +113,8 @@ def test_verbs_and_options_exist(words, stepgap: Command):
 
 
 def help_of(stepgap: Command, *verbs):
-    said = stepgap(*verbs, "--help")
-    return said.out if said.code == 0 else ""
+    result = stepgap(*verbs, "--help")
+    return result.out if result.code == 0 else ""
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=name)

@@ -32,8 +32,8 @@ def test_the_page_of_data_runs(stepgap: Command, capfd: pytest.CaptureFixture[st
                 program, *arguments = shlex.split(line)[1:]
                 if program == "stepgap":
                     more = [*SHORT, "--iterations", 0] if arguments[0] == "run" else []
-                    said = stepgap(*arguments, *more)
-                    assert said.code == 0, said
+                    result = stepgap(*arguments, *more)
+                    assert result.code == 0, result
     for name in ("run.mat", "steps.csv", "steps_columns.csv", "ticks_1.mcap", "mjcf/scene.xml"):
         assert Path("runs/latest/export", name).is_file()
     assert Path("warm/warm_start.csv").is_file()

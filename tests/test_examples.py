@@ -1,4 +1,4 @@
-"""The apexes that `examples/apexes_from_log.py` finds are those that a log was made of."""
+"""`examples/apexes_from_log.py` finds the apexes of a synthetic log."""
 
 import csv
 import runpy

@@ -14,7 +14,7 @@ from gymnasium.wrappers import RescaleObservation
 
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
-from stepgap.gym import MISSED, STEP_ID, StepEnv, hopper_env
+from stepgap.gym import LARGEST_COST, STEP_ID, StepEnv, hopper_env
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import Gains
@@ -42,18 +42,18 @@ def holding(env: StepEnv) -> Array:
 
 
 def episode(env: StepEnv, seed: int) -> list[Array]:
-    """Observations, rewards and what was applied, with actions drawn from the same seed."""
+    """Observations, rewards and applied commands, with actions drawn from the same seed."""
     rng, over = np.random.default_rng(seed), False
-    told = [env.reset(seed=seed)[0]]
+    rows = [env.reset(seed=seed)[0]]
     while not over:
-        seen, reward, fell, at_end, info = env.step(rng.uniform(-0.3, 0.3, 2))
-        told.append(np.concatenate([seen, [reward], info["applied"]]))
+        observation, reward, fell, at_end, info = env.step(rng.uniform(-0.3, 0.3, 2))
+        rows.append(np.concatenate([observation, [reward], info["applied"]]))
         over = fell or at_end
-    return told
+    return rows
 
 
 @pytest.mark.parametrize("options", PLANTS)
-def test_gymnasium_finds_nothing_to_say(options: dict[str, Any]) -> None:
+def test_gymnasiums_checker_finds_no_fault(options: dict[str, Any]) -> None:
     check_env(made(**options))  # warnings are errors
 
 
@@ -67,12 +67,12 @@ def test_same_seed_same_episode(options: dict[str, Any]) -> None:
     assert not np.array_equal(first[-1], other[-1])
 
 
-def test_a_name_is_enough_in_a_fresh_process() -> None:
+def test_the_name_suffices_in_a_new_process() -> None:
     code = "import gymnasium; gymnasium.make('stepgap.gym:stepgap/Step-v0', plant='model').reset(seed=0)"
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
-def test_without_gymnasium_it_says_what_to_install() -> None:
+def test_without_gymnasium_the_message_names_the_package() -> None:
     code = "import sys; sys.modules['gymnasium'] = None\nimport stepgap.gym"
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert outcome.stderr.endswith("stepgap.gym needs Gymnasium: pip install 'stepgap[gym]'\n")
@@ -80,33 +80,33 @@ def test_without_gymnasium_it_says_what_to_install() -> None:
 
 def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
     env = model_env(reference=Reference(("speed", "height"), np.array([START, (0.3, 0.6), (0.1, 0.55)])))
-    seen, info = env.reset(seed=0)
-    np.testing.assert_array_equal(seen, [*START, *START])
+    observation, info = env.reset(seed=0)
+    np.testing.assert_array_equal(observation, [*START, *START])
     assert info == {}
     action = np.array([-0.2, 0.1])
-    seen, reward, fell, at_end, info = env.step(action)
+    observation, reward, fell, at_end, info = env.step(action)
     expected = ApexMap()(START, [-0.2 * 30, 0.1 * 20])
-    np.testing.assert_allclose(seen, [*expected, 0.3, 0.6], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(observation, [*expected, 0.3, 0.6], rtol=0, atol=1e-12)
     np.testing.assert_allclose(info["predicted"], expected, atol=1e-12)
     assert "yaw" not in info  # a map has none
     assert reward == pytest.approx(-(((expected[0] - 0.2) / 0.2) ** 2) - ((expected[1] - 0.58) / 0.06) ** 2)
     assert (fell, at_end, info["status"]) == (False, False, "ok")
 
 
-def test_our_controller_tracks_through_it() -> None:
+def test_the_step_controller_tracks_in_the_environment() -> None:
     env, total, over = model_env(reference=None), 0.0, False
-    seen, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     controller, steps = StepController(env.nominal), 0
     while not over:
-        plan = controller(seen[:2], seen[2:])
-        seen, reward, fell, over, _ = env.step(env.space.point_of(plan.command))
+        plan = controller(observation[:2], observation[2:])
+        observation, reward, fell, over, _ = env.step(env.space.point_of(plan.command))
         assert not fell
         total, steps = total + float(reward), steps + 1
     assert steps == 227
-    assert -10 < total < 0  # only the steps at which the stair goes down further than one step can
+    assert -10 < total < 0  # only at stairs that are lower than one step can reach
 
 
-def test_actions_beyond_the_bounds_are_cut() -> None:
+def test_actions_beyond_the_bounds_are_clipped() -> None:
     env = model_env()
     env.reset(seed=0)
     info = env.step(np.array([-5.0, 0.1]))[-1]
@@ -120,18 +120,18 @@ def test_actions_beyond_the_bounds_are_cut() -> None:
 def test_an_action_that_is_no_number_is_a_fall(options: dict[str, Any]) -> None:
     env = made(**{**options, "reference": REFERENCE})
     before, _ = env.reset(seed=0)
-    seen, reward, fell, at_end, info = env.step(np.array([np.nan, 0.0]))
+    observation, reward, fell, at_end, info = env.step(np.array([np.nan, 0.0]))
     assert fell
     assert not at_end
     assert info["status"] != "ok"
     assert "predicted" not in info
-    np.testing.assert_array_equal(seen, before)
-    assert reward == -MISSED * len(REFERENCE)
+    np.testing.assert_array_equal(observation, before)
+    assert reward == -LARGEST_COST * len(REFERENCE)
     with pytest.raises(ResetNeeded, match=r"call reset\(\)"):
         env.step(np.zeros(2))
 
 
-def test_falling_is_never_better_than_hopping_on() -> None:
+def test_falling_is_never_better_than_continuing() -> None:
     env = model_env(reference=Reference(("speed", "height"), np.array([START] * 200)))
     returns = {True: [], False: []}
     for seed in range(12):
@@ -139,27 +139,27 @@ def test_falling_is_never_better_than_hopping_on() -> None:
         env.action_space.seed(seed)
         rewards, fell, over = [], False, False
         while not over:
-            seen, reward, fell, at_end, _ = env.step(env.action_space.sample())
-            assert env.observation_space.contains(seen)
+            observation, reward, fell, at_end, _ = env.step(env.action_space.sample())
+            assert env.observation_space.contains(observation)
             rewards.append(float(reward))
             over = fell or at_end
         returns[fell].append(rewards)
     assert returns[True]
     assert returns[False]
-    for rewards in returns[True]:  # the fall costs what the worst that hopping on could have brought
-        assert rewards[-1] == -MISSED * (200 - len(rewards) + 1)
-    assert min(map(min, returns[False])) >= -MISSED
+    for rewards in returns[True]:  # the fall costs as much as the worst case of continuing
+        assert rewards[-1] == -LARGEST_COST * (200 - len(rewards) + 1)
+    assert min(map(min, returns[False])) >= -LARGEST_COST
 
 
 def test_a_reset_takes_another_reference_once() -> None:
     env = model_env()
     other = Reference(("speed", "height"), np.array([(0.25, 0.6)]))
-    seen, _ = env.reset(seed=0, options={"reference": other})
-    np.testing.assert_array_equal(seen, [*START, 0.25, 0.6])
+    observation, _ = env.reset(seed=0, options={"reference": other})
+    np.testing.assert_array_equal(observation, [*START, 0.25, 0.6])
     assert env.step(holding(env))[3]
-    seen, _ = env.reset()
-    np.testing.assert_array_equal(seen, [*START, *START])
-    with pytest.raises(ValueError, match="unknown option targets of reset; 'reference' is the only one"):
+    observation, _ = env.reset()
+    np.testing.assert_array_equal(observation, [*START, *START])
+    with pytest.raises(ValueError, match="unknown option targets of reset; the only option is 'reference'"):
         env.reset(options={"targets": other})
     with pytest.raises(ValueError, match="must be a stepgap Reference, not list"):
         env.reset(options={"reference": [START]})
@@ -168,7 +168,7 @@ def test_a_reset_takes_another_reference_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "message"),
     [
         ({"plant": "tiwn"}, "plant = 'tiwn', but it must be 'twin' or 'model'; did you mean 'twin'?"),
         ({"gap": "papers"}, "gap = 'papers', but it must be a RealityGap, or 'paper' or 'none'; did you mean 'paper'?"),
@@ -177,10 +177,10 @@ def test_a_reset_takes_another_reference_once() -> None:
         ({"reference": Reference(("height", "speed"), np.zeros((1, 2)))}, "the reference is for height,speed"),
     ],
 )
-def test_wrong_arguments_are_named(wrong: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError) as error:  # noqa: PT011  (what it says is compared below)
+def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError) as error:  # noqa: PT011  (its message is compared below)
         hopper_env(**wrong)
-    assert says in str(error.value)
+    assert message in str(error.value)
 
 
 def test_gaps_make_a_difference() -> None:
@@ -197,7 +197,7 @@ def test_gaps_make_a_difference() -> None:
     assert not np.array_equal(none, first_state())
 
 
-def test_it_goes_into_gymnasiums_wrappers_and_vectors() -> None:
+def test_it_works_with_gymnasiums_wrappers_and_vectors() -> None:
     rescaled = RescaleObservation(gymnasium.make(STEP_ID, plant="model"), np.float64(-1), np.float64(1))
     assert np.abs(rescaled.reset(seed=0)[0]).max() <= 1
     envs = gymnasium.make_vec(STEP_ID, num_envs=3, plant="model", vectorization_mode="sync")
@@ -212,10 +212,10 @@ def test_the_steps_of_the_twin_have_a_yaw() -> None:
     assert np.isfinite(env.step(np.zeros(2))[4]["yaw"])
 
 
-def test_any_robot_goes_in() -> None:
+def test_it_works_with_any_robot() -> None:
     real = ApexMap(gains=Gains(stiffness=2300))
     env = StepEnv(lambda rng: ModelPlant(real, np.array(START), np.zeros(2), rng), ApexMap(), REFERENCE)
     env.reset(seed=0)
-    seen, _, _, _, info = env.step(np.zeros(2))
-    np.testing.assert_allclose(seen[:2], real(START, [0, 0]))
-    assert np.abs(info["predicted"] - seen[:2]).max() > 1e-3
+    observation, _, _, _, info = env.step(np.zeros(2))
+    np.testing.assert_allclose(observation[:2], real(START, [0, 0]))
+    assert np.abs(info["predicted"] - observation[:2]).max() > 1e-3

@@ -1,4 +1,4 @@
-"""Robots that are no hopper: the runner of examples/own_robot.py is right and learns, and so do maps of other sizes."""
+"""Robots other than the hopper: the runner of examples/own_robot.py is correct and learns; so do maps of any sizes."""
 
 import re
 import runpy
@@ -41,7 +41,7 @@ def runner(names: dict[str, Any]) -> StepMap:
 
 @pytest.fixture(scope="module")
 def points(runner: StepMap) -> tuple[Array, Array]:
-    """States in the range of use and commands within bounds."""
+    """Random states and commands within their ranges."""
     rng, space = np.random.default_rng(0), runner.space
     lower = [quantity.lower for quantity in space.state]
     upper = [quantity.upper for quantity in space.state]
@@ -110,9 +110,9 @@ def test_losses_lose_energy(names: dict[str, Any], runner: StepMap) -> None:
         assert lossy[0] ** 2 / 2 + 9.81 * lossy[1] < 1.2**2 / 2 + 9.81 * 0.6 - 0.05
 
 
-def test_what_is_no_step_has_a_reason(runner: StepMap) -> None:
+def test_a_failed_step_has_a_status(runner: StepMap) -> None:
     for state, command, status in (
-        ([1.0, 0.4], [0.2, 0.0], StepStatus.FELL),  # it would start in the ground
+        ([1.0, 0.4], [0.2, 0.0], StepStatus.FELL),  # starts in the ground
         ([np.nan, 0.6], [0.2, 0.0], StepStatus.INVALID),
         ([1.0, 0.6], [np.nan, 0.0], StepStatus.INVALID),
     ):
@@ -140,8 +140,8 @@ def test_control_knows_it(runner: StepMap) -> None:
     cautious = CautiousController(runner, runner, np.empty((0, 4)))(state, target)
     np.testing.assert_allclose(cautious.command, plan.command, rtol=1e-4)
     gait = fixed_point(runner, target)
-    assert abs(gait.command[1]) < 1e-3  # the model needs no push to go on
-    assert np.isclose(np.abs(gait.floquet_multipliers), 1, atol=1e-4).any()  # energy neither grows nor dies out
+    assert abs(gait.command[1]) < 1e-3  # the model needs no push
+    assert np.isclose(np.abs(gait.floquet_multipliers), 1, atol=1e-4).any()  # energy is constant
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def test_state_and_command_may_have_any_sizes(tmp_path: Path, sizes: tuple[int, 
     assert np.linalg.norm(second.rmse) < 0.6 * np.linalg.norm(first.rmse)
 
 
-def test_learning_cuts_the_error_and_needs_no_hopper() -> None:
+def test_learning_reduces_the_error_without_the_hopper() -> None:
     code = (
         f"import runpy, sys; runpy.run_path({str(EXAMPLE)!r}, run_name='__main__')\n"
         "print(*sorted(name for name in sys.modules if name.split('.')[0] in ('stepgap', 'mujoco', 'gymnasium')))"

@@ -1,4 +1,4 @@
-"""The engines that `benchmarks/compare_maps.py` measures beside ours, and the reference for the errors of all."""
+"""The engines with which `benchmarks/compare_maps.py` compares the map, and the reference for all errors."""
 
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -12,7 +12,7 @@ from stepgap.robots.hopper.apex_map import ApexMap
 
 
 def map_peers(nominal: ApexMap, quick: bool) -> MapPeers:
-    """All of it for one map; with `quick`, only the peer that needs no compilation."""
+    """Engines and reference for one map; with `quick`, only the peer that needs no compilation."""
     found, skipped = engines(nominal, quick)
     return MapPeers(found, skipped, reference(nominal, quick))
 
@@ -24,7 +24,7 @@ def reference(nominal: ApexMap, quick: bool) -> Callable[[Any, Any], Any]:
 
 
 def engines(nominal: ApexMap, quick: bool) -> tuple[list[Engine], dict[str, str]]:
-    """Peers that are installed, with why the others are not there."""
+    """Installed peers, and the reasons why the others are missing."""
     robot, gains, skipped = nominal.robot, nominal.gains, {}
     hop = full_system.make_hop(robot, gains, full_system.plain, 1e-6, 1e-8)
     found = [Engine("SciPy DOP853, NumPy", "full systems, rtol 1e-6", hop, calls=1)]
@@ -39,11 +39,11 @@ def engines(nominal: ApexMap, quick: bool) -> tuple[list[Engine], dict[str, str]
         found.append(Engine("heyoka", "reduced systems, tolerance 4e-6", hop, calls=100))
     else:
         skipped["heyoka"] = "not installed: ./go uv pip install heyoka"
-    installed = "installed, but no hop is written for it" if find_spec("numbalsoda") else "not installed"
+    installed = "installed, but no hop is implemented for it" if find_spec("numbalsoda") else "not installed"
     skipped["numbalsoda"] = installed
     from benchmarks.peers import stepping
 
     ticks, error = stepping.measure_twin(nominal, robot, gains, hops=10)
-    note = f"{ticks} steps of 1 ms, no controller; another contact model, error that of the twin on 10 hops"
+    note = f"{ticks} steps of 1 ms, no controller; another contact model; error of the twin over 10 hops"
     found.append(Engine("MuJoCo", note, stepping.make_stepper(robot, ticks), calls=10, error=float(error.max())))
     return found, skipped

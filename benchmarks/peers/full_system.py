@@ -1,9 +1,9 @@
-"""A hop as one would write it first: the full systems of Eqs. 4, 5, 8 in NumPy, integrated by SciPy's solve_ivp.
+"""A straightforward hop: the full systems of Eqs. 4, 5 and 8 in NumPy, integrated by SciPy's solve_ivp.
 
 Every mass sits at hip + a u(α₁ ± α₂) + b u(α₁ ∓ β) with u(φ) = (sin φ, −cos φ), and so does the foot; masses and
 bias follow from the Jacobians of these points. `make_rates` gives the right-hand sides, plain or compiled by Numba.
-Independent of `stepgap.robots.hopper`, whose parameters alone it uses. Torques are limited, but solve_ivp is not told
-where the limit sets in. Failures of a hop are NaN.
+It is independent of `stepgap.robots.hopper`, except for the parameters. Torques are limited, but the points where the
+limit becomes active are not events of solve_ivp. Failures of a hop are NaN.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ Plain = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 def constants(robot: RobotParameters, gains: Gains) -> tuple[float, ...]:
-    """The numbers that the right-hand sides unpack."""
+    """Constants that the right-hand sides unpack."""
     l1, l2, landing = robot.top_length, robot.bottom_length, gains.landing_length
     return (
         l1, l2, robot.foot_length, robot.top_com, robot.bottom_com, robot.top_mass, robot.bottom_mass,
@@ -33,7 +33,7 @@ def constants(robot: RobotParameters, gains: Gains) -> tuple[float, ...]:
 
 
 def plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Leaves the right-hand sides to the interpreter."""
+    """Decorator that leaves a function to the interpreter."""
     return function
 
 
@@ -87,7 +87,7 @@ def make_rates(compiled: Plain) -> tuple[Callable[..., Any], ...]:
 
     @compiled
     def flight_rate(state, p):
-        """Eq. 5."""
+        """Rate (8,) in flight by Eq. 5."""
         limit, landing, speed_gain, setpoint, position_gain, damping_gain = p[13], p[16], p[17], p[18], p[19], p[20]
         mass, bias = masses(state[:4], state[4:], p)
         force = limited(
@@ -129,7 +129,7 @@ def make_rates(compiled: Plain) -> tuple[Callable[..., Any], ...]:
 
     @compiled
     def foot_height(state, p):
-        """Of the foot above the ground."""
+        """Height of the foot above the ground."""
         return state[1] + point(state[:4], state[4:], p[0], p[1], -1.0, p[0], p[1] + p[2])[2]
 
     return flight_rate, stance, impact, foot_height
@@ -138,7 +138,7 @@ def make_rates(compiled: Plain) -> tuple[Callable[..., Any], ...]:
 def make_hop(
     robot: RobotParameters, gains: Gains, compiled: Plain, rtol: float, atol: float, max_step: float = np.inf
 ) -> Callable[[Any, Any], Any]:
-    """A function (state, command) → next state by DOP853, shape (2,) each."""
+    """Makes a function (state, command) → next state by DOP853, shape (2,) each."""
     flight_rate, stance, impact, foot_height = make_rates(compiled)
     p = constants(robot, gains)
     tolerances: dict[str, Any] = {"method": "DOP853", "rtol": rtol, "atol": atol, "max_step": max_step}

@@ -1,4 +1,4 @@
-"""The libraries that are measured beside ours, with the same kernel: ARD Matérn-5/2, constant, noise."""
+"""The libraries with which the Gaussian process is compared, with the same kernel: ARD Matérn-5/2, constant, noise."""
 
 import warnings
 from importlib.util import find_spec
@@ -11,12 +11,12 @@ NOT_WRITTEN = {"GPy": "GPy", "GPyTorch": "gpytorch", "GPflow": "gpflow", "tinygp
 
 
 def gp_peers(quick: bool) -> GpPeers:
-    """Peers that are installed; with `quick`, only those that are quick."""
+    """Installed peers; with `quick`, only the fast ones."""
     return GpPeers(*libraries(quick))
 
 
 def libraries(quick: bool) -> tuple[list[Library], dict[str, str]]:
-    """Peers that are installed, with why the others are not there."""
+    """Installed peers, and the reasons why the others are missing."""
     found, skipped = [], {}
     if find_spec("sklearn"):
         most = 200 if quick else 3000
@@ -31,7 +31,7 @@ def libraries(quick: bool) -> tuple[list[Library], dict[str, str]]:
         note = "maximum likelihood, TNC, noise known"
         found.append(Library("OpenTURNS", note, _fit_openturns, _predict_openturns, 200, starts=1))
     for name, module in NOT_WRITTEN.items():
-        skipped[name] = "installed, but no fit is written for it" if find_spec(module) else "not installed"
+        skipped[name] = "installed, but no fit is implemented for it" if find_spec(module) else "not installed"
     return found, skipped
 
 

@@ -1,8 +1,8 @@
-"""What MuJoCo needs for the steps of one hop, and how far the twin it steps is from the model.
+"""Time that MuJoCo needs for the physics steps of one hop, and the difference of the twin from the model.
 
-Another contact model: the foot meets a soft constraint in place of an impact. Timed is `mj_step` alone, for as many
-steps of 1 ms as a hop lasts, the robot falling with limp motors: no controller, no sensors. Compared is the twin
-without any gap, whose controller holds torques for 1 ms and whose physics takes steps of a quarter of that.
+MuJoCo has another contact model: a soft constraint on the foot in place of an impact. Only `mj_step` is timed, for the
+number of 1 ms steps in a hop, while the robot falls with limp motors: no controller, no sensors. The difference is that
+of the twin without a gap, whose controller holds torques for 1 ms and whose physics takes steps of a quarter of that.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -27,7 +27,7 @@ STEP = 1e-3
 
 
 def measure_twin(nominal: StepMap, robot: RobotParameters, gains: Gains, hops: int) -> tuple[int, Array]:
-    """Median ticks of a hop, and the largest relative error of the next state; shape (n,)."""
+    """Median number of ticks of a hop, and the largest relative error of the next state; shape (n,)."""
     ticks, errors, rng = [0], [], np.random.default_rng(1)
     twin, bounds = Twin(robot, RealityGap.none(), rng, tick=STEP), CommandBounds()
 
@@ -47,7 +47,7 @@ def measure_twin(nominal: StepMap, robot: RobotParameters, gains: Gains, hops: i
 
 
 def make_stepper(robot: RobotParameters, steps: int) -> Callable[[Any, Any], None]:
-    """A function that takes as many physics steps as a hop lasts, whatever it is given."""
+    """Makes a function that takes the physics steps of a hop; it ignores its arguments."""
     gap = RealityGap.none()
     twin = Twin(robot, gap, np.random.default_rng(0), tick=STEP)
     twin.connect()

@@ -1,8 +1,8 @@
-"""The same hop by heyoka's Taylor integrator: the reduced systems as expressions, compiled just in time.
+"""The hop by heyoka's Taylor integrator: the reduced systems as expressions, compiled just in time.
 
-Four unknown accelerations in flight and two in stance, written out as `full_system` says, with the leg's first moment
-S and inertias A, D. Torques are not limited here: with the default gains no motor comes to its limit within the
-range of use.
+There are four unknown accelerations in flight and two in stance, as in `full_system`, with the leg's first moment S and
+inertias A, D. Torques are not limited: with the default gains no motor reaches its limit within the ranges of state and
+command.
 """
 
 # pyright: reportMissingImports=false
@@ -20,7 +20,7 @@ from stepgap.robots.hopper.parameters import Gains, RobotParameters
 
 
 def make_hop(robot: RobotParameters, gains: Gains, tolerance: float) -> Callable[[Any, Any], Any]:
-    """A function (state, command) → next state, shape (2,) each."""
+    """Makes a function (state, command) → next state, shape (2,) each."""
     p = constants(robot, gains)
     l1, l2, l3, c1, c2, m1, m2, i1, i2, body, boom_x, boom_y, g = p[:13]
     _, stiffness, rest, landing, speed_gain, setpoint, position_gain, damping_gain = p[13:]

@@ -1,6 +1,6 @@
 """Steps as a Gymnasium environment: one action is one step, an episode is one deployment.
 
-Importing this registers `stepgap/Step-v0`, the hopper. `StepEnv` itself knows no robot.
+Importing this module registers `stepgap/Step-v0`, the hopper. `StepEnv` itself does not depend on a robot.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,35 +32,35 @@ from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepMap, StepStatus
 
 STEP_ID = "stepgap/Step-v0"
-"""What `gymnasium.make` knows the hopper by."""
-SEEN = 10.0
-"""Observations end this far from the middle of the range of use [half ranges]."""
-MISSED = 10.0
-"""Squared error at which the reward of a step ends, and which a fall costs for its own and every step that was left
-[squared half ranges]: so falling is never better than hopping on."""
+"""Name of the hopper for `gymnasium.make`."""
+OBSERVATION_LIMIT = 10.0
+"""Distance from the middle of the range at which observations are clipped [half ranges]."""
+LARGEST_COST = 10.0
+"""Squared error at which the cost of a step is clipped [squared half ranges]. A fall costs as much for its own and each
+remaining step, so that falling is never better than continuing."""
 
 
 class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
-    """Tracks a reference on a plant, one step an action.
+    """Tracks a reference on a plant, one step per action.
 
-    - Action: the step command, scaled, −1 and 1 being its bounds (`space.point_of`, `space.command_at`); shape (m,).
-      Beyond them it is cut.
-    - Observation: state at this apex and the target of the step to come, SI units; shape (2 n,); cut
-      at `SEEN`. After a fall the state is that before it; after the last step the target is the last one.
-    - Reward: minus the squared distance from the target, in half ranges of the state, at most `MISSED`; a fall costs
-      `MISSED` for every step that it takes away.
+    - Action: the step command, scaled so that its bounds are −1 and 1 (`space.point_of`, `space.command_at`); shape
+      (m,). Larger values are clipped.
+    - Observation: state at this apex and target of the next step, SI units; shape (2 n,); clipped at
+      `OBSERVATION_LIMIT`. After a fall the state is the one before it; after the last step the target is the last one.
+    - Reward: minus the squared distance from the target, in half ranges of the state, at most `LARGEST_COST`; a fall
+      costs `LARGEST_COST` for its own and each remaining step.
     - Terminated by a fall, truncated at the reference's end.
-    - Info of a step: `command` and `applied` [command units]; `status`, `ok` or why there was no apex; `predicted`, the
-      nominal map's next state for what was applied, if it has one; `yaw` at the next apex [rad], if the plant
-      measures it; `fault`, what the plant says of its end, if it does.
+    - Info of a step: `command` and `applied` [command units]; `status`, `ok` or the reason why there was no apex;
+      `predicted`, the nominal map's next state for the applied command, if there is one; `yaw` at the next apex
+      [rad], if the plant measures it; `fault`, the plant's message about a fault, if there is one.
 
     Args:
         make_plant: Makes the plant of one episode from the environment's random generator.
-        nominal: The map that predicts; it says what state and command are.
-        reference: What to track; `reset(options={"reference": …})` takes another one for one episode.
+        nominal: Map used for predictions; it defines state and command.
+        reference: Reference to track; `reset(options={"reference": …})` sets another one for one episode.
 
     Raises:
-        ValueError: The reference is not one for this map.
+        ValueError: The reference does not fit this map.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
@@ -71,15 +71,15 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         self._make_plant, self._tracked = make_plant, reference
         self._plant: Plant | None = None
         self._state, self._done = np.full(len(self.space.state), np.nan), 0
-        centre, reach = np.tile(self.space.state_centre, 2), SEEN * np.tile(self.space.state_scale, 2)
-        self.observation_space = Box(centre - reach, centre + reach, dtype=np.float64)
+        centre, limit = np.tile(self.space.state_centre, 2), OBSERVATION_LIMIT * np.tile(self.space.state_scale, 2)
+        self.observation_space = Box(centre - limit, centre + limit, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (len(self.space.command),), dtype=np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Starts an episode; the same seed gives the same one.
+        """Starts an episode; the same seed gives the same episode.
 
         Raises:
-            ValueError: An option other than `reference`, or a reference that is not one for this map.
+            ValueError: There is an option other than `reference`, or the reference does not fit this map.
         """
         super().reset(seed=seed)
         self.close()
@@ -93,16 +93,16 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         """Executes one step.
 
         Raises:
-            ResetNeeded: There is no episode, or it is over.
+            ResetNeeded: No episode was started, or it has ended.
             ValueError: The action has the wrong shape.
         """
         if self._plant is None:
-            raise ResetNeeded("the episode is over, or none was begun: call reset()")
+            raise ResetNeeded("the episode has ended, or none was started: call reset()")
         point = np.asarray(action, float)
         if point.shape != self.action_space.shape:
             raise ValueError(f"the action has shape {point.shape}; it must be {self.action_space.shape}")
         record = self._plant.take_step(self.space.command_at(point))
-        target, left = self._tracked.targets[self._done], len(self._tracked) - self._done
+        target, remaining = self._tracked.targets[self._done], len(self._tracked) - self._done
         predicted, status = self.nominal.evaluate(record.state, record.applied)
         info = {"command": record.command, "applied": record.applied, "status": record.status.label}
         info |= {"predicted": predicted} if status == StepStatus.OK else {}
@@ -110,11 +110,12 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         info |= {"fault": self._plant.fault} if self._plant.fault else {}
         fell = record.status != StepStatus.OK
         if fell:
-            reward = -MISSED * left
+            reward = -LARGEST_COST * remaining
         else:
-            reward = -min(float(np.sum(((record.next_state - target) / self.space.state_scale) ** 2)), MISSED)
+            squared = float(np.sum(((record.next_state - target) / self.space.state_scale) ** 2))
+            reward = -min(squared, LARGEST_COST)
             self._state, self._done = record.next_state, self._done + 1
-        truncated = not fell and left == 1
+        truncated = not fell and remaining == 1
         if fell or truncated:
             self.close()
         return self._observation(), reward, fell, truncated, info
@@ -142,20 +143,20 @@ def hopper_env(
     gains: Gains = Gains(),  # noqa: B008  (frozen)
     bounds: CommandBounds = CommandBounds(),  # noqa: B008  (frozen)
 ) -> StepEnv:
-    """The hopper as an environment; what `gymnasium.make("stepgap/Step-v0", …)` calls.
+    """Makes the environment of the hopper; `gymnasium.make("stepgap/Step-v0", …)` calls it.
 
     Args:
-        plant: `twin` is the MuJoCo twin behind the 1 kHz loop, on a floor of its own in every episode; `model` is the
-            physics model with noise, some hundred times as fast.
-        gap: How the twin differs from the model: a `RealityGap`, or a preset, `paper` or `none`.
-        noise: Standard deviation of what is added to every next state of `model`; shape (2,) [m/s, m].
-        reference: What to track; the paper's if none.
-        robot: The robot as the physics model takes it.
-        gains: Its joint controller.
+        plant: `twin` is the MuJoCo twin behind the 1 kHz loop, on a different floor in every episode; `model` is the
+            physics model with noise, about a hundred times as fast.
+        gap: Differences of the twin from the model: a `RealityGap`, or a preset, `paper` or `none`.
+        noise: Standard deviation of the noise added to every next state of `model`; shape (2,) [m/s, m].
+        reference: Reference to track; None for the paper's.
+        robot: Robot of the physics model.
+        gains: Gains of the joint controller.
         bounds: Range of the command.
 
     Raises:
-        ValueError: An argument is not what it must be.
+        ValueError: An argument is wrong.
     """
     nominal, reference = ApexMap(robot, gains, bounds), reference or paper_reference()
     if plant == "model":
@@ -173,16 +174,16 @@ def hopper_env(
     def make_plant(rng: np.random.Generator) -> Plant:
         return RigPlant(Twin(robot, gap, rng, floor_yaw=rng.uniform(0, tau)), HopperControl(robot, gains, bounds))
 
-    make_plant(np.random.default_rng(0))  # whatever is wrong with the twin is said now
+    make_plant(np.random.default_rng(0))  # reports errors of the twin now
     return StepEnv(make_plant, nominal, reference)
 
 
-def _reference_of(options: dict[str, Any], usual: Reference) -> Reference:
-    """The reference among the options of a reset, or the usual one."""
+def _reference_of(options: dict[str, Any], default: Reference) -> Reference:
+    """The reference among the options of a reset, or the default one."""
     unknown = options.keys() - {"reference"}
     if unknown:
-        raise ValueError(f"unknown option {', '.join(sorted(unknown))} of reset; 'reference' is the only one")
-    reference = options.get("reference", usual)
+        raise ValueError(f"unknown option {', '.join(sorted(unknown))} of reset; the only option is 'reference'")
+    reference = options.get("reference", default)
     if not isinstance(reference, Reference):
         raise ValueError(f"option 'reference' must be a stepgap Reference, not {type(reference).__name__}")
     return reference

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from stepgap.base.files import append_text, naming, write_whole
-from tests.full_disk import SAYS, largest_file
+from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 
 def test_a_full_disk_leaves_the_old_file_and_the_error_names_it(tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     write_whole(path, "old")
-    with largest_file(1000), pytest.raises(OSError, match=SAYS) as caught:
+    with largest_file(1000), pytest.raises(OSError, match=FILE_TOO_LARGE) as caught:
         write_whole(path, b"x" * 1001)
     assert caught.value.filename == str(path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
@@ -24,7 +24,7 @@ def test_an_error_of_appending_names_the_file(tmp_path: Path) -> None:
     append_text(path, "one\n")
     append_text(path, "two\n")
     assert path.read_text() == "one\ntwo\n"
-    with largest_file(10), pytest.raises(OSError, match=SAYS) as caught:
+    with largest_file(10), pytest.raises(OSError, match=FILE_TOO_LARGE) as caught:
         append_text(path, "three\n")
     assert caught.value.filename == str(path)
 

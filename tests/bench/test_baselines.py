@@ -1,4 +1,4 @@
-"""The integrating correction and the identified model, on robots whose errors are known."""
+"""The integral correction and the identified model, on robots with known errors."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_the_integral_follows_a_constant_error() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_identification_predicts_what_it_has_not_seen(noise: float) -> None:
+def test_identification_predicts_new_steps(noise: float) -> None:
     error = PhysicalError(0.1, -0.1, 0.2, -0.1, -0.15, 0.03, 0.002, -0.003)
     truth = with_error(NOMINAL, error)
     found = identify(NOMINAL, steps_of(truth, 60, noise))
@@ -59,7 +59,7 @@ def test_identification_predicts_what_it_has_not_seen(noise: float) -> None:
     assert np.linalg.norm(left) < (0.1 if noise else 0.05) * np.linalg.norm(wrong)
 
 
-def test_a_robot_like_the_model_is_identified_as_it() -> None:
+def test_a_robot_equal_to_the_model_is_identified_as_such() -> None:
     found = identify(NOMINAL, steps_of(NOMINAL, 20))
     assert found.command_scale == pytest.approx(1, abs=1e-6)
     np.testing.assert_allclose(found([0.2, 0.58], [0, 0]), NOMINAL([0.2, 0.58], [0, 0]), atol=1e-6)

@@ -1,4 +1,4 @@
-"""`stepgap bench gp`: that it runs and says what it measured; how fast anything is, no test says."""
+"""`stepgap bench gp`: it runs and reports its measurements; no test checks the times."""
 
 import json
 import re
@@ -22,11 +22,11 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
-    said = stepgap("bench", "gp", "--quick")
-    assert said.code == 0, said.err
-    assert said.out.endswith("\nbench_gp.json\n")
+    command_result = stepgap("bench", "gp", "--quick")
+    assert command_result.code == 0, command_result.err
+    assert command_result.out.endswith("\nbench_gp.json\n")
     for line in (" +30  StepGap ", " +40  StepGap, linear basis "):
-        assert re.search(f"^{line}", said.out, re.MULTILINE), line
+        assert re.search(f"^{line}", command_result.out, re.MULTILINE), line
     result = json.loads(Path("bench_gp.json").read_text())
     assert {row["name"] for row in result["rows"]} == {"StepGap", "StepGap, linear basis"}
     assert result["skipped"] == {}

@@ -1,4 +1,4 @@
-"""Identification from every tick: on a twin whose differences the MuJoCo model has words for, it finds them."""
+"""Identification from every tick: it finds the differences of a twin that are parameters of the MuJoCo model."""
 
 from dataclasses import replace
 
@@ -10,9 +10,9 @@ from stepgap.bench import identification as sysid
 from stepgap.bench.baselines import PhysicalError, erring_robot, with_error
 from stepgap.bench.identification import (
     BEFORE,
+    HIP_ERROR_SCALE,
     HIP_FIT,
-    HIP_MISFIT,
-    SPREADS,
+    PRIOR_STDS,
     errors,
     identify_values,
     physical_error,
@@ -30,10 +30,10 @@ NOMINAL = ApexMap()
 ROBOT = NOMINAL.robot
 COMMANDS = [(0.0, -4.0), (4.0, -2.0), (-6.0, -6.0), (2.0, 0.0), (-2.0, -8.0), (5.0, -4.0)]
 HEAVIER, FRICTION = 0.15, 0.4
-TRUE_VALUES = dict.fromkeys(SPREADS, 0.0) | {"body_mass": HEAVIER, "boom_friction": FRICTION, "torque_lag": 1e-5}
+TRUE_VALUES = dict.fromkeys(PRIOR_STDS, 0.0) | {"body_mass": HEAVIER, "boom_friction": FRICTION, "torque_lag": 1e-5}
 needs_the_toolbox = pytest.mark.skipif(not hasattr(mujoco.sysid, "optimize"), reason="needs stepgap[sysid]")
 
-LAYOUT = Twin(ROBOT, RealityGap.none(), np.random.default_rng(0)).sensor_model
+SENSORS = Twin(ROBOT, RealityGap.none(), np.random.default_rng(0)).sensor_model
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def recorded() -> tuple[list[Tick], list[TrueState]]:
 
 def test_windows_start_as_the_robot_really_moved(recorded: tuple[list[Tick], list[TrueState]]) -> None:
     ticks, truth = recorded
-    windows = record_windows(ticks, LAYOUT, 60)
+    windows = record_windows(ticks, SENSORS, 60)
     forces = np.array([tick.reading.contact_force for tick in ticks])
     landings = [k for k in range(HIP_FIT, len(ticks)) if forces[k] > 0 and not forces[k - HIP_FIT : k].any()]
     assert len(windows.start) == len(landings) == 1 + len(COMMANDS)
@@ -70,7 +70,7 @@ def test_windows_start_as_the_robot_really_moved(recorded: tuple[list[Tick], lis
 
 
 def masses(robot: RobotParameters, torque: float) -> np.ndarray:
-    """What motion tells: mass, and inertia at the hip forward and up, per torque."""
+    """Quantities that the motion determines: mass, and inertia at the hip forward and up, per torque."""
     mass = robot.body_mass + 2 * (robot.top_mass + robot.bottom_mass)
     booms = np.array([0.0, robot.boom_inertia_horizontal, robot.boom_inertia_vertical])
     return (mass + booms / robot.boom_length**2) / torque
@@ -78,10 +78,10 @@ def masses(robot: RobotParameters, torque: float) -> np.ndarray:
 
 @needs_the_toolbox
 def test_with_the_true_parameters_the_model_moves_as_recorded(recorded: tuple[list[Tick], list[TrueState]]) -> None:
-    windows = record_windows(recorded[0], LAYOUT, 250)
+    windows = record_windows(recorded[0], SENSORS, 250)
     found = errors(ROBOT, windows, TRUE_VALUES)
     assert found.shape == (windows.hip.size,)
-    assert HIP_MISFIT * np.sqrt(np.mean(found**2)) < 1.5e-3
+    assert HIP_ERROR_SCALE * np.sqrt(np.mean(found**2)) < 1.5e-3
     light = errors(ROBOT, windows, TRUE_VALUES | {"body_mass": 0.0})
     assert np.linalg.norm(light) > 10 * np.linalg.norm(found)
 
@@ -90,8 +90,8 @@ def test_with_the_true_parameters_the_model_moves_as_recorded(recorded: tuple[li
 def test_mass_and_friction_are_recovered(
     recorded: tuple[list[Tick], list[TrueState]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sysid, "HIP_MISFIT", 0.002)  # the model of this twin errs less
-    values = identify_values(ROBOT, recorded[0], LAYOUT)
+    monkeypatch.setattr(sysid, "HIP_ERROR_SCALE", 0.002)  # this twin has smaller model errors
+    values = identify_values(ROBOT, recorded[0], SENSORS)
     found, true = physical_error(NOMINAL, values), PhysicalError(HEAVIER, 0, 0, 0, 0, 0, 0, 0)
     np.testing.assert_allclose(
         masses(erring_robot(ROBOT, found), 1 + found.torque), masses(erring_robot(ROBOT, true), 1.0), rtol=0.02
@@ -107,10 +107,14 @@ def test_mass_and_friction_are_recovered(
 
 def test_offsets_of_the_motors_become_postures() -> None:
     offset = 0.01
-    found = physical_error(NOMINAL, dict.fromkeys(SPREADS, 0.0) | {"motor_offset_1": offset, "motor_offset_2": offset})
-    # both motors read too much: the leg leans back by as much, as if it were to stand upright at a higher speed
+    found = physical_error(
+        NOMINAL, dict.fromkeys(PRIOR_STDS, 0.0) | {"motor_offset_1": offset, "motor_offset_2": offset}
+    )
+    # both readings are too large: the leg leans back as much, as if it landed vertically at a higher speed
     assert found == PhysicalError(0, 0, 0, 0, 0, offset / NOMINAL.gains.speed_gain, 0, 0)
-    found = physical_error(NOMINAL, dict.fromkeys(SPREADS, 0.0) | {"motor_offset_1": offset, "motor_offset_2": -offset})
-    # the knees read too bent: the leg is longer
+    found = physical_error(
+        NOMINAL, dict.fromkeys(PRIOR_STDS, 0.0) | {"motor_offset_1": offset, "motor_offset_2": -offset}
+    )
+    # the knees appear too bent: the leg is longer
     assert found.landing_length == found.rest_length == pytest.approx(0.0011, abs=1e-4)
     assert found.landing_speed == 0

@@ -1,4 +1,4 @@
-"""`stepgap bench learning`: that it measures what it says; which method wins, no test says."""
+"""`stepgap bench learning`: its measures are correct; no test checks which method is best."""
 
 import json
 import os
@@ -29,14 +29,14 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
 
 
-def test_the_family_lies_is_drawn_anew() -> None:
+def test_every_twin_of_the_family_is_drawn_independently() -> None:
     rng = np.random.default_rng(0)
     gaps = [random_gap(rng) for _ in range(20)]
     assert all(len({getattr(gap, name) for gap in gaps}) == 20 for name in DRAWN)
     assert random_gap(np.random.default_rng(3)) == random_gap(np.random.default_rng(3))
 
 
-def test_every_method_meets_the_same_twin_and_the_same_seed_gives_the_same_numbers() -> None:
+def test_every_method_has_the_same_twin_and_the_same_seed_gives_the_same_numbers() -> None:
     rows = measure_twin(SHORT, 0, 1, ["linear", "auto", "online"])
     assert [row["method"] for row in rows] == ["none", "linear", "auto", "online"]
     for row in rows:
@@ -83,18 +83,18 @@ def test_coverage_counts_steps_within_the_interval() -> None:
 
 
 def test_a_second_call_adds_what_is_missing(tiny: None, stepgap: Command) -> None:
-    said = stepgap("bench", "learning", "--twins", 1, "--seeds", 1, "--methods", "constant")
-    assert said.code == 0, said.err
-    assert said.out.endswith("\nbench_learning.jsonl\nbench_learning.json\nbench_learning.png\n")
+    result = stepgap("bench", "learning", "--twins", 1, "--seeds", 1, "--methods", "constant")
+    assert result.code == 0, result.err
+    assert result.out.endswith("\nbench_learning.jsonl\nbench_learning.json\nbench_learning.png\n")
     before = Path("bench_learning.jsonl").read_text()
-    Path("bench_learning.jsonl").write_text(before + '[{"twin": 0, "se')  # broken off here
-    said = stepgap("bench", "learning", "--twins", 1, "--seeds", 2, "--methods", "constant")
-    assert "1 of 1 done" in said.err
+    Path("bench_learning.jsonl").write_text(before + '[{"twin": 0, "se')  # cut off here
+    result = stepgap("bench", "learning", "--twins", 1, "--seeds", 2, "--methods", "constant")
+    assert "1 of 1 done" in result.err
     record = Path("bench_learning.jsonl").read_text()
     assert record.startswith(before)
     assert len(record.splitlines()) == 2
     again = stepgap("bench", "learning", "--twins", 1, "--seeds", 2, "--methods", "constant")
-    assert (again.out, again.err) == (said.out, "")
+    assert (again.out, again.err) == (result.out, "")
     assert Path("bench_learning.jsonl").read_text() == record
     summary = json.loads(Path("bench_learning.json").read_text())
     assert (summary["pairs"], [row["method"] for row in summary["methods"]]) == (2, ["none", "constant"])
@@ -108,7 +108,7 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
     refused(stepgap("bench", "learning", "--out", "x.json"), ".jsonl")
     for content in ("my notes", "my notes\n", "[1]\n", '[{"twin": 0\n', "\xff"):
         Path("mine.jsonl").write_text(content, encoding="latin-1")
-        refused(stepgap("bench", "learning", "--out", "mine.jsonl"), "--out mine.jsonl: it holds something else")
+        refused(stepgap("bench", "learning", "--out", "mine.jsonl"), "--out mine.jsonl: not a record of this benchmark")
         assert Path("mine.jsonl").read_text(encoding="latin-1") == content
     Path("other.png").write_text("mine")
     refused(stepgap("bench", "learning", "--out", "other.jsonl"), "other.png: exists already; choose another --out")

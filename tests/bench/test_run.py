@@ -1,4 +1,4 @@
-"""Where the time of a run goes: the parts add up, and the bare physics moves the robot as the run did."""
+"""The division of a run's CPU time: the parts add up, and the physics alone reproduces the motion."""
 
 from time import process_time
 
@@ -30,7 +30,7 @@ def test_the_parts_add_up_and_hopping_is_hopping():
     assert hopping > 0.7 * result["total"]
     assert seconds["physics"] == pytest.approx(hopping / result["hopping_to_physics"])
     assert result["hopping_to_physics"] > 1
-    assert "times the mj_step calls" in describe_run(result)
+    assert "times as long as its mj_step calls" in describe_run(result)
 
 
 def test_bare_physics_moves_the_robot_as_the_recorded_ticks_did():
@@ -43,11 +43,11 @@ def test_bare_physics_moves_the_robot_as_the_recorded_ticks_did():
         assert len(twin.given) == twin.ticks > 500
         assert twin.bare_time() > 0
         twin.given[100] = (5.0, *twin.given[100][1:])
-        with pytest.raises(AssertionError, match="as they did"):
+        with pytest.raises(AssertionError, match="must reproduce the motion"):
             twin.bare_time()
 
 
-def test_what_runs_is_told_by_the_files_of_its_functions():
+def test_samples_are_counted_by_the_files_of_the_running_functions():
     sampler, begin = Sampler(), process_time()
     with sampler.running():
         while process_time() - begin < 0.05:

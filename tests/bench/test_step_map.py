@@ -1,4 +1,4 @@
-"""`stepgap bench map`: that it runs and says what it measured; how fast anything is, no test says."""
+"""`stepgap bench map`: it runs and reports its measurements; no test checks the times."""
 
 import json
 import re
@@ -29,11 +29,11 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("tiny")
 def test_the_quick_bench_writes_json_and_a_table(stepgap: Command) -> None:
-    said = stepgap("bench", "map", "--quick")
-    assert said.code == 0, said.err
-    assert said.out.endswith("\nbench_map.json\n")
+    command_result = stepgap("bench", "map", "--quick")
+    assert command_result.code == 0, command_result.err
+    assert command_result.out.endswith("\nbench_map.json\n")
     for line in ("StepGap ", "StepGap in a batch ", *SECTIONS):
-        assert re.search(f"^{line}", said.out, re.MULTILINE), line
+        assert re.search(f"^{line}", command_result.out, re.MULTILINE), line
     result = json.loads(Path("bench_map.json").read_text())
     assert result.keys() == KEYS
     ours, batch = result["engines"]
@@ -75,9 +75,9 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
 
 
 def test_settings_with_which_nothing_hops_fail_in_one_line(stepgap: Command) -> None:
-    said = stepgap("bench", "map", "--quick", "--gains.rest_length", "0.2")
-    assert (said.code, said.out) == (1, "")
-    assert said.err.splitlines()[-1].startswith("stepgap: only 0 of 12 random steps succeed; choose settings")
+    command_result = stepgap("bench", "map", "--quick", "--gains.rest_length", "0.2")
+    assert (command_result.code, command_result.out) == (1, "")
+    assert command_result.err.splitlines()[-1].startswith("stepgap: only 0 of 12 random steps succeed; choose settings")
     assert not list(Path().iterdir())
 
 

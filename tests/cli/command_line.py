@@ -1,26 +1,27 @@
-"""The command line as the shell sees it, for tests."""
+"""Results of commands, as seen by the shell, for tests."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 
-class Said(NamedTuple):
-    """Exit code and what was printed."""
+class CommandResult(NamedTuple):
+    """Exit code and output of a command."""
 
     code: int
     out: str
     err: str
 
 
-Command = Callable[..., Said]
+Command = Callable[..., CommandResult]
 
 
-def refused(said: Said, *words: str) -> None:
-    assert said.code == 2, said
-    assert said.out == ""
-    assert said.err.startswith("stepgap: ")
-    assert said.err.count("\n") == 1
-    assert said.err.endswith("\n")
-    assert "Traceback" not in said.err
-    for word in words:
-        assert word in said.err
+def refused(result: CommandResult, *parts: str) -> None:
+    """Asserts that a command refused its input with one line that contains these parts."""
+    assert result.code == 2, result
+    assert result.out == ""
+    assert result.err.startswith("stepgap: ")
+    assert result.err.count("\n") == 1
+    assert result.err.endswith("\n")
+    assert "Traceback" not in result.err
+    for part in parts:
+        assert part in result.err

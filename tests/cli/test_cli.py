@@ -1,4 +1,4 @@
-"""The command line: its contract with people and programs, and that bad input does no harm."""
+"""The command line: its contract with users and programs, and that bad input does no harm."""
 
 import json
 import re
@@ -21,8 +21,8 @@ from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.step import Outcome, StepRecord
-from tests.cli.command_line import Command, Said, refused
-from tests.full_disk import SAYS, largest_file
+from tests.cli.command_line import Command, CommandResult, refused
+from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 SHORT = 'seed = 5\nreference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -72,10 +72,10 @@ def test_a_run_folder_is_complete(finished: Path) -> None:
 
 @pytest.mark.usefixtures("no_report")
 def test_its_settings_rerun_it(finished: Path, stepgap: Command) -> None:
-    said = stepgap("run", finished / "run" / "experiment.toml", "--out", "again")
-    assert (said.code, said.out) == (0, "again/report.html\n")
+    result = stepgap("run", finished / "run" / "experiment.toml", "--out", "again")
+    assert (result.code, result.out) == (0, "again/report.html\n")
     assert record(Path("again")) == record(finished / "run")
-    lines = said.err.splitlines()
+    lines = result.err.splitlines()
     assert len(lines) == 2, "a plain line for each deployment"
     assert re.fullmatch(r"deployment 0 of 1 \(none\): 3 steps, RMSE speed [0-9.]+ m/s, height [0-9.]+ m", lines[0])
     assert lines[1].startswith("deployment 1 of 1 (gp_on_linear): 3 steps, RMSE")
@@ -85,10 +85,10 @@ def test_its_settings_rerun_it(finished: Path, stepgap: Command) -> None:
 def test_without_out_a_run_gets_a_new_folder(finished: Path, stepgap: Command) -> None:
     arguments = ["run", "--reference", finished / "targets.csv", "--iterations", 0, "--quiet"]
     first, second = stepgap(*arguments), stepgap(*arguments, "--seed=6", "--gains.stiffness", "2400")
-    for said in (first, second):
-        assert re.fullmatch(r"runs/\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d(_2)?/report\.html\n", said.out)
-        assert (said.code, said.err) == (0, "")
-        assert Path(said.out.strip()).is_file()
+    for result in (first, second):
+        assert re.fullmatch(r"runs/\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d(_2)?/report\.html\n", result.out)
+        assert (result.code, result.err) == (0, "")
+        assert Path(result.out.strip()).is_file()
     assert first.out != second.out
     assert Path("runs/latest").resolve() == Path(second.out).parent.resolve()
     text = Path("runs/latest/experiment.toml").read_text()
@@ -99,45 +99,45 @@ def test_without_out_a_run_gets_a_new_folder(finished: Path, stepgap: Command) -
 
 @pytest.mark.usefixtures("no_report")
 @pytest.mark.parametrize("rows", [0, 2, 4])
-def test_a_run_that_was_broken_off_is_resumed(finished: Path, stepgap: Command, rows: int) -> None:
+def test_an_interrupted_run_is_resumed(finished: Path, stepgap: Command, rows: int) -> None:
     folder = copied(finished / "run", Path("run"))
     lines = (folder / "steps.csv").read_text().splitlines(keepends=True)
     (folder / "steps.csv").write_text("".join(lines[: rows + 1]) + "".join(lines[rows + 1 : rows + 2])[:30])
     (folder / "summary.json").unlink()
-    said = stepgap("run", "--out", folder, "--resume", "--quiet")
-    assert said == Said(0, "run/report.html\n", "")
+    result = stepgap("run", "--out", folder, "--resume", "--quiet")
+    assert result == CommandResult(0, "run/report.html\n", "")
     assert record(folder) == record(finished / "run")
 
 
-def test_the_report_is_made_anew(finished: Path, stepgap: Command) -> None:
+def test_the_report_is_regenerated(finished: Path, stepgap: Command) -> None:
     folder = copied(finished / "run", Path("run"))
-    assert stepgap("report", folder) == Said(0, "run/report.html\n", "")
+    assert stepgap("report", folder) == CommandResult(0, "run/report.html\n", "")
     assert (folder / "report.html").read_bytes() == (finished / "run" / "report.html").read_bytes()
 
 
 def test_the_gait_and_its_picture(stepgap: Command) -> None:
     for name in ("gait.png", "gait_2.png"):
-        said = stepgap("gait", "--speed", "0.1")
-        assert (said.code, said.err) == (0, "")
-        assert said.out.endswith(f"\n{name}\n")
+        result = stepgap("gait", "--speed", "0.1")
+        assert (result.code, result.err) == (0, "")
+        assert result.out.endswith(f"\n{name}\n")
         assert Path(name).read_bytes().startswith(b"\x89PNG")
 
 
-# Bad input: one line, exit code 2, nothing made or changed
+# Bad input: one line, exit code 2, no file written or changed
 
 
 RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "parts"),
     [
         ("walk", ['"walk"']),
         ("run --frobnicate", ["--frobnicate"]),
         ("run --sed 3", ["--sed", "--seed"]),
-        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting, name its table", "--robot.body_mass"]),
-        ("run --port 8080", ["--host, --port: ", "give --view, too"]),
-        ("run --host ::1", ["--host, --port: ", "give --view, too"]),
+        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting", "--robot.body_mass"]),
+        ("run --port 8080", ["--host, --port: valid only with --view"]),
+        ("run --host ::1", ["--host, --port: valid only with --view"]),
         ("run --view --port 65536", ["65536", "--port"]),
         ("run a.toml b.toml", ["b.toml"]),
         ("run none.toml", ["none.toml: No such file or directory; give an existing TOML file"]),
@@ -164,22 +164,22 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --reference empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height'"]),
         ("run --out file/below", ["file/below: cannot be written: Not a directory; choose another --out"]),
         ("run --out file", ["file: cannot be written"]),
-        ("run --plant ethercat", ["--plant ethercat: say which robot by --rig RIG.toml"]),
+        ("run --plant ethercat", ["--plant ethercat: give the rig's file by --rig RIG.toml"]),
         ("run --plant twn", ["--plant twn: unknown; it must be one of twin, emulated-ring, ethercat, moteus"]),
         (
             "run --out used --reference used/reference.csv",
-            ["used: reference.csv is there already and would be written"],
+            ["used: reference.csv already exists and would be overwritten"],
         ),
         ("run --plant ethercatt --rig none.toml", ["rig 'ethercatt': unknown; did you mean ethercat?"]),
         ("run --plant ethercat --rig none.toml --arm", ["none.toml: No such file or directory"]),
         ("run --plant ethercat --rig rig.toml", ["gives torque only with --arm", "rig dry-run"]),
         ("run --arm", ["plant 'twin' takes neither"]),
         ("run --plant emulated-ring --gap.preset none", ["gap.motor_counts must be finite"]),
-        ("run --resume", ["--resume: say which run by --out RUN"]),
-        ("run --resume --out none", ["none: no experiment.toml there, so there is no run to resume"]),
-        ("run --resume --out folder", ["folder: no experiment.toml there"]),
-        ("run --resume --out folder --seed 3", ["--resume: the run goes on with the settings it has"]),
-        ("run --resume --out folder a.toml", ["--resume: the run goes on with the settings it has"]),
+        ("run --resume", ["--resume: give the run by --out RUN"]),
+        ("run --resume --out none", ["none: contains no experiment.toml, so there is no run to resume"]),
+        ("run --resume --out folder", ["folder: contains no experiment.toml"]),
+        ("run --resume --out folder --seed 3", ["--resume: the run continues with its own settings"]),
+        ("run --resume --out folder a.toml", ["--resume: the run continues with its own settings"]),
         ("report", ["FOLDER"]),
         ("report none", ["none/steps.csv: no such file"]),
         ("report folder", ["folder/steps.csv: no such file"]),
@@ -187,14 +187,14 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("gait --speed nan", ["--speed nan --height 0.58: both must be finite numbers"]),
         ("gait --height inf", ["--speed 0.2 --height inf: both must be finite numbers"]),
         ("gait --speed fast", ["--speed", "fast"]),
-        ("gait --height -1", ["--speed 0.2 --height -1: no command makes a step from there"]),
+        ("gait --height -1", ["--speed 0.2 --height -1: no command makes a step from this state"]),
         ("gait --out file", ["file: exists already; choose another --out"]),
         ("gait --out file/below.png", ["file/below.png: cannot be written: Not a directory; choose another --out"]),
         ("gait --out none/gait.png", ["none/gait.png: cannot be written: No such file or directory"]),
         ("gait --out gait.xyz", ["gait.xyz: the name must end with one of .", ".png"]),
     ],
 )
-def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, words: list[str]) -> None:
+def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, parts: list[str]) -> None:
     Path("file").write_text("keep me")
     Path("folder").mkdir()
     Path("used").mkdir()
@@ -205,14 +205,14 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, word
     Path("empty.csv").write_bytes(b"")
     Path("rig.toml").write_bytes(RIG.read_bytes())
     before = contents(Path())
-    refused(stepgap(*arguments.split()), *words)
+    refused(stepgap(*arguments.split()), *parts)
     assert contents(Path()) == before
     assert not Path("runs").exists()
     assert not list(Path("folder").iterdir())
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "parts"),
     [
         ("[gains]\nstifness = 3\n", ["bad.toml: [gains] stifness: unknown key; did you mean stiffness?"]),
         ("[gains]\nstiffness = 'a\\nb'\n", ["bad.toml: [gains] stiffness = 'a\\\\nb', but it must be a number"]),
@@ -221,17 +221,17 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, word
         ('"a\\nb" = 1', ["unknown key"]),
     ],
 )
-def test_bad_settings_are_refused_in_one_line(stepgap: Command, text: str, words: list[str]) -> None:
+def test_bad_settings_are_refused_in_one_line(stepgap: Command, text: str, parts: list[str]) -> None:
     Path("bad.toml").write_text(text)
     for verb in ("run", "gait"):
-        refused(stepgap(verb, "bad.toml"), *words)
+        refused(stepgap(verb, "bad.toml"), *parts)
     assert list(contents(Path())) == ["bad.toml"]
 
 
 def test_a_folder_with_a_run_is_not_overwritten(finished: Path, stepgap: Command) -> None:
     before = contents(finished)
-    said = stepgap("run", "--out", finished / "run", "--iterations", 0)
-    refused(said, "run: holds a run already; go on with it by --resume, or choose another --out")
+    result = stepgap("run", "--out", finished / "run", "--iterations", 0)
+    refused(result, "run: already holds a run; continue it by --resume, or choose another --out")
     assert contents(finished) == before
 
 
@@ -241,21 +241,21 @@ def drop_row(text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("spoil", "parts"),
     [
-        (lambda text: text.replace("0.1,0.56", "0.1,0.57", 1), ["steps.csv: replaying deployment 0"]),
+        (lambda text: text.replace("0.1,0.56", "0.1,0.57", 1), ["steps.csv: the replay of deployment 0 differs"]),
         (drop_row, ["steps.csv, line 3: not the next step"]),
         (lambda text: text + "rubbish\n", ["steps.csv, line 8: not the next step"]),
         (lambda text: "rubbish\n", ["steps.csv, line 1: the columns must be iteration,"]),
     ],
 )
 def test_a_record_that_was_tampered_with_is_refused(
-    finished: Path, stepgap: Command, spoil: Callable[[str], str], words: list[str]
+    finished: Path, stepgap: Command, spoil: Callable[[str], str], parts: list[str]
 ) -> None:
     folder = copied(finished / "run", Path("run"))
     (folder / "steps.csv").write_text(spoil((folder / "steps.csv").read_text()))
     before = contents(Path())
-    refused(stepgap("run", "--resume", "--out", "run", "--quiet"), *words)
+    refused(stepgap("run", "--resume", "--out", "run", "--quiet"), *parts)
     assert contents(Path()) == before
 
 
@@ -267,12 +267,12 @@ def test_a_run_in_progress_is_left_alone(finished: Path, stepgap: Command) -> No
     assert contents(folder) == before
 
 
-# Other ends
+# Interruptions and failures
 
 
 @pytest.fixture
 def trouble(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], None]:
-    """Lets something happen in the fifth step."""
+    """Calls a function in the fifth step."""
 
     def make(happen: Callable[[], None]) -> None:
         take_step, count = RigPlant.take_step, iter(range(1, 100))
@@ -289,23 +289,23 @@ def trouble(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], N
 
 @pytest.fixture
 def _interruptible() -> Iterator[None]:
-    """Ctrl-C interrupts, though a shell in the background lets its children ignore it."""
+    """Enables Ctrl-C, which the children of a shell in the background ignore."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.usefixtures("_interruptible", "no_report")
-def test_ctrl_c_says_how_to_go_on(finished: Path, stepgap: Command, trouble: Callable) -> None:
+def test_ctrl_c_prints_how_to_resume(finished: Path, stepgap: Command, trouble: Callable) -> None:
     trouble(lambda: signal.raise_signal(signal.SIGINT))
-    said = stepgap("run", finished / "short.toml", "--out", "my run", "--quiet")
-    assert said == Said(130, "", "stepgap: stopped; resume with: stepgap run --out 'my run' --resume\n")
+    result = stepgap("run", finished / "short.toml", "--out", "my run", "--quiet")
+    assert result == CommandResult(130, "", "stepgap: stopped; resume with: stepgap run --out 'my run' --resume\n")
     assert Path("my run/steps.csv").read_text().count("\n") == 5
     assert stepgap("run", "--out", "my run", "--resume", "--quiet").code == 0
     assert record(Path("my run")) == record(finished / "run")
 
 
-def test_a_verb_says_once_that_it_compiles(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_verb_announces_compilation_once(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     evaluate = ApexMap.evaluate
 
     def compiling(nominal: ApexMap, state: ArrayLike, command: ArrayLike) -> Outcome:
@@ -315,7 +315,7 @@ def test_a_verb_says_once_that_it_compiles(capfd: pytest.CaptureFixture[str], mo
 
     monkeypatch.setattr(ApexMap, "evaluate", compiling)
     main(["map"])
-    assert capfd.readouterr().err == "stepgap: compiling for this machine; takes about half a minute, once\n"
+    assert capfd.readouterr().err == "stepgap: compiling for this machine; this takes about half a minute, once\n"
 
 
 def raising(error: Exception) -> Callable[[], None]:
@@ -340,39 +340,39 @@ def test_a_failure_is_no_bad_input(
     finished: Path, stepgap: Command, trouble: Callable, error: Exception, line: str
 ) -> None:
     trouble(raising(error))
-    assert stepgap("run", finished / "short.toml", "--out", "run", "--quiet") == Said(1, "", line)
-    assert Path("run/steps.csv").read_text().count("\n") == 5, "what was recorded stays, to be resumed"
+    assert stepgap("run", finished / "short.toml", "--out", "run", "--quiet") == CommandResult(1, "", line)
+    assert Path("run/steps.csv").read_text().count("\n") == 5, "recorded steps are kept, so that the run can be resumed"
 
 
 @pytest.mark.parametrize(("size", "file"), [(1000, "experiment.toml"), (1600, "steps.csv")])
-def test_a_full_disk_is_said_with_the_file(finished: Path, stepgap: Command, size: int, file: str) -> None:
+def test_the_error_of_a_full_disk_names_the_file(finished: Path, stepgap: Command, size: int, file: str) -> None:
     with largest_file(size):
-        said = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
-    assert said.code in (1, 2)
-    assert re.fullmatch(rf"stepgap: run/{re.escape(file)}: [^\n]*{SAYS}[^\n]*\n", said.err)
+        result = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
+    assert result.code in (1, 2)
+    assert re.fullmatch(rf"stepgap: run/{re.escape(file)}: [^\n]*{FILE_TOO_LARGE}[^\n]*\n", result.err)
 
 
 @pytest.mark.parametrize(("size", "file"), [(1000, "models/iteration_1.json"), (1400, "summary.json")])
-def test_a_disk_that_was_full_is_no_loss(finished: Path, stepgap: Command, size: int, file: str) -> None:
+def test_a_full_disk_loses_nothing(finished: Path, stepgap: Command, size: int, file: str) -> None:
     folder = copied(finished / "run", Path("run"))
     (folder / file).unlink()
     (folder / "summary.json").unlink(missing_ok=True)
     with largest_file(size):
-        said = stepgap("run", "--resume", "--out", "run", "--quiet")
-    assert said == Said(1, "", f"stepgap: run/{file}: {SAYS}\n")
+        result = stepgap("run", "--resume", "--out", "run", "--quiet")
+    assert result == CommandResult(1, "", f"stepgap: run/{file}: {FILE_TOO_LARGE}\n")
 
 
-def test_a_report_that_the_disk_does_not_take_is_said_with_the_file(finished: Path, stepgap: Command) -> None:
+def test_the_error_of_a_full_disk_names_the_file_of_the_report(finished: Path, stepgap: Command) -> None:
     copied(finished / "run", Path("run"))
     with largest_file(50_000):
-        said = stepgap("report", "run")
-    assert said == Said(2, "", f"stepgap: run/figures/tracking.png: {SAYS}\n")
+        result = stepgap("report", "run")
+    assert result == CommandResult(2, "", f"stepgap: run/figures/tracking.png: {FILE_TOO_LARGE}\n")
 
 
-def test_what_may_not_be_read_or_written_is_bad_input(finished: Path, stepgap: Command, trouble: Callable) -> None:
+def test_missing_permission_is_bad_input(finished: Path, stepgap: Command, trouble: Callable) -> None:
     trouble(raising(PermissionError(13, "Permission denied", "a.csv")))
-    said = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
-    assert said == Said(2, "", "stepgap: a.csv: Permission denied\n")
+    result = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")
+    assert result == CommandResult(2, "", "stepgap: a.csv: Permission denied\n")
 
 
 def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:
@@ -384,7 +384,7 @@ def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "parts"),
     [
         (["--help"], ["Usage: stepgap COMMAND", "run", "gait", "map", "report", "--TABLE.KEY VALUE"]),
         ([], ["Usage: stepgap COMMAND"]),
@@ -393,38 +393,38 @@ def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:
         (["report", "--help"], ["FOLDER"]),
     ],
 )
-def test_help_is_on_stdout(stepgap: Command, arguments: list[str], words: list[str]) -> None:
-    said = stepgap(*arguments)
-    assert (said.code, said.err) == (0, "")
-    assert "--no-" not in said.out
-    for word in words:
-        assert word in said.out
+def test_help_is_on_stdout(stepgap: Command, arguments: list[str], parts: list[str]) -> None:
+    result = stepgap(*arguments)
+    assert (result.code, result.err) == (0, "")
+    assert "--no-" not in result.out
+    for word in parts:
+        assert word in result.out
 
 
 @pytest.mark.parametrize("verb", ["report", "export", "recover", "doctor", "view", "bench gp", "rig check"])
 def test_the_help_of_a_verb_without_settings_names_none(stepgap: Command, verb: str) -> None:
-    said = stepgap(*verb.split(), "--help").out
-    assert "--TABLE" not in said
-    assert "--debug" in said
+    result = stepgap(*verb.split(), "--help").out
+    assert "--TABLE" not in result
+    assert "--debug" in result
 
 
 def test_the_defaults_in_the_help_are_those_of_the_settings(stepgap: Command) -> None:
-    """The settings have no default on the command line, so its help states theirs in words."""
-    said, usual = " ".join(re.sub("[│]", " ", stepgap("run", "--help").out).split()), Experiment()
+    """Settings have no default on the command line, so the help states their defaults as text."""
+    result, defaults = " ".join(re.sub("[│]", " ", stepgap("run", "--help").out).split()), Experiment()
     for option, value in {
-        "--plant STR": usual.plant,
-        "--seed INT": usual.seed,
-        "--iterations INT": usual.learning.iterations,
-        "--explore INT": usual.learning.exploration,
+        "--plant STR": defaults.plant,
+        "--seed INT": defaults.seed,
+        "--iterations INT": defaults.learning.iterations,
+        "--explore INT": defaults.learning.exploration,
     }.items():
-        assert said.partition(option)[2].partition("[default: ")[2].partition("]")[0] == str(value), option
+        assert result.partition(option)[2].partition("[default: ")[2].partition("]")[0] == str(value), option
 
 
 @pytest.mark.parametrize("verb", ["run", "map", "fit", "view", "export", "bench learning"])
 def test_no_integer_is_shown_as_a_string(stepgap: Command, verb: str) -> None:
-    said = stepgap(*verb.split(), "--help").out
+    result = stepgap(*verb.split(), "--help").out
     counted = r"--(seed|iterations|explore|port|points|folds|deployment|iteration|twins|seeds)"
-    kinds = re.findall(rf"{counted} +([A-Z]+)", said)
+    kinds = re.findall(rf"{counted} +([A-Z]+)", result)
     assert kinds
     assert {kind for name, kind in kinds if not (verb == "fit" and name == "deployment")} == {"INT"}
 
@@ -437,7 +437,7 @@ HEAVY = {"numpy", "numba", "scipy", "mujoco", "matplotlib", "rich.markdown"}
 
 
 @pytest.mark.parametrize("arguments", ["--help", "run --help", "--no-such-option", "run --no-such-option"])
-def test_help_and_a_wrong_option_wait_for_nothing_heavy(arguments: str) -> None:
+def test_help_and_a_wrong_option_import_nothing_heavy(arguments: str) -> None:
     asked = f"""
 import sys, stepgap.cli.app
 try:
@@ -451,5 +451,5 @@ print({HEAVY} & sys.modules.keys(), file=sys.stderr)
 
 
 @pytest.mark.parametrize("arguments", [["run", "one.toml", "two.toml"], ["doctor", "two.toml"]])
-def test_what_is_too_much_is_named(arguments: list[str], stepgap: Command) -> None:
+def test_surplus_arguments_are_named(arguments: list[str], stepgap: Command) -> None:
     refused(stepgap(*arguments), "two.toml: too many arguments")

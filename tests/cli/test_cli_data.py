@@ -1,4 +1,4 @@
-"""`stepgap export`, `recover` and `doctor`: what they write is what was recorded, and bad input does no harm."""
+"""`stepgap export`, `recover` and `doctor`: their output agrees with the record, and bad input does no harm."""
 
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
@@ -27,7 +27,7 @@ from stepgap.plants.ticks.tick_log import TickLog, read_ticks
 from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.tick import TICK_UNITS
-from tests.cli.command_line import Command, Said, refused
+from tests.cli.command_line import Command, CommandResult, refused
 from tests.quick_runs import leave_out_report
 from tests.report.runs import make_run
 
@@ -65,7 +65,7 @@ def contents(folder: Path = Path()) -> dict[str, bytes]:
 
 
 def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: StepLog) -> None:
-    assert stepgap("export", run, "--to", "mat") == Said(0, "run/export/run.mat\n", "")
+    assert stepgap("export", run, "--to", "mat") == CommandResult(0, "run/export/run.mat\n", "")
     file = loadmat("run/export/run.mat", simplify_cells=True)
     steps, summary = file["steps"], file["summary"]
     assert list(steps) == (run / "steps.csv").read_text().splitlines()[0].split(",")
@@ -83,14 +83,14 @@ def test_matlab_gets_structs_of_columns(run: Path, stepgap: Command, log: StepLo
     assert summary["residual"].tolist() == ["none", "gp_on_linear"]
     assert (summary["repeatability"]["speed"], math.isnan(summary["repeatability"]["height"])) == (0.01, True)
     columns = loadmat("run/export/run.mat")["steps"]["speed"][0, 0]
-    assert columns.shape == (6, 1), "columns, as MATLAB has them"
+    assert columns.shape == (6, 1), "columns, as in MATLAB"
 
 
 def test_a_run_of_another_robot_that_is_not_finished(stepgap: Command) -> None:
     make_run(Path("other"), iterations=1)
     Path("other/summary.json").unlink()
     Path("other/experiment.toml").write_text(f"a-b = 1\nlong = 1{'0' * 400}\n")
-    refused(stepgap("export", "other", "--to", "mat"), "'a-b': MATLAB has no such names; export to csv instead")
+    refused(stepgap("export", "other", "--to", "mat"), "'a-b': not a valid name in MATLAB; export to csv instead")
     Path("other/experiment.toml").write_text(f"[[list]]\nb = 1\n[c]\nlong = 1{'0' * 400}\nyes = true\n")
     assert stepgap("export", "other", "--to", "mat").code == 0
     file = loadmat("other/export/run.mat", simplify_cells=True)
@@ -104,8 +104,8 @@ def test_a_run_of_another_robot_that_is_not_finished(stepgap: Command) -> None:
 
 
 def test_csv_has_a_second_table_of_units(run: Path, stepgap: Command) -> None:
-    said = stepgap("export", run, "--to", "csv")
-    assert said == Said(0, "run/export/steps.csv\nrun/export/steps_columns.csv\n", "")
+    result = stepgap("export", run, "--to", "csv")
+    assert result == CommandResult(0, "run/export/steps.csv\nrun/export/steps_columns.csv\n", "")
     assert Path("run/export/steps.csv").read_bytes() == (run / "steps.csv").read_bytes()
     legend = list(csv.DictReader(Path("run/export/steps_columns.csv").read_text("utf-8").splitlines()))
     assert [row["column"] for row in legend] == (run / "steps.csv").read_text().splitlines()[0].split(",")
@@ -129,7 +129,9 @@ def test_parquet_keeps_numbers_and_units(run: Path, stepgap: Command, log: StepL
     assert table["status"].to_pylist() == 6 * ["ok"]
 
 
-def test_without_pyarrow_it_says_what_to_install(run: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyarrow_the_message_names_the_package(
+    run: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     refused(stepgap("export", run, "--to", "parquet"), "pip install 'stepgap[parquet]'")
     assert not Path("run/export").exists()
@@ -139,7 +141,7 @@ def test_without_pyarrow_it_says_what_to_install(run: Path, stepgap: Command, mo
 
 
 def test_every_tick_of_a_deployment(run: Path, stepgap: Command) -> None:
-    assert stepgap("export", run, "--to", "mcap") == Said(0, "run/export/ticks_1.mcap\n", "")
+    assert stepgap("export", run, "--to", "mcap") == CommandResult(0, "run/export/ticks_1.mcap\n", "")
     units, ticks = read_ticks(Path("run/export/ticks_1.mcap"))
     assert units == REPLAY_UNITS
     np.testing.assert_array_equal(ticks, replay(run, 1).rows)
@@ -174,7 +176,7 @@ def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -
     refused(stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: logs of a rig do not name")
     refused(stepgap("export", run, "--to", "mjcf"), "plant 'ethercat'")
     shutil.rmtree(run / "ticks")
-    refused(stepgap("export", run, "--to", "mcap"), "run/ticks: no .mcap file there")
+    refused(stepgap("export", run, "--to", "mcap"), "run/ticks: contains no .mcap file")
 
 
 # Model
@@ -188,12 +190,12 @@ def test_the_model_is_opened_by_mujoco_and_falls(run: Path, stepgap: Command) ->
         mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
         height = data.qpos[1]
         mujoco.mj_step(model, data, 200)
-        assert data.qpos[1] < height, "it falls, its hip free"
+        assert data.qpos[1] < height, "it falls, because its hip is free"
         assert np.isfinite(data.qpos).all()
     assert model.camera("side").id == 0
 
 
-# Broken records
+# Damaged records
 
 
 def cut(count: int) -> Callable[[bytes], bytes]:
@@ -204,23 +206,23 @@ def cut(count: int) -> Callable[[bytes], bytes]:
     ("spoil", "steps", "fault"),
     [
         (bytes, 6, ""),
-        (cut(9), 5, "the last line breaks off after "),
-        (cut(1), 5, "the last line breaks off after "),
-        (lambda content: content + b"\0" * 4096, 6, "the last line breaks off after 4096 bytes"),
-        (lambda content: content + b"\xff\xfe\n1,2\n", 6, "no text from byte "),
+        (cut(9), 5, "the last line is cut off after "),
+        (cut(1), 5, "the last line is cut off after "),
+        (lambda content: content + b"\0" * 4096, 6, "the last line is cut off after 4096 bytes"),
+        (lambda content: content + b"\xff\xfe\n1,2\n", 6, "not text from byte "),
         (lambda content: content.replace(b"\n1,1,", b"\n1,9,"), 3, "line 5: not the next step"),
         (lambda content: content.replace(b",ok\n", b",okay\n", 3).replace(b",okay\n", b",ok\n", 2), 2, "line 4: not"),
     ],
 )
-def test_the_whole_steps_of_a_broken_record(
+def test_the_intact_steps_of_a_damaged_record(
     run: Path, stepgap: Command, log: StepLog, spoil: Callable[[bytes], bytes], steps: int, fault: str
 ) -> None:
     broken = spoil((run / "steps.csv").read_bytes())
     (run / "steps.csv").write_bytes(broken)
-    said = stepgap("recover", run / "steps.csv")
-    *faults, count, path = said.out.splitlines()
-    assert (said.code, said.err, path) == (0, "", "run/steps_recovered.csv")
-    assert count == (f"{steps} steps recovered" if fault else "6 steps copied: nothing is wrong with them")
+    result = stepgap("recover", run / "steps.csv")
+    *faults, count, path = result.out.splitlines()
+    assert (result.code, result.err, path) == (0, "", "run/steps_recovered.csv")
+    assert count == (f"{steps} steps recovered" if fault else "6 steps copied: the file has no fault")
     assert len(faults) == bool(fault)
     assert fault in "".join(faults)
     recovered = read_step_log(Path(path), SPACE)
@@ -228,28 +230,26 @@ def test_the_whole_steps_of_a_broken_record(
     assert (run / "steps.csv").read_bytes() == broken
 
 
-def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
+def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
     ticks = np.arange(28000.0).reshape(2000, 14) * 1e-3
     with TickLog(Path("a.mcap"), TICK_UNITS) as rows:
         rows.append(ticks)
     whole = Path("a.mcap").read_bytes()
     Path("a.mcap").write_bytes(whole[:200_000])
-    said = stepgap("recover", "a.mcap", "--out", "b.mcap")
-    assert said.out.splitlines()[0].startswith("a.mcap: it breaks off")
+    result = stepgap("recover", "a.mcap", "--out", "b.mcap")
+    assert result.out.splitlines()[0].startswith("a.mcap: it breaks off")
     _, found = read_ticks(Path("b.mcap"))
-    assert said.out.splitlines()[1:] == [f"{len(found)} ticks recovered", "b.mcap"]
+    assert result.out.splitlines()[1:] == [f"{len(found)} ticks recovered", "b.mcap"]
     np.testing.assert_array_equal(found, ticks[: len(found)])
     assert len(found) > 1000
-    assert (
-        stepgap("recover", "b.mcap").out == f"{len(found)} ticks copied: nothing is wrong with them\nb_recovered.mcap\n"
-    )
+    assert stepgap("recover", "b.mcap").out == f"{len(found)} ticks copied: the file has no fault\nb_recovered.mcap\n"
 
 
-# Bad input: one line, exit code 2, nothing made or changed
+# Bad input: one line, exit code 2, no file written or changed
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "parts"),
     [
         ("export run", ["--to"]),
         ("export run --to xls", ["--to", "xls"]),
@@ -257,7 +257,7 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
         ("export none --to mcap", ["none/steps.csv: no such file"]),
         ("export none --to mjcf", ["none/experiment.toml: No such file"]),
         ("export run --to csv --iteration 2", ["--iteration 2: no step of it in run; there are 0, 1"]),
-        ("export run --to mcap --iteration 2", ["no step of deployment 2; the deployments there are: 0, 1"]),
+        ("export run --to mcap --iteration 2", ["no step of deployment 2; recorded deployments: 0, 1"]),
         ("export run --to mjcf --iteration 1", ["--iteration: the model is the same in all deployments"]),
         ("export run --to csv --iteration -1", ["--iteration"]),
         ("export run --to mat --out file", ["file: exists already; choose another --out"]),
@@ -273,7 +273,7 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
         ("export unsettled --to mjcf", ["unsettled/experiment.toml: not TOML"]),
         ("export nested --to mat", ["nested/experiment.toml: not TOML"]),
         ("recover none", ["none: No such file or directory"]),
-        ("recover run", ["run: this is no file; give a steps.csv or an .mcap file"]),
+        ("recover run", ["run: not a file; give a steps.csv or an .mcap file"]),
         ("recover file", ["file, line 1: not the header of a step log"]),
         ("recover empty.csv", ["empty.csv: no step yet"]),
         ("recover header.csv", ["header.csv: no whole step in it"]),
@@ -283,7 +283,7 @@ def test_the_whole_ticks_of_a_broken_log(stepgap: Command) -> None:
         ("doctor now", ["now"]),
     ],
 )
-def test_bad_input_is_refused_in_one_line(run: Path, stepgap: Command, arguments: str, words: list[str]) -> None:
+def test_bad_input_is_refused_in_one_line(run: Path, stepgap: Command, arguments: str, parts: list[str]) -> None:
     text = (run / "steps.csv").read_text()
     for name in ("cut", "changed", "foreign", "binary", "unsettled", "nested"):
         shutil.copytree(run, name)
@@ -300,11 +300,11 @@ def test_bad_input_is_refused_in_one_line(run: Path, stepgap: Command, arguments
     Path("rubbish.mcap").write_bytes(b"rubbish")
     Path("magic.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(1000))
     before = contents()
-    refused(stepgap(*arguments.split()), *words)
+    refused(stepgap(*arguments.split()), *parts)
     assert contents() == before
 
 
-def test_nothing_is_written_over(run: Path, stepgap: Command) -> None:
+def test_no_file_is_overwritten(run: Path, stepgap: Command) -> None:
     for name in ("run.mat", "run_2.mat"):
         assert stepgap("export", run, "--to", "mat").out == f"run/export/{name}\n"
     for name in ("mjcf", "mjcf_2"):
@@ -316,14 +316,14 @@ def test_nothing_is_written_over(run: Path, stepgap: Command) -> None:
 # The machine
 
 
-def test_doctor_says_what_there_is(stepgap: Command) -> None:
-    said = stepgap("doctor")
-    assert (said.code, said.err) == (0, "")
-    table = dict(line.split(maxsplit=1) for line in said.out.splitlines() if not line.startswith("extra"))
+def test_doctor_lists_the_components(stepgap: Command) -> None:
+    result = stepgap("doctor")
+    assert (result.code, result.err) == (0, "")
+    table = dict(line.split(maxsplit=1) for line in result.out.splitlines() if not line.startswith("extra"))
     assert table["python"] == ".".join(map(str, sys.version_info[:3]))
     assert {"numpy", "mujoco", "cores", "display", "OpenGL", "raw", "real", "cache"} <= set(table)
     for extra in metadata("stepgap").get_all("Provides-Extra") or []:
-        assert f"extra {extra} " in said.out, "doctor.PURPOSES says what it is for"
+        assert f"extra {extra} " in result.out, "doctor.PURPOSES names its purpose"
 
 
 def test_doctor_knows_a_machine_that_has_nothing(
@@ -340,7 +340,7 @@ def test_doctor_knows_a_machine_that_has_nothing(
         monkeypatch.delenv(name, raising=False)
     doctor()
     found = capsys.readouterr().out
-    for words in (
+    for parts in (
         "none; only MuJoCo's own pictures need it",
         "apt install libegl1",
         "EtherCAT needs",
@@ -348,4 +348,4 @@ def test_doctor_knows_a_machine_that_has_nothing(
         "no folder can be written",
         "to install it: ./go uv pip install 'stepgap[parquet]'",
     ):
-        assert words in found
+        assert parts in found

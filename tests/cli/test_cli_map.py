@@ -21,9 +21,9 @@ def numbers(text: str) -> list[float]:
 
 
 def test_one_step_and_its_derivatives(stepgap: Command) -> None:
-    said = stepgap("map", "--speed", 0.1, "--height", 0.56, "--fx", -3, "--fy", "2.5")
-    assert (said.code, said.err) == (0, "")
-    first, _, header, *rows = said.out.splitlines()
+    result = stepgap("map", "--speed", 0.1, "--height", 0.56, "--fx", -3, "--fy", "2.5")
+    assert (result.code, result.err) == (0, "")
+    first, _, header, *rows = result.out.splitlines()
     apex_map = ApexMap()
     assert numbers(first) == pytest.approx(apex_map([0.1, 0.56], [-3, 2.5]), abs=1e-6)
     assert [word for word in ("speed", "height", "fx", "fy") if f"by {word} [" in header] == [
@@ -35,10 +35,10 @@ def test_one_step_and_its_derivatives(stepgap: Command) -> None:
 
 
 def test_a_tick_holds_the_torques(stepgap: Command) -> None:
-    said = stepgap("map", "--tick", "0.0005")
-    assert said.code == 0
+    result = stepgap("map", "--tick", "0.0005")
+    assert result.code == 0
     expected = SampledApexMap(tick=5e-4)([0.2, 0.58], [0, 0])
-    assert numbers(said.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
+    assert numbers(result.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
     refused(stepgap("map", "--tick", "0.1"), "--tick: tick = 0.1, but it must lie between")
 
 
@@ -46,14 +46,14 @@ def test_settings_change_the_map(stepgap: Command) -> None:
     Path("soft.toml").write_text("[gains]\nstiffness = 2400\n")
     expected = ApexMap(gains=Gains(stiffness=2400))([0.2, 0.58], [0, 0])
     for arguments in (["soft.toml"], ["--gains.stiffness", "2400"]):
-        said = stepgap("map", *arguments)
-        assert said.code == 0
-        assert numbers(said.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
+        result = stepgap("map", *arguments)
+        assert result.code == 0
+        assert numbers(result.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_step_that_fails_says_why(stepgap: Command) -> None:
-    said = stepgap("map", "--height", 0.2)
-    refused(said, "--speed 0.2 --height 0.2 --fx 0 --fy 0: ", "(foot_scuffed: ", "choose a higher apex")
+    result = stepgap("map", "--height", 0.2)
+    refused(result, "--speed 0.2 --height 0.2 --fx 0 --fy 0: ", "(foot_scuffed: ", "choose a higher apex")
 
 
 ROWS = "fy, speed,height,fx\n0,0.2,0.58,0\n\n2,0.1,0.2,1\n-1e1,0.3,0.6,0.5\n"
@@ -62,11 +62,11 @@ ROWS = "fy, speed,height,fx\n0,0.2,0.58,0\n\n2,0.1,0.2,1\n-1e1,0.3,0.6,0.5\n"
 @pytest.mark.parametrize("out", [None, "next.csv"])
 def test_many_rows(stepgap: Command, out: str | None) -> None:
     Path("points.csv").write_text(ROWS)
-    said = stepgap("map", "--csv", "points.csv", *(["--out", out] if out else []))
-    assert (said.code, said.err) == (0, "")
+    result = stepgap("map", "--csv", "points.csv", *(["--out", out] if out else []))
+    assert (result.code, result.err) == (0, "")
     if out:
-        assert said.out == "next.csv\n"
-    header, *rows = (Path(out).read_text() if out else said.out).splitlines()
+        assert result.out == "next.csv\n"
+    header, *rows = (Path(out).read_text() if out else result.out).splitlines()
     assert header == "speed,height,fx,fy,next_speed,next_height,status"
     assert [row.split(",")[-1] for row in rows] == ["ok", "foot_scuffed", "ok"]
     first = [float(cell) for cell in rows[0].split(",")[:-1]]
@@ -76,13 +76,13 @@ def test_many_rows(stepgap: Command, out: str | None) -> None:
 
 
 def test_a_table(stepgap: Command) -> None:
-    said = stepgap(
+    result = stepgap(
         "map", "--table", "table.npz", "--points", 5, "--gains.stiffness", "2400", "--command.fy_upper", "18"
     )
-    assert (said.code, said.err) == (0, "")
-    assert said.out.endswith("\ntable.npz\n")
-    assert "625 commands" in said.out
-    assert "worst error of the command" in said.out
+    assert (result.code, result.err) == (0, "")
+    assert result.out.endswith("\ntable.npz\n")
+    assert "625 commands" in result.out
+    assert "worst error of the command" in result.out
     table = read_table("table.npz")
     assert table.points == 5
     assert table.space.command_upper.tolist() == [30, 18]
@@ -95,7 +95,7 @@ def test_a_table(stepgap: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "parts"),
     [
         ("map --speed nan", ["--speed nan --height 0.58 --fx 0 --fy 0: all must be finite numbers"]),
         ("map --fx strong", ["--fx", "strong"]),
@@ -123,7 +123,7 @@ def test_a_table(stepgap: Command) -> None:
         ("map --csv quote.csv", ["quote.csv, line 2: "]),
     ],
 )
-def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, words: list[str]) -> None:
+def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, parts: list[str]) -> None:
     Path("folder").mkdir()
     texts = {
         "good": HEADER + "0.2,0.58,0,0\n",
@@ -139,12 +139,12 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, word
         Path(f"{name}.csv").write_text(text)
     Path("binary.csv").write_bytes(b"\xff\xfe\x00")
     before = {path: path.read_bytes() for path in Path().glob("*.csv")}
-    refused(stepgap(*arguments.split()), *words)
+    refused(stepgap(*arguments.split()), *parts)
     assert {path: path.read_bytes() for path in Path().iterdir() if path.is_file()} == before
 
 
 def test_help(stepgap: Command) -> None:
-    said = stepgap("map", "--help")
-    assert (said.code, said.err) == (0, "")
+    result = stepgap("map", "--help")
+    assert (result.code, result.err) == (0, "")
     for word in ("--csv", "--table", "--points", "[m/s]", "[N]"):
-        assert word in said.out
+        assert word in result.out

@@ -17,7 +17,7 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
-from tests.cli.command_line import Command, Said, refused
+from tests.cli.command_line import Command, CommandResult, refused
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
 
@@ -54,15 +54,15 @@ def test_the_report_of_a_finished_run_builds_no_plant_and_no_twin(
     for kind in (Twin, RigPlant, ModelPlant, RealtimePlant):
         monkeypatch.setattr(kind, "__init__", built)
     monkeypatch.setattr("stepgap.robots.hopper.twin.twin.build_model", built)
-    assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
+    assert stepgap("report", "run") == CommandResult(0, "run/report.html\n", "")
     assert contents(Path("run")) == contents(finished)
 
 
 @pytest.mark.parametrize("damage", [b"", b"foreign"])
-def test_a_damaged_replay_is_made_again(finished: Path, stepgap: Command, damage: bytes) -> None:
+def test_a_damaged_replay_is_computed_again(finished: Path, stepgap: Command, damage: bytes) -> None:
     shutil.copytree(finished, "run")
     Path("run/replay/deployment_1.npz").write_bytes(damage)
-    assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
+    assert stepgap("report", "run") == CommandResult(0, "run/report.html\n", "")
     assert contents(Path("run")) == contents(finished)
 
 
@@ -71,7 +71,7 @@ def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
 ) -> None:
     monkeypatch.setattr("stepgap.cli.run_report.replay", lambda *_: pytest.fail("simulated again"))
     settings = [finished / "experiment.toml", "--reference", finished.parent / "targets.csv"]
-    assert stepgap("run", *settings, "--out", "run", "--quiet") == Said(0, "run/report.html\n", "")
+    assert stepgap("run", *settings, "--out", "run", "--quiet") == CommandResult(0, "run/report.html\n", "")
 
 
 @pytest.mark.usefixtures("svg_only")
@@ -80,7 +80,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
 ) -> None:
     shutil.copytree(finished, "run")
     shutil.rmtree("run/replay")
-    layout = sensor_model_of(Experiment())
+    sensors = sensor_model_of(Experiment())
     for iteration in (0, 1):
         ticks = replay(finished, iteration)
         rows = np.column_stack([ticks.rows[:, : len(TICK_UNITS)], np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
@@ -88,10 +88,10 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
             log.append(rows)
     settings = Path("run/experiment.toml")
     settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))
-    said = stepgap("report", "run")
-    assert said.err == "stepgap: left out of the report: replay (.: Is a directory; give an existing TOML file)\n"
-    monkeypatch.setattr("stepgap.cli.run_report.sensor_model_of", lambda settings: layout)
-    assert stepgap("report", "run") == Said(0, "run/report.html\n", "")
+    result = stepgap("report", "run")
+    assert result.err == "stepgap: missing in the report: replay (.: Is a directory; give an existing TOML file)\n"
+    monkeypatch.setattr("stepgap.cli.run_report.sensor_model_of", lambda settings: sensors)
+    assert stepgap("report", "run") == CommandResult(0, "run/report.html\n", "")
     for iteration in (0, 1):
         name = f"replay/deployment_{iteration}.npz"
         with np.load(finished / name) as simulated, np.load(Path("run") / name) as logged:
@@ -100,63 +100,65 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
                 np.testing.assert_array_equal(shown, simulated[channel][: len(shown)])
     Path("run/ticks/ticks-0.mcap").unlink()
     shutil.rmtree("run/replay")
-    said = stepgap("report", "run")
-    assert said.code == 0
-    assert "left out of the report: replay (run/ticks/ticks-0.mcap: No such file" in said.err
+    result = stepgap("report", "run")
+    assert result.code == 0
+    assert "missing in the report: replay (run/ticks/ticks-0.mcap: No such file" in result.err
 
 
 @pytest.mark.usefixtures("svg_only")
-def test_what_is_left_out_is_said(finished: Path, stepgap: Command) -> None:
+def test_missing_parts_are_reported(finished: Path, stepgap: Command) -> None:
     Path("run").mkdir()
     rows = (finished / "steps.csv").read_text()
     Path("run/steps.csv").write_text(rows[:-9])
-    said = stepgap("report", "run")
-    assert (said.code, said.out) == (0, "run/report.html\n")
-    assert said.err == (
-        "stepgap: left out of the report: the last line of steps.csv (it is cut off); errors (no deployment is "
-        "finished according to summary.json); what was learnt (no models/iteration_1.json); settings, gait and replay "
-        "(the folder holds no experiment.toml)\n"
+    result = stepgap("report", "run")
+    assert (result.code, result.out) == (0, "run/report.html\n")
+    assert result.err == (
+        "stepgap: missing in the report: the last line of steps.csv (it is cut off); errors (no deployment is "
+        "finished according to summary.json); the learned model (no models/iteration_1.json); settings, gait and "
+        "replay (the folder contains no experiment.toml)\n"
     )
 
 
 @pytest.mark.usefixtures("svg_only")
-def test_steps_that_cannot_be_made_again_have_no_replay(finished: Path, stepgap: Command) -> None:
+def test_steps_that_cannot_be_reproduced_have_no_replay(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     settings = Path("run/experiment.toml")
     settings.write_text(settings.read_text().replace("body_mass = 1.466", "body_mass = 1.5"))
-    said = stepgap("report", "run")
-    assert said.code == 0
-    assert said.err.startswith("stepgap: left out of the report: replay (run/steps.csv: step 1 of")
+    result = stepgap("report", "run")
+    assert result.code == 0
+    assert result.err.startswith("stepgap: missing in the report: replay (run/steps.csv: step 1 of")
     text = Path("run/report.html").read_text(encoding="utf-8")
-    assert "There is no replay: run/steps.csv: step 1 of deployment 0 could not be made again" in text
+    assert "There is no replay: run/steps.csv: step 1 of deployment 0 could not be reproduced exactly" in text
     assert "<script" not in text
 
 
 @pytest.mark.usefixtures("svg_only")
-def test_settings_that_are_not_understood_are_named(finished: Path, stepgap: Command) -> None:
+def test_settings_that_are_not_valid_are_named(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     Path("run/experiment.toml").write_text("unheard_of = 1\n")
-    said = stepgap("report", "run")
-    assert said.code == 0
-    assert said.err.startswith("stepgap: left out of the report: settings, gait and replay (the settings are not")
+    result = stepgap("report", "run")
+    assert result.code == 0
+    assert result.err.startswith("stepgap: missing in the report: settings, gait and replay (the settings are not")
     text = Path("run/report.html").read_text(encoding="utf-8")
     for part in ("comparison with the default settings", "gait", "replay"):
-        assert f"There is no {part}: the settings are not understood here: run/experiment.toml: unheard_of" in text
+        assert (
+            f"There is no {part}: the settings are not valid in this version: run/experiment.toml: unheard_of" in text
+        )
 
 
 def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     for name in ("a", "b"):
         shutil.copytree(finished, name)
     Path("comparison.html").write_text("precious")
-    said = stepgap("report", "a", "b")
-    assert (said.code, said.err) == (0, "")
-    assert Path(said.out.strip()).samefile("comparison_2.html")
+    result = stepgap("report", "a", "b")
+    assert (result.code, result.err) == (0, "")
+    assert Path(result.out.strip()).samefile("comparison_2.html")
     assert "StepGap comparison of 2 runs" in Path("comparison_2.html").read_text(encoding="utf-8")
-    assert stepgap("report", "a", "b", "--out", "page.html") == Said(0, "page.html\n", "")
+    assert stepgap("report", "a", "b", "--out", "page.html") == CommandResult(0, "page.html\n", "")
     assert Path("comparison.html").read_text() == "precious"
     refused(stepgap("report", "a", "b", "--out", "page.html"), "page.html: exists already; choose another --out")
     refused(stepgap("report", "a", "b", "--out", "none/page.html"), "none/page.html: cannot be written")
-    refused(stepgap("report", "a", "a"), "a run is named twice")
+    refused(stepgap("report", "a", "a"), "a run is given twice")
     refused(stepgap("report", "a", "none"), "none/steps.csv: no such file")
     refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
 
@@ -169,9 +171,9 @@ def test_damaged_files_are_refused_and_nothing_is_written(finished: Path, stepga
     for damage in (whole[: len(whole) // 2], b"\x89PNG\r\n\xff\xfe", b"[[["):
         (Path("run") / name).write_bytes(damage)
         before = contents(Path("run"))
-        said = stepgap("report", "run")
-        if said.code:  # half a TOML may be a whole one
-            refused(said, Path(name).name)
+        result = stepgap("report", "run")
+        if result.code:  # half a TOML may be a whole one
+            refused(result, Path(name).name)
             assert contents(Path("run")) == before
         else:
             assert name == "experiment.toml"

@@ -1,4 +1,4 @@
-"""`stepgap run --warm-start` and `--json`: what a run takes from another one, and what programs are told of it."""
+"""`stepgap run --warm-start` and `--json`: the steps taken from another run, and the events for programs."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 from stepgap.cli.app import main
 from stepgap.robots.hopper.parameters import CommandBounds
-from tests.cli.command_line import Command, Said, refused
+from tests.cli.command_line import Command, CommandResult, refused
 from tests.quick_runs import leave_out_repeats, leave_out_report
 
 TARGETS = "speed,height\n" + 6 * "0.1,0.56\n" + 10 * "0.25,0.6\n"
@@ -31,7 +31,7 @@ def cold(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def error(entry: dict) -> float:
-    """Tracking error in half ranges of use, both coordinates together."""
+    """Tracking error of both coordinates together, in half ranges."""
     rmse = [entry["rmse"][quantity.name] for quantity in CommandBounds().space().state]
     return float(np.linalg.norm(rmse / CommandBounds().space().state_scale))
 
@@ -40,10 +40,10 @@ def entries(run: Path) -> list[dict]:
     return json.loads((run / "summary.json").read_text())["iterations"]
 
 
-def test_a_warm_start_is_far_better_and_reruns_by_itself(cold: Path, stepgap: Command) -> None:
+def test_a_warm_start_is_far_better_and_its_folder_is_complete(cold: Path, stepgap: Command) -> None:
     arguments = ["--reference", cold / "targets.csv", "--iterations", 0, "--quiet", "--out"]
-    said = stepgap("run", *arguments, "warm", "--seed", 8, "--warm-start", cold / "run")
-    assert said == Said(0, "warm/report.html\n", "")
+    result = stepgap("run", *arguments, "warm", "--seed", 8, "--warm-start", cold / "run")
+    assert result == CommandResult(0, "warm/report.html\n", "")
     first, (warm,) = entries(cold / "run")[0], entries(Path("warm"))
     assert (first["residual"], warm["residual"]) == ("none", "gp_on_linear")
     assert error(warm) < 0.5 * error(first)
@@ -61,7 +61,7 @@ def test_a_warm_start_is_far_better_and_reruns_by_itself(cold: Path, stepgap: Co
     assert all(Path("again", name).read_bytes() == Path("warm", name).read_bytes() for name in names)
 
 
-def test_what_the_other_run_knew_is_passed_on(cold: Path, stepgap: Command) -> None:
+def test_known_steps_of_the_other_run_are_passed_on(cold: Path, stepgap: Command) -> None:
     short = Path("short.csv")
     short.write_text("speed,height\n0.1,0.56\n")
     arguments = ["--reference", short, "--iterations", 0, "--quiet", "--out"]
@@ -70,11 +70,11 @@ def test_what_the_other_run_knew_is_passed_on(cold: Path, stepgap: Command) -> N
     known = Path("third/warm_start.csv").read_text().splitlines()
     own = Path("second/steps.csv").read_text().splitlines()[1]
     assert known[:-1] == (cold / "run" / "steps.csv").read_text().splitlines()
-    assert known[-1] == own.replace("0,1,", "2,1,", 1), "the deployments are numbered through"
+    assert known[-1] == own.replace("0,1,", "2,1,", 1), "the deployments are numbered consecutively"
 
 
 @pytest.mark.parametrize(
-    ("other", "words"),
+    ("other", "parts"),
     [
         ("none", ["none: No such file or directory; a warm start needs the folder of a run"]),
         ("empty", ["empty/steps.csv: No such file or directory; a warm start needs"]),
@@ -84,7 +84,7 @@ def test_what_the_other_run_knew_is_passed_on(cold: Path, stepgap: Command) -> N
         ("damaged.csv", ["damaged.csv, line 3: not the next step"]),
     ],
 )
-def test_what_is_no_run_is_refused(cold: Path, stepgap: Command, other: str, words: list[str]) -> None:
+def test_a_warm_start_without_a_run_is_refused(cold: Path, stepgap: Command, other: str, parts: list[str]) -> None:
     text = (cold / "run" / "steps.csv").read_text()
     for folder in ("empty", "foreign", "binary"):
         Path(folder).mkdir()
@@ -93,21 +93,21 @@ def test_what_is_no_run_is_refused(cold: Path, stepgap: Command, other: str, wor
     Path("header.csv").write_text(text[: text.index("\n") + 1])
     Path("damaged.csv").write_text(text.replace("\n0,2,", "\n0,3,"))
     before = sorted(Path().rglob("*"))
-    refused(stepgap("run", "--out", "run", "--warm-start", other), *words)
+    refused(stepgap("run", "--out", "run", "--warm-start", other), *parts)
     assert sorted(Path().rglob("*")) == before
 
 
-def test_programs_are_told_in_lines_of_json(stepgap: Command) -> None:
+def test_events_are_printed_as_json_lines(stepgap: Command) -> None:
     Path("short.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
-    said = stepgap("run", "--reference", "short.csv", "--iterations", 1, "--out", "run", "--json")
-    assert said.code == 0
-    told = [json.loads(line) for line in said.out.splitlines()]
-    kinds = [each.pop("event") for each in told]
+    result = stepgap("run", "--reference", "short.csv", "--iterations", 1, "--out", "run", "--json")
+    assert result.code == 0
+    events = [json.loads(line) for line in result.out.splitlines()]
+    kinds = [each.pop("event") for each in events]
     assert kinds == ["step", "step", "deployment", "step", "step", "deployment", "report"]
-    assert told[-1] == {"path": "run/report.html"}
-    assert [told[2], told[5]] == entries(Path("run"))
+    assert events[-1] == {"path": "run/report.html"}
+    assert [events[2], events[5]] == entries(Path("run"))
     header, *rows = Path("run/steps.csv").read_text().splitlines()
-    steps = [each for kind, each in zip(kinds, told, strict=True) if kind == "step"]
+    steps = [each for kind, each in zip(kinds, events, strict=True) if kind == "step"]
     assert [",".join(map(str, step.values())) for step in steps] == rows
     assert ",".join(steps[0]) == header
-    assert [line.split(" (")[0] for line in said.err.splitlines()] == ["deployment 0 of 1", "deployment 1 of 1"]
+    assert [line.split(" (")[0] for line in result.err.splitlines()] == ["deployment 0 of 1", "deployment 1 of 1"]

@@ -1,11 +1,11 @@
-"""The hops before tracking: each leaves less uncertainty where the reference needs the map than others would."""
+"""Exploratory hops: each reduces the uncertainty that matters for the reference more than other hops would."""
 
 import numpy as np
 
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.exploration import calibrating_plan, goals_of
+from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
@@ -30,24 +30,24 @@ def test_goals_are_the_steps_of_the_reference() -> None:
         assert np.isclose(following, REFERENCE.targets).all(axis=1).any() or (np.abs(point[2:]) > 14.9).any()
 
 
-def test_a_calibrating_step_teaches_more_than_the_middle_of_the_bounds() -> None:
+def test_an_exploratory_step_is_more_informative_than_the_middle_of_the_bounds() -> None:
     residual = fitted(hops(REALITY, 6, seed=0))
     step_map = CorrectedMap(NOMINAL, residual)
     goals, state = goals_of(REFERENCE, step_map), np.array([0.2, 0.58])
-    plan = calibrating_plan(CautiousController(step_map, NOMINAL, NO_FAILURES), residual, state, goals)
+    plan = exploration_plan(CautiousController(step_map, NOMINAL, NO_FAILURES), residual, state, goals)
     chosen = goals.uncertainty_after(residual, np.append(state, plan.command))
     middle = goals.uncertainty_after(residual, np.append(state, NOMINAL.space.command_centre))
     assert chosen < middle < goals.uncertainty_after(residual)
 
 
-def test_calibrating_steps_come_first_and_stay_within_what_the_reference_needs() -> None:
+def test_exploratory_steps_come_first_and_stay_in_the_range_of_the_reference() -> None:
     plant = ModelPlant(REALITY, np.array([0.1, 0.55]), NOISE, np.random.default_rng(0))
     learner = Learner.start(NOMINAL, log_of([]), LearningSettings(exploration=10), iteration=0)
     steps = list(deploy(learner, plant, REFERENCE, 0, exploration=10))
     assert [logged.step for logged in steps] == list(range(-9, len(REFERENCE) + 1))
     lower, upper = REFERENCE.targets.min(axis=0), REFERENCE.targets.max(axis=0)
     room = 0.2 * NOMINAL.space.state_scale + 4 * NOISE
-    ends = StepLog(NOMINAL.space, steps[3:10]).next_state  # the first ones know nothing of the robot yet
+    ends = StepLog(NOMINAL.space, steps[3:10]).next_state  # before the first ones nothing is known of the robot
     assert ((ends >= lower - room) & (ends <= upper + room)).all()
 
 
@@ -59,6 +59,6 @@ def tracked_error(exploration: int) -> np.ndarray:
     return np.sqrt(np.mean(np.square(error), axis=0))
 
 
-def test_calibration_pays_in_the_first_deployment() -> None:
+def test_exploration_reduces_the_error_of_the_first_deployment() -> None:
     assert isinstance(REALITY, LossyHopper)
     assert (tracked_error(12) < 0.5 * tracked_error(0)).all()

@@ -1,4 +1,4 @@
-"""The loop: what it learns from, when it stops, what it records, and that breaking it off loses nothing."""
+"""The experiment loop: its training data, its end, its record, and that an interruption loses nothing."""
 
 import json
 import math
@@ -90,7 +90,7 @@ def logged(number: int, target: tuple[float, float], next_state: tuple[float, fl
     return LoggedStep(0, number, np.array(target), np.array(target), np.zeros(2), record)
 
 
-# What is measured
+# Errors
 
 
 def test_the_errors_of_a_deployment_by_hand() -> None:
@@ -111,7 +111,7 @@ def test_the_errors_of_a_deployment_by_hand() -> None:
     assert found.steady_rmse == pytest.approx([0.02, 0.03])
 
 
-def test_nothing_completed_has_no_error() -> None:
+def test_without_a_completed_step_there_is_no_error() -> None:
     found = summarise(in_space([logged(1, (0.1, 0.55), None)]), REFERENCE, "none")
     assert (found.steps, found.falls) == (1, 1)
     for measure in (found.rmse, found.mae, found.bias, found.steady_rmse, found.transient_rmse):
@@ -125,15 +125,15 @@ def test_the_noise_floor_is_the_noise_of_the_plant() -> None:
     steps = list(deploy(Learner.start(NOMINAL, in_space([]), ALWAYS, 0), plant, reference, 0))
     assert estimate_noise_floor(in_space(steps), reference) == pytest.approx(NOISE, rel=0.05)
     assert np.isnan(estimate_noise_floor(in_space(steps[:9]), reference)).all(), (
-        "4 steady steps cannot tell 5 coefficients"
+        "5 coefficients cannot be estimated from 4 steady steps"
     )
     assert np.isnan(estimate_noise_floor(in_space([]), reference)).all()
 
 
-# What is learnt
+# Learning
 
 
-def test_every_model_is_learnt_on_the_nominal_map_from_all_steps(unbroken: Path) -> None:
+def test_every_model_is_learned_on_the_nominal_map_from_all_steps(unbroken: Path) -> None:
     log = read_step_log(unbroken / "steps.csv", NOMINAL.space)
     for iteration in (1, 2):
         before = StepLog(log.space, [logged for logged in log if logged.iteration < iteration])
@@ -151,13 +151,13 @@ def test_learning_closes_the_gap(tmp_path: Path) -> None:
     assert (last.rmse < 0.3 * first.rmse).all()
 
 
-def test_nothing_learnt_leaves_the_nominal_map() -> None:
+def test_nothing_learned_leaves_the_nominal_map() -> None:
     assert Learner.start(NOMINAL, in_space([]), ALWAYS, 1).residual.kind == "none"
     failing = in_space([logged(1, (0.1, 0.5), (0.1, 0.5))])
     assert Learner.start(NeverWorks(), failing, ALWAYS, 1).residual.kind == "none"
 
 
-def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
+def test_every_prediction_is_conditioned_on_the_previous_step(tmp_path: Path) -> None:
     learning = LearningSettings("auto", iterations=2, tolerance=0.0, lagged_inputs="previous_error")
     done = run_in(tmp_path, learning=learning)
     log = list(read_step_log(tmp_path / "steps.csv", NOMINAL.space))
@@ -173,7 +173,7 @@ def test_every_prediction_is_given_what_came_before(tmp_path: Path) -> None:
                 np.testing.assert_allclose(logged.predicted, predicted, rtol=1e-9, atol=1e-9)
 
 
-# When redeploying ends
+# End of redeployment
 
 
 def deployment(speed: float, height: float = 0.0, falls: int = 0) -> Deployment:
@@ -190,7 +190,7 @@ def deployment(speed: float, height: float = 0.0, falls: int = 0) -> Deployment:
         ([0.1, 0.2, 0.0991], False),
         ([0.1, 0.05, 0.07], False),
         ([0.1, math.inf, 0.05], True),
-        ([0.1, 0.05, math.inf], True),  # a fall says nothing of how well it could track
+        ([0.1, 0.05, math.inf], True),  # a fall does not show how well it could track
         ([math.inf, math.inf, math.inf], True),
     ],
 )
@@ -227,7 +227,7 @@ def test_settings_out_of_range_are_refused(wrong: dict) -> None:
         LearningSettings(**wrong)
 
 
-# What is recorded
+# Record
 
 
 def test_the_folder_is_the_contract(unbroken: Path) -> None:
@@ -247,7 +247,7 @@ def test_the_folder_is_the_contract(unbroken: Path) -> None:
     assert summary["repeatability_measured"] is False
 
 
-def test_the_summary_holds_what_the_steps_say(unbroken: Path) -> None:
+def test_the_summary_agrees_with_the_steps(unbroken: Path) -> None:
     log = read_step_log(unbroken / "steps.csv", NOMINAL.space)
     summary = json.loads((unbroken / "summary.json").read_text())
     for entry in summary["iterations"]:
@@ -263,11 +263,11 @@ def test_same_seed_same_bytes_other_seed_others(unbroken: Path, tmp_path: Path) 
     assert contents(tmp_path / "other")["steps.csv"] != contents(unbroken)["steps.csv"]
 
 
-def test_a_measured_repeatability_is_recorded_and_measured_once(tmp_path: Path) -> None:
-    told: list[tuple[StepMap, float]] = []
+def test_a_measured_noise_floor_is_recorded_and_measured_once(tmp_path: Path) -> None:
+    calls: list[tuple[StepMap, float]] = []
 
     def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
-        told.append((step_map, rng.random()))
+        calls.append((step_map, rng.random()))
         return np.array([0.003, np.nan])
 
     for _ in range(2):
@@ -275,7 +275,7 @@ def test_a_measured_repeatability_is_recorded_and_measured_once(tmp_path: Path) 
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert summary["repeatability"] == {"speed": 0.003, "height": None}
         assert summary["repeatability_measured"] is True
-    ((step_map, drawn),) = told
+    ((step_map, drawn),) = calls
     assert isinstance(step_map, CorrectedMap)
     assert drawn == random_stream(3, 2, 1).random()
     learned = json.loads((tmp_path / "models" / "iteration_2.json").read_text())
@@ -283,7 +283,7 @@ def test_a_measured_repeatability_is_recorded_and_measured_once(tmp_path: Path) 
 
 
 def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tmp_path: Path) -> None:
-    """The map at the end of the last deployment, with the disturbance estimated by then, whoever executed its steps."""
+    """The map is that at the end of the last deployment, with the disturbance estimated so far, also after a resume."""
     maps: list[CorrectedMap] = []
 
     def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
@@ -306,15 +306,15 @@ def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tm
     assert resumed == whole
 
 
-def test_every_step_is_on_disk_before_anyone_hears_of_it(tmp_path: Path) -> None:
-    told = []
+def test_every_step_is_on_disk_before_it_is_reported(tmp_path: Path) -> None:
+    reported = []
 
     def on_step(logged: LoggedStep) -> None:
-        told.append(logged)
-        assert len(read_step_log(tmp_path / "steps.csv", NOMINAL.space)) == len(told)
+        reported.append(logged)
+        assert len(read_step_log(tmp_path / "steps.csv", NOMINAL.space)) == len(reported)
 
     run_in(tmp_path, observer=Observer(on_step=on_step))
-    assert len(told) == 48
+    assert len(reported) == 48
 
 
 def test_a_file_is_written_whole(tmp_path: Path) -> None:
@@ -326,20 +326,20 @@ def test_a_file_is_written_whole(tmp_path: Path) -> None:
 # Steps known before
 
 
-def test_what_is_known_before_is_used_from_the_first_deployment_on(unbroken: Path, tmp_path: Path) -> None:
+def test_known_steps_are_used_from_the_first_deployment_on(unbroken: Path, tmp_path: Path) -> None:
     known = read_step_log(unbroken / "steps.csv", NOMINAL.space)
     cold = json.loads((unbroken / "summary.json").read_text())["iterations"]
     done = run_in(tmp_path / "warm", known=known, seed=7)
     assert [entry["residual"] for entry in cold] == ["none", "gp_on_linear", "gp_on_linear"]
     assert [deployment.residual for deployment in done] == ["gp_on_linear"] * 3
-    assert (done[0].rmse < 0.4 * np.array(list(cold[0]["rmse"].values()))).all(), "the noise is left"
+    assert (done[0].rmse < 0.4 * np.array(list(cold[0]["rmse"].values()))).all(), "only the noise remains"
     log = read_step_log(tmp_path / "warm" / "steps.csv", NOMINAL.space)
-    assert log.iterations == [0, 1, 2], "what was known is not this run's"
+    assert log.iterations == [0, 1, 2], "known steps are not recorded as steps of this run"
     summary = json.loads((tmp_path / "warm" / "summary.json").read_text())
     assert summary["warm_start"]["steps"] == 48
 
 
-def test_what_is_known_is_held_against_this_nominal_map(unbroken: Path, tmp_path: Path) -> None:
+def test_errors_of_known_steps_are_those_of_this_nominal_map(unbroken: Path, tmp_path: Path) -> None:
     known, other = read_step_log(unbroken / "steps.csv", NOMINAL.space), LossyHopper(loss=0.3, drift=-0.05)
     done = run_in(tmp_path / "warm", known=known, nominal=other)
     cold = run_in(tmp_path / "cold", nominal=other)
@@ -350,7 +350,7 @@ def test_what_is_known_is_held_against_this_nominal_map(unbroken: Path, tmp_path
     assert model.mean(point) == pytest.approx(truth, abs=0.01)
 
 
-def test_with_what_was_known_it_is_resumed(unbroken: Path, tmp_path: Path) -> None:
+def test_a_run_with_known_steps_is_resumed(unbroken: Path, tmp_path: Path) -> None:
     known = read_step_log(unbroken / "steps.csv", NOMINAL.space)
     run_in(tmp_path / "warm", known=known, seed=7)
     whole = contents(tmp_path / "warm")
@@ -424,14 +424,14 @@ def test_a_nominal_map_with_failing_regions(tmp_path: Path) -> None:
     assert (done[-1].rmse < done[0].rmse).all()
 
 
-# Broken off and resumed
+# Interrupted and resumed
 
 
 class Killed(BaseException):
-    """Stands for a process that ends at once."""
+    """Simulates the death of the process."""
 
 
-def test_killed_after_any_step_it_ends_as_if_it_had_not_been(unbroken: Path, tmp_path: Path) -> None:
+def test_a_run_killed_after_any_step_gives_the_same_result(unbroken: Path, tmp_path: Path) -> None:
     for last in (1, 15, 16, 17, 32, 47, 48):
         folder, count = tmp_path / str(last), iter(range(1, 100))
 
@@ -446,7 +446,7 @@ def test_killed_after_any_step_it_ends_as_if_it_had_not_been(unbroken: Path, tmp
         assert contents(folder) == contents(unbroken)
 
 
-def test_what_hardware_did_before_it_was_broken_off_is_kept_and_the_next_deployment_starts(tmp_path: Path) -> None:
+def test_an_interrupted_deployment_of_hardware_is_kept_and_the_next_one_starts(tmp_path: Path) -> None:
     luck = np.random.default_rng(8)  # hardware does not repeat itself
 
     def make_plant(rng: np.random.Generator) -> Plant:
@@ -469,15 +469,15 @@ def test_what_hardware_did_before_it_was_broken_off_is_kept_and_the_next_deploym
     assert [deployment.steps for deployment in again] == [16, 5, 16]
 
 
-def test_what_the_plant_says_of_a_deployments_end_is_told(tmp_path: Path) -> None:
-    class Tired(ModelPlant):
+def test_a_fault_of_the_plant_is_reported(tmp_path: Path) -> None:
+    class EmptyBattery(ModelPlant):
         @property
         def fault(self) -> str:
             return "the battery is empty"
 
-    told: list[str] = []
-    run_in(tmp_path, lambda rng: Tired(REALITY, START, NOISE, rng), observer=Observer(on_fault=told.append))
-    assert told == ["the battery is empty"] * 3
+    faults: list[str] = []
+    run_in(tmp_path, lambda rng: EmptyBattery(REALITY, START, NOISE, rng), observer=Observer(on_fault=faults.append))
+    assert faults == ["the battery is empty"] * 3
 
 
 def rows_kept(folder: Path, count: int, rest: str = "") -> None:
@@ -506,10 +506,12 @@ BREAKS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("place", BREAKS)
+@pytest.mark.parametrize("point", BREAKS)
 @pytest.mark.parametrize("with_summary", [True, False])
-def test_broken_off_anywhere_it_ends_the_same(copy: Path, unbroken: Path, place: str, with_summary: bool) -> None:
-    BREAKS[place](copy)
+def test_a_run_interrupted_at_any_point_gives_the_same_result(
+    copy: Path, unbroken: Path, point: str, with_summary: bool
+) -> None:
+    BREAKS[point](copy)
     if not with_summary:
         (copy / "summary.json").unlink(missing_ok=True)
     run_in(copy)
@@ -600,7 +602,7 @@ def test_one_process_at_a_time(copy: Path) -> None:
 
 
 class FailingPlant(ModelPlant):
-    """Refuses to start, or breaks at a step; knows whether it was stopped."""
+    """A plant that fails at the start or at a step; it records whether it was stopped."""
 
     def __init__(self, fails_at: int, stopped: list[bool]):
         super().__init__(REALITY, START, NOISE, random_stream(3, 0))
@@ -622,7 +624,7 @@ class FailingPlant(ModelPlant):
 
 
 @pytest.mark.parametrize("fails_at", [0, 1, 5])
-def test_a_rig_that_fails_leaves_a_run_that_goes_on(tmp_path: Path, unbroken: Path, fails_at: int) -> None:
+def test_a_run_with_a_failed_rig_can_be_resumed(tmp_path: Path, unbroken: Path, fails_at: int) -> None:
     stopped: list[bool] = []
     with pytest.raises(RigFault):
         run_in(tmp_path, lambda rng: FailingPlant(fails_at, stopped))
@@ -642,7 +644,7 @@ def test_an_error_anywhere_stops_the_plant_at_once(tmp_path: Path, monkeypatch: 
     try:
         run_in(tmp_path, lambda rng: FailingPlant(99, stopped))
     except OSError:
-        assert stopped, "before anyone looks at the error"
+        assert stopped, "before the error is handled"
     else:
         pytest.fail("the error was lost")
 

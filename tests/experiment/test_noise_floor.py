@@ -1,4 +1,4 @@
-"""The spread of repeated steps, against steps repeated by hand."""
+"""The noise floor, the standard deviation of repeated steps, on twins with known sources of noise."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
     np.testing.assert_allclose(measured(SILENT), 0, atol=1e-15)
 
 
-def test_noise_and_place_each_spread_the_steps_the_same_at_the_same_seed() -> None:
+def test_noise_and_yaw_contribute_and_the_seed_determines_the_result() -> None:
     noisy, tilted = replace(SILENT, torque_noise=0.02), replace(SILENT, boom_tilt=0.01)
     assert measured(noisy)[0] > 1e-3
     assert measured(tilted)[0] > 1e-3
@@ -39,12 +39,12 @@ def test_noise_and_place_each_spread_the_steps_the_same_at_the_same_seed() -> No
     assert measured(noisy).tolist() != measured(noisy, seed=2).tolist()
 
 
-def test_more_noise_spreads_in_proportion() -> None:
-    spreads = [measured(replace(SILENT, torque_noise=noise)) for noise in (0.004, 0.012)]
-    assert spreads[1][0] / spreads[0][0] == pytest.approx(3, rel=0.2)
+def test_the_noise_floor_is_proportional_to_the_noise() -> None:
+    floors = [measured(replace(SILENT, torque_noise=noise)) for noise in (0.004, 0.012)]
+    assert floors[1][0] / floors[0][0] == pytest.approx(3, rel=0.2)
 
 
-def test_a_robot_that_cannot_hop_on_has_none() -> None:
+def test_a_robot_that_cannot_hop_has_no_noise_floor() -> None:
     twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
     plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds(fy_lower=-200, fy_upper=-190)))
     assert np.isnan(measure_noise_floor(plant, twin, NeverWorks(), REFERENCE, np.random.default_rng(0))).all()

@@ -1,4 +1,4 @@
-"""What `stepgap run --plant` hops, from the command line to the summary."""
+"""Plants of `stepgap run --plant`, from the command line to the summary."""
 
 import csv
 import json
@@ -30,7 +30,7 @@ TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
 @pytest.fixture
 def raw_ethernet() -> None:
-    """Skips where a ring cannot be had."""
+    """Skips a test where no ring can run."""
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
     try:
         with wire(f"sgp{os.getpid() % 10**6}"):
@@ -66,7 +66,7 @@ def test_through_the_ring_a_run_has_the_figures_of_the_twin(tmp_path: Path, raw_
         assert summary["repeatability_measured"] is True
     for name, tolerance in (("speed", 0.02), ("height", 0.004)):
         biases = [summary["iterations"][0]["bias"][name] for summary in (direct, ring)]
-        assert biases[0] == pytest.approx(biases[1], abs=tolerance), "counts make a difference, a small one"
+        assert biases[0] == pytest.approx(biases[1], abs=tolerance), "quantisation has a small effect"
 
 
 @pytest.mark.usefixtures("no_report", "no_repeats")
@@ -94,15 +94,17 @@ def test_the_plant_and_its_rig_are_settings_of_a_run(tmp_path: Path) -> None:
     assert read_experiment(tmp_path / "mine.toml").rig == str(tmp_path / "my_rig.toml")
 
 
-def test_nobody_at_the_keyboard_means_no_torque(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    with Path(os.devnull).open() as nobody:
-        monkeypatch.setattr(sys, "stdin", nobody)
-        with pytest.raises(RigFault, match="nobody pressed Enter"):
+def test_without_an_answer_at_the_keyboard_there_is_no_torque(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    with Path(os.devnull).open() as no_keyboard:
+        monkeypatch.setattr(sys, "stdin", no_keyboard)
+        with pytest.raises(RigFault, match="Enter was not pressed"):
             run_plants.ask_to_hold()
     assert "Hold the robot up" in capsys.readouterr().err
 
 
-def test_what_was_typed_before_somebody_was_asked_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_input_before_the_question_is_not_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     ours, theirs = os.openpty()
 
     class Screen(StringIO):
@@ -116,7 +118,7 @@ def test_what_was_typed_before_somebody_was_asked_is_no_answer(monkeypatch: pyte
         monkeypatch.setattr(sys, "stdin", terminal)
         monkeypatch.setattr(sys, "stderr", Screen())
         run_plants.ask_to_hold()
-        assert select.select([theirs], [], [], 0)[0] == [], "the first one was not taken, the second one was"
+        assert select.select([theirs], [], [], 0)[0] == [], "the first answer was discarded, the second one was used"
     os.close(ours)
 
 
@@ -139,9 +141,9 @@ def test_sigterm_ends_a_run_as_ctrl_c_does(tmp_path: Path) -> None:
     while process.poll() is None and not (steps.exists() and steps.read_bytes().count(b"\n") > 3):
         sleep(0.01)
     process.send_signal(signal.SIGTERM)
-    _, said = process.communicate()
+    _, error_output = process.communicate()
     assert process.returncode == 130
-    assert "resume with: stepgap run --out run --resume" in said
+    assert "resume with: stepgap run --out run --resume" in error_output
     with steps.open(newline="") as file:
         rows = list(csv.reader(file))
     assert {len(row) for row in rows} == {len(rows[0])}, "no row is cut off"

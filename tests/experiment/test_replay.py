@@ -1,4 +1,4 @@
-"""A deployment made again: the same ticks as when it was recorded, what was true beside them, and what is refused."""
+"""Replay of a deployment: the same ticks as recorded, with the true state, and the cases that are refused."""
 
 import shutil
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.cli.app import main
-from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.plants import plant_on, replay_rig
 from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.step_log import LoggedStep
@@ -39,7 +39,7 @@ def run_of(folder: Path, *arguments: str) -> Path:
 
 @pytest.fixture(scope="module")
 def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[float, ...]]]:
-    """A run folder, and the ticks of its last deployment as they happened."""
+    """A run folder, and the original ticks of its last deployment."""
     ticks: list[tuple[float, ...]] = []
     start, on_tick = RigPlant.start, lambda tick: ticks.append(tick.row())
 
@@ -70,21 +70,21 @@ def copy(run_folder: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run_folder, tmp_path / "copy"))
 
 
-def test_every_tick_is_the_one_that_was(replayed: TickTable, watched: tuple[Path, list]) -> None:
+def test_every_tick_equals_the_original_one(replayed: TickTable, watched: tuple[Path, list]) -> None:
     np.testing.assert_array_equal(replayed.rows[:, : len(TICK_UNITS)], watched[1])
     assert list(replayed.units) == list(REPLAY_UNITS)
 
 
-def test_thinned_and_hop_by_hop_it_is_the_same(run_folder: Path, replayed: TickTable) -> None:
-    told: list[tuple[int, int]] = []
-    np.testing.assert_array_equal(replay(run_folder, 1, 7, lambda *of: told.append(of)).rows, replayed.rows[::7])
-    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+def test_a_thinned_or_hop_by_hop_replay_is_the_same(run_folder: Path, replayed: TickTable) -> None:
+    progress: list[tuple[int, int]] = []
+    np.testing.assert_array_equal(replay(run_folder, 1, 7, lambda *of: progress.append(of)).rows, replayed.rows[::7])
+    assert progress == [(0, 3), (1, 3), (2, 3), (3, 3)]
     hops = list(replayed_hops(run_folder, 1))
     assert [set(hop["step"]) for hop in hops] == [{0}, {1}, {2}, {3}]
     np.testing.assert_array_equal(np.concatenate([hop.rows for hop in hops]), replayed.rows)
 
 
-def test_the_truth_is_that_of_the_instant_of_the_sensors(replayed: TickTable) -> None:
+def test_the_true_state_is_that_at_the_reading_of_the_sensors(replayed: TickTable) -> None:
     units = 2 * np.pi / 16384
     front, rear = (replayed["true_alpha_1"] + sign * replayed["true_alpha_2"] for sign in (1, -1))
     for motor, angle in (("motor_1", front), ("motor_2", rear)):
@@ -92,7 +92,7 @@ def test_the_truth_is_that_of_the_instant_of_the_sensors(replayed: TickTable) ->
         assert np.ptp(offset) < 1.001 * units, "a constant zero error, and rounding"
     assert np.abs(units * replayed["boom_vertical"] - replayed["boom_pitch"]).max() < 0.501 * units
     arc = RobotParameters().boom_length * replayed["boom_yaw"]
-    assert np.abs(arc - replayed["hip_x"]).max() < 0.02, "but for the boom's deflection"
+    assert np.abs(arc - replayed["hip_x"]).max() < 0.02, "except for the boom's deflection"
 
 
 def test_hip_leg_and_foot_make_one_robot(replayed: TickTable) -> None:
@@ -102,14 +102,14 @@ def test_hip_leg_and_foot_make_one_robot(replayed: TickTable) -> None:
         alpha_1, alpha_2, height = (replayed[name][row] for name in ("true_alpha_1", "true_alpha_2", "hip_height"))
         below = height - replayed["foot_z"][row]
         toe = foot(leg, four_bar(leg, alpha_2), alpha_1)
-        assert below == pytest.approx(-toe.y, abs=2e-3), "but for the boom's lean"
+        assert below == pytest.approx(-toe.y, abs=2e-3), "except for the boom's tilt"
         assert robot.foot_length < below < 0.5
     standing = replayed["contact_force"] > 20
     sunk = (replayed["ground_height"] - replayed["foot_z"])[standing]
-    assert -1e-4 < sunk.min() < sunk.max() < 0.02, "the ground gives way a little"
+    assert -1e-4 < sunk.min() < sunk.max() < 0.02, "the ground yields a little"
 
 
-def test_apexes_lie_where_the_steps_say(run_folder: Path, replayed: TickTable) -> None:
+def test_apexes_agree_with_the_recorded_steps(run_folder: Path, replayed: TickTable) -> None:
     log = read_step_log(run_folder / "steps.csv", CommandBounds().space())
     for logged in log.of_iteration(1):
         heights = replayed["hip_height"][replayed["step"] == logged.step]
@@ -119,7 +119,7 @@ def test_apexes_lie_where_the_steps_say(run_folder: Path, replayed: TickTable) -
 def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
     (tmp_path / "experiment.toml").write_text("seed = 4\n[gap]\nground_friction = 0.05\n")  # ice
     settings, none = read_experiment(tmp_path / "experiment.toml"), np.zeros(2)
-    rig, _ = remade_rig(settings, 0)
+    rig, _ = replay_rig(settings, 0)
     with StepWriter(tmp_path / "steps.csv", settings.command.space()) as writer, plant_on(settings, rig) as plant:
         plant.start()
         reason, step = StepStatus.OK, 0
@@ -132,7 +132,7 @@ def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_repeats", "no_report")
-def test_a_run_on_the_ring_is_made_again_without_the_ring(tmp_path: Path) -> None:
+def test_a_run_on_the_ring_is_simulated_again_without_the_ring(tmp_path: Path) -> None:
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
     try:
         run = run_of(tmp_path, "--plant", "emulated-ring", "--iterations", "0", "--debug")
@@ -142,7 +142,7 @@ def test_a_run_on_the_ring_is_made_again_without_the_ring(tmp_path: Path) -> Non
 
 
 def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
-    """The log of a rig that hops as the twin did: limp, held up, hopping, landing."""
+    """Writes the log of a rig that moves like the twin: limp, held up, hopping, landing."""
     ticks = replayed.rows[:, : len(TICK_UNITS)]
     unread = np.array([ticks[-1, 0], *[np.nan] * (len(TICK_UNITS) - 1)])
     parts = [(ticks[:30], RigState.READY), (ticks[:20], RigState.STAND), (ticks, RigState.HOP)]
@@ -158,7 +158,7 @@ def steps_of(run: Path, iteration: int) -> list[LoggedStep]:
     return list(read_step_log(run / "steps.csv", CommandBounds().space()).of_iteration(iteration))
 
 
-def test_ticks_of_a_rigs_log_are_parted_at_apexes(copy: Path, replayed: TickTable) -> None:
+def test_ticks_of_a_rigs_log_are_separated_at_apexes(copy: Path, replayed: TickTable) -> None:
     write_log(copy, replayed, 1)
     ticks = logged_ticks(copy, steps_of(copy, 1))
     assert list(ticks.units) == [*LOG_UNITS, "step"]
@@ -168,7 +168,7 @@ def test_ticks_of_a_rigs_log_are_parted_at_apexes(copy: Path, replayed: TickTabl
     np.testing.assert_array_equal(ticks["step"][~held], replayed["step"])
 
 
-def test_a_rig_that_fell_is_shown_until_it_rests(copy: Path, replayed: TickTable) -> None:
+def test_the_ticks_of_a_rig_that_fell_end_when_it_rests(copy: Path, replayed: TickTable) -> None:
     fallen = TickTable(replayed.units, replayed.rows[replayed["step"] <= 2][:-100])
     write_log(copy, fallen, 1)
     steps = steps_of(copy, 1)[:2]
@@ -178,7 +178,7 @@ def test_a_rig_that_fell_is_shown_until_it_rests(copy: Path, replayed: TickTable
 
 
 @pytest.mark.parametrize("spoil", [lambda log: log.unlink(), lambda log: log.write_bytes(log.read_bytes()[:-9])])
-def test_a_log_that_is_not_there_or_not_whole_is_refused(
+def test_a_missing_or_incomplete_log_is_refused(
     copy: Path, replayed: TickTable, spoil: Callable[[Path], object]
 ) -> None:
     write_log(copy, replayed, 1)
@@ -210,21 +210,23 @@ def change_number_and_version(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "iteration", "words"),
+    ("spoil", "iteration", "message"),
     [
-        (lambda run: None, 2, "no step of deployment 2; the deployments there are: 0, 1"),
+        (lambda run: None, 2, "no step of deployment 2; recorded deployments: 0, 1"),
         (lambda run: (run / "experiment.toml").unlink(), 0, "experiment.toml: No such file"),
         (lambda run: (run / "steps.csv").unlink(), 0, "steps.csv: No such file"),
-        (change_a_number, 1, "step 1 of deployment 1 could not be made again to the last bit; the record was changed"),
-        (change_number_and_version, 1, "to the last bit; it was run with mujoco 0"),
+        (change_a_number, 1, "step 1 of deployment 1 could not be reproduced exactly; the record was changed"),
+        (change_number_and_version, 1, "could not be reproduced exactly; it was run with mujoco 0"),
         (
             lambda run: (run / "experiment.toml").write_text('plant = "ethercat"\n[learning]\niterations = 1\n'),
             1,
-            "plant 'ethercat': what a rig did cannot be made again",
+            "plant 'ethercat': a deployment of a rig cannot be simulated again",
         ),
     ],
 )
-def test_what_cannot_be_made_again_is_refused(copy: Path, spoil: Callable[[Path], object], iteration: int, words: str):
+def test_a_deployment_that_cannot_be_reproduced_is_refused(
+    copy: Path, spoil: Callable[[Path], object], iteration: int, message: str
+):
     spoil(copy)
-    with pytest.raises((InputError, RecordError), match=words):
+    with pytest.raises((InputError, RecordError), match=message):
         replay(copy, iteration)

@@ -1,4 +1,4 @@
-"""Settings: read strictly, refused with what would be right, written so that they are read back as they were."""
+"""Settings: read with strict checks, refused with the rule, and written so that they are read back unchanged."""
 
 import math
 from dataclasses import fields, is_dataclass, replace
@@ -53,7 +53,7 @@ def test_every_setting_is_written(tmp_path: Path) -> None:
         assert f"\n{name} = " in f"\n{text}"
 
 
-def test_a_reference_goes_with_the_folder(tmp_path: Path) -> None:
+def test_a_reference_is_copied_into_the_folder(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "hops.csv").write_text("height,speed\n0.55,0.1\n0.58,0.30000000000000004\n")
     (tmp_path / "mine" / "e.toml").write_text('reference = "hops.csv"\n')
@@ -86,7 +86,7 @@ def test_a_preset_of_the_gap_comes_before_single_keys(tmp_path: Path) -> None:
     assert read_experiment(tmp_path / "experiment.toml").gap == experiment.gap
 
 
-def test_options_that_are_right_together_may_come_in_any_order() -> None:
+def test_options_that_are_valid_together_may_have_any_order() -> None:
     both = [("command.fx_lower", "40"), ("command.fx_upper", "50")]
     for overrides in (both, both[::-1]):
         assert read_experiment(None, overrides).command == CommandBounds(fx_lower=40, fx_upper=50)
@@ -140,7 +140,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("text", WRONG, ids=lambda text: text[:40])
-def test_a_wrong_file_is_refused_with_what_would_be_right(tmp_path: Path, text: str) -> None:
+def test_a_wrong_file_is_refused_with_the_rule(tmp_path: Path, text: str) -> None:
     path = tmp_path / "e.toml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
@@ -164,7 +164,7 @@ def all_numbers() -> list[str]:
 
 
 @pytest.mark.parametrize("name", all_numbers())
-def test_no_number_may_be_nan_and_hardly_one_infinite(name: str) -> None:
+def test_no_number_may_be_nan_and_few_may_be_infinite(name: str) -> None:
     for value in ("nan", "-inf"):
         with pytest.raises(InputError, match=f"^--{name} = {value}, but it must"):
             read_experiment(None, [(name, value)])
@@ -178,7 +178,7 @@ def test_no_number_may_be_nan_and_hardly_one_infinite(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "says"),
+    ("name", "value", "message"),
     [
         ("gains.stifness", "3", "--gains.stifness: unknown key; did you mean stiffness?"),
         ("gains.stiffness", "many", "--gains.stiffness = 'many', but it must be a number"),
@@ -195,12 +195,12 @@ def test_no_number_may_be_nan_and_hardly_one_infinite(name: str) -> None:
         ("command.fy_upper", "-30", "--command.fy_lower = -20.0, but it must lie below fy_upper = -30.0"),
     ],
 )
-def test_a_wrong_option_is_named(tmp_path: Path, name: str, value: str, says: str) -> None:
+def test_a_wrong_option_is_named(tmp_path: Path, name: str, value: str, message: str) -> None:
     (tmp_path / "e.toml").write_text("seed = 1\n")
     for path in (None, tmp_path / "e.toml"):
         with pytest.raises(InputError) as caught:
             read_experiment(path, [(name, value)])
-        assert str(caught.value).startswith(says)
+        assert str(caught.value).startswith(message)
 
 
 def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
@@ -208,16 +208,16 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
     assert read_experiment(tmp_path / "e.toml").seed == 3
 
 
-def test_what_is_no_settings_file_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_settings_is_refused(tmp_path: Path) -> None:
     (tmp_path / "binary.toml").write_bytes(bytes(range(256)))
     (tmp_path / "huge.toml").write_text("#" * 2**20 + "\n")
-    for name, says in [
+    for name, message in [
         ("binary.toml", "this is not text"),
         ("huge.toml", "larger than 1048576 bytes"),
         ("none.toml", "No such file or directory; give an existing TOML file"),
         ("", "Is a directory"),
     ]:
-        with pytest.raises(InputError, match=f"{name}: {says}"):
+        with pytest.raises(InputError, match=f"{name}: {message}"):
             read_experiment(tmp_path / name)
     with pytest.raises(InputError, match="/dev/zero: larger than"):
         read_experiment(Path("/dev/zero"))
@@ -235,7 +235,7 @@ def test_any_text_is_settings_or_refused(tmp_path_factory: pytest.TempPathFactor
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "message"),
     [
         (b"", "line 1: the header is ''"),
         (b"speed,height\n", "line 2: there is no step"),
@@ -247,12 +247,12 @@ def test_any_text_is_settings_or_refused(tmp_path_factory: pytest.TempPathFactor
         (b"speed,height\n" + b"0.1,0.5\n" * 200_000, "larger than 1048576 bytes"),
     ],
 )
-def test_a_wrong_reference_is_refused_by_line(tmp_path: Path, content: bytes, says: str) -> None:
+def test_a_wrong_reference_is_refused_by_line(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "ref.csv"
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"ref\.csv") as caught:
         load_reference(Experiment(reference=str(path)), SPACE)
-    assert says in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_reference_that_is_missing_is_refused(tmp_path: Path) -> None:

@@ -1,11 +1,11 @@
-"""Ticks of a run that goes on: each counts as of the hop that it happened in, and the right deployments are kept."""
+"""Recorded ticks of a run: each is assigned to its hop, and the ticks of the right deployments are kept."""
 
 from pathlib import Path
 
 import numpy as np
 
 from stepgap.experiment.loop import Observer
-from stepgap.experiment.plants import plant_on, remade_rig
+from stepgap.experiment.plants import plant_on, replay_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.experiment.tick_recorder import HopCount, TickRecorder
 from stepgap.learning.step_log import LoggedStep
@@ -32,13 +32,13 @@ def tick(time: float, phase: Phase) -> Tick:
 
 
 def hop(recorder: TickRecorder, ticks: int = 10) -> None:
-    """Falls, pushes, rises, and falls in the last tick."""
+    """Records a hop: descent, thrust, ascent, and descent in the last tick."""
     for row in range(ticks - 1):
         recorder.on_tick(tick(0.001 * row, Phase(1 + row) if row < 3 else Phase.ASCENT))
     recorder.on_tick(tick(1.0, Phase.DESCENT))
 
 
-def test_a_tick_counts_for_the_hop_it_happens_in(tmp_path: Path) -> None:
+def test_a_tick_is_assigned_to_its_hop(tmp_path: Path) -> None:
     (tmp_path / "experiment.toml").write_text("seed = 3\n")
     settings, count = read_experiment(tmp_path / "experiment.toml"), HopCount()
     observer, seen = count.observing(Observer()), set()
@@ -48,7 +48,7 @@ def test_a_tick_counts_for_the_hop_it_happens_in(tmp_path: Path) -> None:
         count.on_tick(tick)
 
     for iteration in range(2):
-        with plant_on(settings, remade_rig(settings, iteration)[0], on_tick) as plant:
+        with plant_on(settings, replay_rig(settings, iteration)[0], on_tick) as plant:
             plant.start()
             assert seen == {(iteration, 0)}
             for number in (1, 2, 3):
@@ -61,16 +61,16 @@ def test_a_tick_counts_for_the_hop_it_happens_in(tmp_path: Path) -> None:
 
 
 def test_the_first_and_the_latest_deployment_are_kept() -> None:
-    told: list[object] = []
+    reported: list[object] = []
     recorder = TickRecorder(every=5)
-    observer = recorder.observing(Observer(told.append, told.append))
+    observer = recorder.observing(Observer(reported.append, reported.append))
     for iteration in range(3):
         for number in (0, 1, 2):
             hop(recorder, 10 + iteration)
             if number:
                 observer.on_step(step(iteration, number))
         observer.on_deployment(deployment(iteration))
-    assert len(told) == 3 * (2 + 1)
+    assert len(reported) == 3 * (2 + 1)
     assert set(recorder.kept) == {0, 2}
     first = recorder.kept[0]
     assert list(first.units) == [*TICK_UNITS, "step"]
@@ -78,7 +78,7 @@ def test_the_first_and_the_latest_deployment_are_kept() -> None:
     assert recorder.kept[2]["step"].tolist() == [0, 0, 0, 1, 1, 2, 2, 2]
 
 
-def test_calibrating_steps_have_numbers_up_to_zero() -> None:
+def test_exploratory_steps_have_numbers_up_to_zero() -> None:
     recorder = TickRecorder(every=5)
     observer = recorder.observing(Observer())
     hop(recorder)

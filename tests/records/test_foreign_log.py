@@ -1,4 +1,4 @@
-"""HopperReading any CSV log: that numbers arrive, that rows chain rightly, and that what is wrong is named."""
+"""Reading any CSV log: all numbers are read, rows are chained correctly, and messages name each fault."""
 
 import re
 from collections.abc import Sequence
@@ -38,13 +38,13 @@ def written(names: Sequence[str], rows: Sequence[Sequence[object]], delimiter: s
     st.permutations(["v", "y", "v2", "y2", "f", "other"]),
     st.sampled_from(",;\t"),
 )
-def test_every_number_arrives(rows: list[tuple[float, ...]], names: list[str], delimiter: str) -> None:
+def test_every_number_is_read(rows: list[tuple[float, ...]], names: list[str], delimiter: str) -> None:
     table = np.array(rows)
     used = [names.index(name) for name in ("v", "y", "v2", "y2", "f")]
     whole = np.isfinite(table[:, used]).all(axis=1)
     text = written(names, [["" if np.isnan(cell) else repr(cell) for cell in row] for row in rows], delimiter)
     if not whole.any():
-        with pytest.raises(RecordError, match="no row is a whole step"):
+        with pytest.raises(RecordError, match="no row holds a complete step"):
             read(text, WHOLE)
         return
     steps = read(text, WHOLE)
@@ -76,7 +76,7 @@ def test_rows_chain_as_if_the_next_state_were_written(rows: list[tuple[int, bool
         (Columns(next=("v",), **common), backward),
     ):
         if not expected:
-            with pytest.raises(RecordError, match="no row is a whole step"):
+            with pytest.raises(RecordError, match="no row holds a complete step"):
                 read(text, columns)
             continue
         steps = read(text, columns)
@@ -86,15 +86,15 @@ def test_rows_chain_as_if_the_next_state_were_written(rows: list[tuple[int, bool
 
 @settings(max_examples=80, deadline=None)
 @given(st.binary(max_size=60) | st.text(max_size=60).map(lambda text: b"v,y,v2,y2,f\n" + text.encode()))
-def test_whatever_a_file_holds_there_is_one_kind_of_error(content: bytes) -> None:
-    steps, said = None, ""
+def test_any_content_of_a_file_gives_one_kind_of_error(content: bytes) -> None:
+    steps, message = None, ""
     try:
         steps = read(content, WHOLE)
     except RecordError as error:
-        said = str(error)
+        message = str(error)
     if steps is None:
-        assert "log.csv" in said
-        assert len(said) < 600
+        assert "log.csv" in message
+        assert len(message) < 600
     else:
         assert np.isfinite(np.hstack([steps.state, steps.next_state, steps.command])).all()
 
@@ -117,7 +117,7 @@ def test_units_factors_names_and_targets() -> None:
     np.testing.assert_array_equal(steps.target, steps.command)
     assert steps.predicted is None
     for quantity in steps.space.command:
-        assert quantity.lower < quantity.upper, "though its values are all alike"
+        assert quantity.lower < quantity.upper, "although its values are all equal"
 
 
 def test_each_file_is_a_deployment(tmp_path: Path) -> None:
@@ -130,23 +130,23 @@ def test_each_file_is_a_deployment(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("", "log.csv: empty"),
         ("v,y,v2,y2\n", "log.csv, line 1: command 'f': no column 'f'; there is v, y, v2, y2"),
         ("v,y,next_v2,y2,f\n", "log.csv, line 1: next 'v2': no column 'v2'; did you mean"),
         ("v,y,v2,y2,f,f\n", "log.csv, line 1: command 'f': more than one such column"),
-        ("v,y,v2,y2,f\n", "log.csv: no row is a whole step (none)"),
+        ("v,y,v2,y2,f\n", "log.csv: no row holds a complete step (none)"),
         ("v,y,v2,y2,f\n1,2,3,4\n", "log.csv, line 2: 4 values; it must have 5"),
         ("v,y,v2,y2,f\n\n1,2,3,4,strong\n", "log.csv, line 3, column 'f': 'strong'; it must be a number"),
         ("v,y,v2,y2,f\n1,2,3,4,1e13\n", "log.csv, line 2, column 'f': '1e13'; it must be a number within"),
-        ("v,y,v2,y2,f\n1,2,3,4,\n1,2,3,nan,5\n", "log.csv: no row is a whole step (2 with a number missing)"),
+        ("v,y,v2,y2,f\n1,2,3,4,\n1,2,3,nan,5\n", "log.csv: no row holds a complete step (2 with a number missing)"),
         ('v,y,v2,y2,f\n1,2,3,4,"5\n', "log.csv, line 2: "),
-        (b"\xff\xfe\x00", "log.csv: this is not text"),
+        (b"\xff\xfe\x00", "log.csv: not a text file"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_named(text: str | bytes, words: str) -> None:
-    with pytest.raises(RecordError, match=re.escape(words)):
+def test_faults_of_a_file_are_named(text: str | bytes, message: str) -> None:
+    with pytest.raises(RecordError, match=re.escape(message)):
         read(text, WHOLE)
 
 
@@ -157,27 +157,30 @@ def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.Monkey
         read_foreign_logs([tmp_path / "log.csv"], WHOLE)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=r"none\.csv: No such file"):
         read_foreign_logs([tmp_path / "none.csv"], WHOLE)
 
 
 @pytest.mark.parametrize(
-    ("said", "words"),
+    ("arguments", "message"),
     [
         ({"command": ("f",)}, "state: no column"),
         ({"state": ("v",)}, "command: no column"),
         ({"state": ("v", "y"), "next": ("v2",), "command": ("f",)}, "next: 1 columns; it must have as many"),
         ({"state": ("v",) * 13, "command": ("f",)}, "state: 13 columns; it must have at most 12"),
-        ({"state": ("v",), "command": ("x=f", "v=g")}, "give each a name of its own"),
+        ({"state": ("v",), "command": ("x=f", "v=g")}, "give each a different name"),
         ({"state": ("v",), "command": ("f",), "units": {"w": "m"}}, "units: no column 'w'; "),
-        ({"state": ("v",), "command": ("f",), "factors": {"f": 0.0}}, "factors: f = 0.0, but it must"),
-        ({"state": ("v",), "command": ("f",), "factors": {"f": float("nan")}}, "factors: f = nan, but it must"),
+        ({"state": ("v",), "command": ("f",), "factors": {"f": 0.0}}, "factors: f = 0.0, but its magnitude must"),
+        (
+            {"state": ("v",), "command": ("f",), "factors": {"f": float("nan")}},
+            "factors: f = nan, but its magnitude must",
+        ),
     ],
 )
-def test_columns_must_fit_each_other(said: dict, words: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(words)):
-        Columns(**said)
+def test_columns_must_fit_each_other(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        Columns(**arguments)
 
 
 def test_columns_from_a_file_and_options(tmp_path: Path) -> None:
@@ -195,13 +198,13 @@ def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         (b"sate = ['v']", "sate: unknown key; did you mean state?"),
         (b"state = 'v'", "state = 'v', but it must be a list of names of columns"),
         (b"state = ['']", "state = [''], but it must be a list"),
         (b"step = 3", "step = 3, but it must be the name of a column"),
-        (b"[units]\nv = 3", "units = {'v': 3}, but it must be a table of texts"),
+        (b"[units]\nv = 3", "units = {'v': 3}, but it must be a table of strings"),
         (b"[factors]\nv = true", "factors = {'v': True}, but it must be a table of numbers"),
         (b"state = ['v']", "command: no column"),
         (b"state = ", "not TOML"),
@@ -209,10 +212,10 @@ def test_a_byte_order_mark_in_a_file_of_columns_does_no_harm(tmp_path: Path) -> 
         (b"#" * 2**21, "larger than"),
     ],
 )
-def test_what_is_wrong_with_a_file_of_columns_is_named(tmp_path: Path, text: bytes, words: str) -> None:
+def test_faults_of_a_file_of_columns_are_named(tmp_path: Path, text: bytes, message: str) -> None:
     file = tmp_path / "columns.toml"
     file.write_bytes(text)
-    with pytest.raises(RecordError, match=re.escape(words)) as caught:
+    with pytest.raises(RecordError, match=re.escape(message)) as caught:
         read_columns(file, {})
     assert str(caught.value).startswith(f"{file}: ")
 

@@ -1,4 +1,4 @@
-"""The file that keeps the motion of a deployment: what is read is what was written, or nothing."""
+"""The motion file of a deployment: it is read back as written, or not at all."""
 
 from pathlib import Path
 
@@ -46,7 +46,7 @@ def test_a_damaged_motion_is_none(tmp_path: Path) -> None:
     assert read_motion(path, ("step",), "origin") is None
 
 
-def test_channels_that_are_no_motion_are_none(tmp_path: Path) -> None:
+def test_invalid_channels_give_no_motion(tmp_path: Path) -> None:
     for name, bad in (("nan", np.array([1.0, np.nan])), ("long", np.zeros(3)), ("square", np.zeros((2, 1)))):
         path = tmp_path / f"{name}.npz"
         write_motion(path, {"travel": np.zeros(2), "height": np.zeros(2), "force": bad}, "origin")

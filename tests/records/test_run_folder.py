@@ -22,7 +22,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def complaint(folder: Path) -> str:
-    """What is said of a bad run folder: one line, with no path but those of the folder."""
+    """The error message for a bad run folder: one line, with no path except those of the folder."""
     with pytest.raises((ValueError, OSError)) as caught:
         read_run_folder(folder)
     text = str(caught.value)
@@ -52,7 +52,7 @@ def test_record_is_what_was_written(folder: Path) -> None:
     assert record.unfinished == {}
 
 
-def test_deployment_under_way_is_no_error(folder: Path) -> None:
+def test_an_unfinished_deployment_is_no_error(folder: Path) -> None:
     edit_summary(folder, lambda content: content["iterations"].pop())
     record = read_run_folder(folder)
     assert (record.shown_iterations, record.unfinished) == ([0], {1: 5})
@@ -90,7 +90,7 @@ def test_space_may_be_given(folder: Path) -> None:
         read_run_folder(folder, other)
 
 
-def test_folder_that_is_none(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     for wrong in (tmp_path, tmp_path / "missing", tmp_path / "file"):
         (tmp_path / "file").touch()
         assert "no such file; " in complaint(wrong)
@@ -106,7 +106,7 @@ NO_STEP_LOGS = {
 
 
 @pytest.mark.parametrize("content", NO_STEP_LOGS.values(), ids=NO_STEP_LOGS.keys())
-def test_steps_that_are_no_step_log(folder: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_step_log_is_refused(folder: Path, content: bytes) -> None:
     (folder / "steps.csv").write_bytes(content)
     assert complaint(folder).startswith(
         "RUN/steps.csv, line 1: not the header of a step log; it must be iteration, step"
@@ -124,10 +124,10 @@ def test_steps_that_are_no_step_log(folder: Path, content: bytes) -> None:
         ("-1,1,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
         ("0,1,0,0,0,0,0,0,0,0,0,0,1,1,inf,ok\n", "RUN/steps.csv, line 2: not the next step"),
         ("0,1,0,0,0,0,0,0,0,0,0,0,1,-1,0,ok\n", "std_… negative"),
-        ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,0,ok\n", "a state is beyond ±1e+09"),
+        ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,0,ok\n", "a state is larger than ±1e+09"),
     ],
 )
-def test_steps_that_are_wrong(folder: Path, row: str, message: str) -> None:
+def test_wrong_steps_are_refused(folder: Path, row: str, message: str) -> None:
     (folder / "summary.json").unlink()
     header = (folder / "steps.csv").read_text().splitlines(keepends=True)[0]
     (folder / "steps.csv").write_text(header + row)
@@ -148,7 +148,7 @@ def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
         (b"", "not JSON"),
         (b'{"schema": 1, "seed": 0, "iterat', "not JSON"),
         (b"[" * 10**6, "not JSON"),
-        (b'{"schema": NaN}', "not JSON (NaN is no JSON number)"),
+        (b'{"schema": NaN}', "not JSON (NaN is not a JSON number)"),
         (b"\xff\xfe\x00", "not a text file"),
         (b"[1]", "but it must be an object"),
         (b"{}", "schema is missing, but it must be 1"),
@@ -158,7 +158,7 @@ def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
         (b'{"schema": 1, "iterations": ["x"]}', "iterations[0] is 'x', but it must be an object"),
     ],
 )
-def test_summary_that_is_none(folder: Path, content: bytes, message: str) -> None:
+def test_a_file_that_is_not_a_summary_is_refused(folder: Path, content: bytes, message: str) -> None:
     (folder / "summary.json").write_bytes(content)
     text = complaint(folder)
     assert text.startswith("RUN/summary.json: ")
@@ -173,21 +173,21 @@ def test_summary_that_is_none(folder: Path, content: bytes, message: str) -> Non
         (lambda content: content.pop("repeatability"), "repeatability is missing"),
         (lambda content: content.update(versions=[1]), "versions is [1], but it must be an object"),
         (lambda content: content["iterations"][0].update(residual=3), "iterations[0]: residual is 3"),
-        (lambda content: content["iterations"][0].update(residual="x" * 101), "but it must be a short text"),
+        (lambda content: content["iterations"][0].update(residual="x" * 101), "but it must be a short string"),
         (lambda content: content["iterations"][0].update(steps=True), "steps is True, but it must be an integer"),
         (lambda content: content["iterations"][0].pop("mae"), "iterations[0]: mae is missing"),
-        (lambda content: content["iterations"][1].update(mae={"speed": 1}), "but it must be of speed, tilt"),
+        (lambda content: content["iterations"][1].update(mae={"speed": 1}), "but it must have speed, tilt"),
         (
             lambda content: content["iterations"][1]["mae"].update(tilt="0.1"),
             "mae of tilt is '0.1', but it must be a number",
         ),
         (lambda content: content["iterations"][1]["mae"].update(tilt=10**400), "but it must be a number or null"),
-        (lambda content: content["iterations"].reverse(), "numbered [1, 0], but their numbers must rise"),
+        (lambda content: content["iterations"].reverse(), "numbered [1, 0], but their numbers must increase"),
         (lambda content: content["iterations"][1].update(steps=6), "has 6 steps and 0 falls, in steps.csv 5 and 0"),
         (lambda content: content["iterations"][1].update(falls=1), "has 5 steps and 1 falls, in steps.csv 5 and 0"),
     ],
 )
-def test_summary_that_is_wrong(folder: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
+def test_a_wrong_summary_is_refused(folder: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
     edit_summary(folder, change)
     text = complaint(folder)
     assert text.startswith("RUN/summary.json: ")
@@ -198,7 +198,7 @@ def test_summary_that_is_wrong(folder: Path, change: Callable[[dict[str, Any]], 
 @pytest.mark.parametrize(
     ("content", "message"), [(b"seed 3", "not TOML"), (b"\xff", "this is not text"), (b"#" * 2**21, "larger than")]
 )
-def test_settings_that_are_none(folder: Path, content: bytes, message: str) -> None:
+def test_a_file_without_settings_is_refused(folder: Path, content: bytes, message: str) -> None:
     (folder / "experiment.toml").write_bytes(content)
     text = complaint(folder)
     assert text.startswith("RUN/experiment.toml: ")
@@ -210,13 +210,13 @@ def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
     assert read_run_folder(folder).settings == SettingsFile("seed = 3\n", {"seed": 3})
 
 
-def test_directories_in_place_of_files(folder: Path) -> None:
+def test_directories_instead_of_files_are_refused(folder: Path) -> None:
     (folder / "experiment.toml").mkdir()
     assert "RUN/experiment.toml: not a file" in complaint(folder)
 
 
 @pytest.mark.parametrize("content", ["", "\n", "\r\n\r\n"])
-def test_steps_that_are_none_yet(folder: Path, content: str) -> None:
+def test_a_step_log_without_steps_is_refused(folder: Path, content: str) -> None:
     (folder / "steps.csv").write_text(content)
     assert complaint(folder).startswith("RUN/steps.csv: no step yet; it must have a header and at least one row")
 
@@ -237,7 +237,7 @@ def test_too_many_coordinates(tmp_path: Path) -> None:
 
 def test_summary_of_another_robot(folder: Path) -> None:
     write_summary(folder, ("speed", "height"), 5, 2)
-    assert "but it must be of speed, tilt, as in steps.csv" in complaint(folder)
+    assert "but it must have speed, tilt, as in steps.csv" in complaint(folder)
 
 
 def test_every_fall_counts(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The record of steps: bit-exact, strict, on disk step by step, one writer at a time."""
+"""The step log: exact, strictly checked, on disk step by step, with one writer at a time."""
 
 import hashlib
 import math
@@ -15,7 +15,7 @@ from stepgap.learning.step_log import LoggedStep
 from stepgap.records import steps_csv
 from stepgap.records.steps_csv import RecordError, StepWriter, column_names, digest, read_step_log, row_of
 from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
-from tests.full_disk import SAYS, largest_file
+from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", 0.0, 0.4), Quantity("height", "m", 0.5, 0.6)),
@@ -55,7 +55,7 @@ def numbers_of(logged: LoggedStep) -> bytes:
 
 
 @given(logged=any_step())
-def test_a_step_is_read_back_to_the_last_bit(tmp_path_factory: pytest.TempPathFactory, logged: LoggedStep) -> None:
+def test_a_step_is_read_back_exactly(tmp_path_factory: pytest.TempPathFactory, logged: LoggedStep) -> None:
     path = tmp_path_factory.mktemp("log") / "steps.csv"
     write(path, logged)
     (read,) = read_step_log(path, SPACE)
@@ -98,7 +98,7 @@ def test_each_row_is_on_disk_before_append_returns(tmp_path: Path, monkeypatch: 
             assert len(read_step_log(path, SPACE)) == number
 
 
-def test_wherever_a_file_is_cut_off_it_goes_on_from_the_last_whole_row(tmp_path: Path) -> None:
+def test_a_file_cut_off_anywhere_is_continued_after_the_last_complete_row(tmp_path: Path) -> None:
     path = tmp_path / "steps.csv"
     write(path, step(), step(number=2))
     whole = path.read_bytes()
@@ -115,11 +115,11 @@ def test_wherever_a_file_is_cut_off_it_goes_on_from_the_last_whole_row(tmp_path:
         assert path.read_bytes() == whole or kept == 2
 
 
-def test_a_full_disk_is_said_with_the_file_and_spoils_no_row(tmp_path: Path) -> None:
+def test_the_error_of_a_full_disk_names_the_file_and_damages_no_row(tmp_path: Path) -> None:
     path = tmp_path / "steps.csv"
     write(path, step())
     whole = path.read_bytes()
-    with largest_file(len(whole) + 20), pytest.raises(OSError, match=SAYS) as caught:
+    with largest_file(len(whole) + 20), pytest.raises(OSError, match=FILE_TOO_LARGE) as caught:
         write(path, step(number=2))
     assert caught.value.filename == str(path)
     assert path.read_bytes()[: len(whole)] == whole
@@ -134,7 +134,7 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "line", "says"),
+    ("spoil", "line", "expected"),
     [
         (lambda text: text.replace("speed", "pace", 1), 1, "the columns must be iteration,step,speed"),
         (lambda text: text.replace("yaw_after", "place_after", 1), 1, "column yaw_after was called place_after"),
@@ -156,7 +156,7 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
         (lambda text: text.replace("0.11,0.55", "nan,nan").replace("ok", "fell", 1), 3, "step 1 of deployment 1"),
     ],
 )
-def test_a_spoilt_file_is_refused_by_line_and_left_alone(tmp_path: Path, spoil, line: int, says: str) -> None:
+def test_a_damaged_file_is_refused_by_line_and_not_changed(tmp_path: Path, spoil, line: int, expected: str) -> None:
     path = tmp_path / "steps.csv"
     write(path, step(), step(number=2))
     path.write_text(spoil(path.read_text()))
@@ -165,14 +165,14 @@ def test_a_spoilt_file_is_refused_by_line_and_left_alone(tmp_path: Path, spoil, 
         read_step_log(path, SPACE)
     message = str(caught.value)
     assert message.startswith(f"{path}, line {line}: ")
-    assert says in message
+    assert expected in message
     assert len(message) < 500
     with pytest.raises(RecordError):
         StepWriter(path, SPACE)
     assert path.read_bytes() == before
 
 
-def test_what_is_no_text_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_not_text_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "steps.csv"
     path.write_bytes(b"\xff\xfe\x00\n")
     with pytest.raises(RecordError, match=r"steps\.csv: not a text file in UTF-8"):
@@ -186,7 +186,7 @@ def test_what_is_no_text_or_too_large_is_refused(tmp_path: Path, monkeypatch: py
 
 
 def test_a_fall_with_numbers_is_read_as_well(tmp_path: Path) -> None:
-    """A safety stop in the very tick of the apex has a next state and no success."""
+    """A safety stop in the same tick as the apex has a next state, but is a failure."""
     record = StepRecord(np.zeros(2), np.zeros(2), np.zeros(2), np.array([0.1, math.nan]), StepStatus.STOPPED)
     write(tmp_path / "steps.csv", LoggedStep(0, 1, np.zeros(2), np.zeros(2), np.zeros(2), record))
     assert read_step_log(tmp_path / "steps.csv", SPACE).falls == 1

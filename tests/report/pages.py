@@ -1,4 +1,4 @@
-"""Pages as their readers see them, for tests."""
+"""Parsed HTML pages for tests."""
 
 import re
 from base64 import b64encode
@@ -12,7 +12,7 @@ SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
 
 
 class Page(HTMLParser):
-    """Tags and text of a page; an element that is not closed in its turn is an error."""
+    """Tags and text of a page; an element that is not properly closed is an error."""
 
     def __init__(self, path: Path):
         super().__init__()
@@ -48,7 +48,7 @@ class Page(HTMLParser):
 
 
 def check_alone(page: Page, pictures: int = 3) -> None:
-    """The page fetches nothing and runs nothing, its graphics are sound and its identifiers unique."""
+    """Asserts that the page loads and runs nothing, that its graphics are valid and its identifiers unique."""
     policy = [given["content"] for tag, given in page.tags if given.get("http-equiv") == "Content-Security-Policy"]
     assert len(policy) == 1
     assert policy[0].startswith("default-src 'none'; style-src 'unsafe-inline'; img-src data:;")

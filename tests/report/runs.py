@@ -1,4 +1,4 @@
-"""Run folders for the tests of `report`, made by the experiment itself on a map with a closed form."""
+"""Run folders for the tests of `report`, from the experiment itself on a map with a closed form."""
 
 import json
 from dataclasses import replace
@@ -23,11 +23,11 @@ TARGETS = Reference.from_segments(
 
 
 REAL = LossyHopper(drift=0.1, loss=0.43)
-"""What the robot really does; the nominal map is `LossyHopper()`."""
+"""The real robot; the nominal map is `LossyHopper()`."""
 
 
-class Tiring(ModelPlant):
-    """Falls after so many steps."""
+class FallingPlant(ModelPlant):
+    """A plant that falls after `lasts` steps."""
 
     lasts = 10**9
     made = 0
@@ -44,18 +44,18 @@ def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), rea
     """Runs the experiment into a folder.
 
     Args:
-        folder: To be made.
-        iterations: Redeployments.
-        lasts: After how many steps the robot falls in the first deployments.
-        real: What it really does.
+        folder: New folder.
+        iterations: Number of redeployments.
+        lasts: Numbers of steps before a fall in the first deployments.
+        real: The real robot.
     """
     folder.mkdir()
     noise = np.array([0.005, 0.002]) if real is REAL else np.zeros(2)
-    tired = iter(lasts)
+    steps_before_falls = iter(lasts)
 
     def plant(rng: np.random.Generator) -> ModelPlant:
-        made = Tiring(real, np.array([0.1, 0.56]), noise, rng)
-        made.lasts = next(tired, made.lasts)
+        made = FallingPlant(real, np.array([0.1, 0.56]), noise, rng)
+        made.lasts = next(steps_before_falls, made.lasts)
         return made
 
     run_experiment(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, tolerance=0.0), folder, seed=0)
@@ -70,7 +70,7 @@ def write_run(
     residual: str = "gp",
     targets: Array | None = None,
 ) -> Path:
-    """A made-up run of a robot with these state coordinates and one command."""
+    """Writes a synthetic run of a robot with these state coordinates and one command."""
     folder.mkdir()
     space = StepSpace(tuple(Quantity(name, "", -1, 1) for name in names), (Quantity("push", "N", -1, 1),))
     rng = np.random.default_rng(0)
@@ -85,14 +85,14 @@ def write_run(
 
 
 def logged(iteration: int, step: int, state: Array, target: Array, status: StepStatus = StepStatus.OK) -> LoggedStep:
-    """A step that ends a tenth beyond its target."""
+    """A step whose next state is 1.1 times its target."""
     next_state = 1.1 * target if status == StepStatus.OK else np.full_like(target, np.nan)
     record = StepRecord(state, np.zeros(1), np.zeros(1), next_state, status)
     return LoggedStep(iteration, step, target, target, np.full_like(target, 0.1 * (iteration > 0)), record)
 
 
 def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: int, residual: str = "gp") -> None:
-    """A summary that knows no error, all null."""
+    """Writes a summary in which all errors are null."""
     unknown = dict.fromkeys(names)
     measures = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
     entries = [
@@ -105,12 +105,12 @@ def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: 
 
 
 def motion(frames: int) -> DeploymentMotion:
-    """A made-up motion whose steps take 0.8 s, from step 0 on."""
+    """A synthetic motion whose steps take 0.8 s, from step 0 on."""
     time = np.arange(frames) / RATE
     moving = [0.2 * time, 0.5 + 0.1 * np.sin(7 * time), 0.1 * np.cos(7 * time), 1 + 0.3 * np.sin(7 * time)]
     return DeploymentMotion(np.floor(time / 0.8), moving[0], moving[1], moving[2], moving[3], np.zeros(frames))
 
 
 def report_of(folder: Path, context: RunContext = NO_CONTEXT, space: StepSpace | None = None) -> Path:
-    """The page of the report of a run folder, just written."""
+    """Writes the report of a run folder and returns the path of the page."""
     return write_report(read_run_folder(folder, space), context).path

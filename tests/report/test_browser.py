@@ -1,4 +1,4 @@
-"""The report in a headless Chromium: it asks nobody for anything, complains of nothing, its replay scrubs."""
+"""The report in a headless Chromium: it makes no request, has no error, and its replay can be scrubbed."""
 
 from functools import partial
 from pathlib import Path
@@ -40,7 +40,7 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
 
 
 @pytest.mark.usefixtures("svg_only")
-def test_a_fall_reads_as_one(tmp_path: Path, watched_page: Watched) -> None:
+def test_a_fall_is_described_as_one(tmp_path: Path, watched_page: Watched) -> None:
     folder = make_run(tmp_path / "run", 0, lasts=(3,))
     replay = Replay({0: motion(400)}, RobotParameters(), 0.4)
     page = watched_page.page

@@ -1,4 +1,4 @@
-"""The report is made from a finished record: none of its modules can reach a simulator, a plant or the experiment."""
+"""The report needs only a finished record: its modules import no simulator, plant or experiment."""
 
 import subprocess
 import sys

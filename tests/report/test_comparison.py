@@ -17,8 +17,8 @@ from tests.report.runs import make_run, write_run
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Two runs, the second with one redeployment less and another seed."""
-    place = tmp_path_factory.mktemp("several")
-    folders = [make_run(place / "a <b>", 2), make_run(place / "c", 1)]
+    parent = tmp_path_factory.mktemp("several")
+    folders = [make_run(parent / "a <b>", 2), make_run(parent / "c", 1)]
     for seed, folder in enumerate(folders):
         (folder / "experiment.toml").write_text(f"seed = {seed}\n[gains]\nstiffness = 2400.0\n")
     return folders
@@ -51,7 +51,7 @@ def test_runs_of_another_state_are_refused(folders: list[Path], tmp_path: Path) 
     other = write_run(tmp_path / "other", ("x",))
     with pytest.raises(ValueError, match=r"^[^\n]*only runs of the same state can be compared$"):
         comparison_html([read_run_folder(folders[0]), read_run_folder(other)])
-    with pytest.raises(ValueError, match="1 runs to compare; it must be 2 to 12"):
+    with pytest.raises(ValueError, match="1 runs to compare, but there must be 2 to 12"):
         comparison_html([read_run_folder(folders[0])])
 
 
@@ -64,7 +64,7 @@ def test_unfinished_runs_are_compared(folders: list[Path], tmp_path: Path) -> No
     assert "No experiment.toml in: " in text
 
 
-def test_names_are_what_paths_do_not_share() -> None:
+def test_names_are_paths_without_their_common_part() -> None:
     assert run_names([Path("/runs/a"), Path("/runs/b/c")]) == ["a", "b/c"]
     assert run_names([Path("/x/run"), Path("/y/run")]) == ["x/run", "y/run"]
     assert run_names([Path("/x/run"), Path("/x/run")]) == ["run (1)", "run (2)"]
@@ -78,8 +78,8 @@ def test_settings_that_differ() -> None:
     assert "&lt;" in changed_settings({"x": "<"}, json.loads('{"x": 2}'))
 
 
-def test_calibrating_steps_are_no_other_reference(folders: list[Path], tmp_path: Path) -> None:
-    """Their targets are what was predicted, as a run with `--explore` writes them."""
+def test_exploratory_steps_are_no_other_reference(folders: list[Path], tmp_path: Path) -> None:
+    """Their targets are the predicted states, as in a run with `--explore`."""
     record = read_run_folder(folders[0])
     first = next(iter(record.steps))
     steps = StepLog(record.space, [replace(first, step=0, target=first.predicted), *record.steps])

@@ -1,4 +1,4 @@
-"""A figure that cannot be drawn leaves its reason."""
+"""A figure that cannot be drawn is replaced by the reason."""
 
 import builtins
 from pathlib import Path
@@ -15,11 +15,11 @@ def test_the_reason_is_one_short_line() -> None:
     def fail() -> None:
         raise OSError("no font\n" * 100)
 
-    said = draw_figure(fail, "errors")
-    assert isinstance(said, Missing)
-    assert said.reason.startswith("no figure of errors could be drawn (OSError: no font no font")
-    assert "pip install --force-reinstall matplotlib" in said.reason
-    assert len(said.reason) < 250 + LONGEST_ERROR
+    missing = draw_figure(fail, "errors")
+    assert isinstance(missing, Missing)
+    assert missing.reason.startswith("no figure of errors could be drawn (OSError: no font no font")
+    assert "pip install --force-reinstall matplotlib" in missing.reason
+    assert len(missing.reason) < 250 + LONGEST_ERROR
 
 
 def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

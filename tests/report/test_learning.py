@@ -1,4 +1,4 @@
-"""The measures of `stepgap bench learning`, on made-up deployments."""
+"""The measures of `stepgap bench learning`, on synthetic deployments."""
 
 import numpy as np
 import pytest
@@ -41,14 +41,14 @@ def test_measures_are_medians_and_counts_over_twins_and_seeds() -> None:
     summary = summarise_learning(ROWS)
     none, gp, linear = summary["methods"]
     assert (summary["pairs"], summary["drawn_again"]) == (3, 1)
-    assert summary["noise"] == pytest.approx(np.log(1.1)), "of two numbers, the difference"
+    assert summary["noise"] == pytest.approx(np.log(1.1)), "for two numbers, the difference"
     assert none["rmse"] == pytest.approx([1.1, 0.11]), "a fall counts as the largest error"
     assert gp["rmse"] == pytest.approx([0.3, 0.03])
     assert gp["hops_to_band"] == 250
     assert gp["reached_band"] == 2
     assert gp["coverage"] == [0.95, 0.5]
     assert (gp["worse"], gp["falls"]) == (1, 0), "2.0 is more than 1.1 and chance"
-    assert (linear["worse"], linear["falls"]) == (1, 2), "where both fell none is worse"
+    assert (linear["worse"], linear["falls"]) == (1, 2), "if both fell, neither is worse"
     assert (none["better_than_gp"], gp["better_than_gp"], linear["better_than_gp"]) == (1, 0, 0)
     assert linear["rmse"] == [None, None]
     assert 1.1 * np.exp(BEYOND_NOISE * summary["noise"]) < 2

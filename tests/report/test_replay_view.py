@@ -1,4 +1,4 @@
-"""The replay's data, as the page's script unpacks them."""
+"""The data of the replay, unpacked as by the page's script."""
 
 import json
 import re
@@ -54,7 +54,7 @@ def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
 
 
 def test_a_sensed_motion_is_read_from_counts() -> None:
-    layout = HopperSensorModel(
+    sensors = HopperSensorModel(
         tick=1e-3,
         boom_length=1.5,
         pivot_height=0.4,
@@ -67,16 +67,16 @@ def test_a_sensed_motion_is_read_from_counts() -> None:
     names = ["boom_horizontal", "boom_vertical", "alpha_1", "alpha_2", "contact_force", "step"]
     units: dict[str, str] = dict.fromkeys(names, "")
     ticks = TickTable(units, np.array([[0, 0, 0.1, 0.9, 0, 3], [1000, 8000 / 12, 0.2, 1, 50, 4]]))
-    shown = sensed_motion(ticks, layout)
+    shown = sensed_motion(ticks, sensors)
     np.testing.assert_allclose(shown.travel, [0, 1.5 * np.pi / 2], rtol=1e-6)
     np.testing.assert_allclose(shown.height, [0.4, 0.4 + 1.5 / 2], rtol=1e-6)
     assert shown.step.tolist() == [3, 4]
     assert shown.force.tolist() == [0, 50]
     with pytest.raises(ValueError, match="finite"):
-        sensed_motion(TickTable(units, np.full((1, 6), np.nan)), layout)
+        sensed_motion(TickTable(units, np.full((1, 6), np.nan)), sensors)
 
 
 @pytest.mark.parametrize("bad", [np.array([1.0, np.nan]), np.zeros(3), np.zeros((2, 1))])
-def test_a_motion_is_equally_long_rows_of_numbers(bad: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"must be (equally long|finite)"):
+def test_a_motion_is_rows_of_numbers_of_equal_length(bad: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"must be (rows of equal length|finite)"):
         DeploymentMotion(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), bad)

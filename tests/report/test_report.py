@@ -43,7 +43,7 @@ def page(written: Path) -> Page:
 
 @pytest.fixture(scope="module")
 def like_paper(tmp_path_factory: pytest.TempPathFactory) -> Page:
-    """The report of a run along the paper's reference, of which no error is known."""
+    """The report of a run with the paper's reference, whose errors are all unknown."""
     targets = paper_reference().targets
     folder = tmp_path_factory.mktemp("like_paper") / "run"
     return Page(report_of(write_run(folder, ("speed", "height"), 227, 5, targets=targets)))
@@ -68,19 +68,19 @@ def test_numbers_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -
             assert ours == [summary["iterations"][iteration][measure][name] for measure in MEASURES]
 
 
-def test_the_papers_numbers_stand_beside_its_own_reference_only(page: Page, like_paper: Page) -> None:
+def test_the_papers_numbers_are_shown_only_for_its_reference(page: Page, like_paper: Page) -> None:
     rows = [row for row in like_paper.cells if any(kind.startswith("paper") for kind, _ in row)]
     assert len(rows) == 2 * 5
     for row, (name, iteration) in zip(rows, product(paper.STATE_NAMES, range(5)), strict=True):
         theirs = [number for kind, number in row if kind.startswith("paper")]
         assert theirs == [paper.paper_error(measure, name, iteration) for measure in MEASURES]
     theirs = ("On the paper's hardware", "For comparison", "The paper's points", "Hops to the paper's band")
-    assert not [words for words in theirs if words in page.text]
-    assert not [words for words in theirs if words not in like_paper.text]
+    assert not [text for text in theirs if text in page.text]
+    assert not [text for text in theirs if text not in like_paper.text]
     assert not [row for row in page.cells if any(kind.startswith("paper") for kind, _ in row)]
 
 
-def test_words_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -> None:
+def test_sentences_agree_with_the_summary(page: Page, summary: dict[str, Any]) -> None:
     before, after = (summary["iterations"][row]["rmse"]["speed"] for row in (0, -1))
     assert "It tracked: the last deployment made all its 40 steps without a fall" in page.text
     assert (
@@ -110,7 +110,7 @@ def test_pictures_are_pictures(written: Path) -> None:
         assert 0.01 < np.mean(picture[..., :3].min(axis=-1) < 0.9) < 0.5
 
 
-def test_writing_again_gives_the_same(written: Path) -> None:
+def test_writing_again_gives_the_same_bytes(written: Path) -> None:
     before = {path: path.read_bytes() for path in written.rglob("*") if path.is_file()}
     report_of(written)
     assert {path: path.read_bytes() for path in written.rglob("*") if path.is_file()} == before
@@ -162,21 +162,21 @@ def test_falls(tmp_path: Path) -> None:
     page = Page(report_of(make_run(tmp_path / "run", iterations=1, lasts=(15, 0))))
     check_alone(page)
     assert "It did not track to the end: deployment 1 fell at step 1." in page.text
-    assert "Deployment 0 fell at step 16; its errors are of the steps before only." in page.text
+    assert "Deployment 0 fell at step 16; its errors include only the steps before." in page.text
     assert "17 hops recorded in 2 deployments on the simulated twin, 2 falls." in page.text
 
 
 @pytest.mark.usefixtures("svg_only")
 def test_a_stop_is_no_fall(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", iterations=0, lasts=(15,))
-    for name, words in {"steps.csv": (",fell", ",stopped"), "summary.json": ("steps_sha256", "former_sha256")}.items():
-        (folder / name).write_text((folder / name).read_text().replace(*words))
+    for name, texts in {"steps.csv": (",fell", ",stopped"), "summary.json": ("steps_sha256", "former_sha256")}.items():
+        (folder / name).write_text((folder / name).read_text().replace(*texts))
     text = Page(report_of(folder)).text
     assert "It did not track to the end: deployment 0 ended without an apex (stopped) at step 16." in text
 
 
 @pytest.mark.usefixtures("svg_only")
-def test_run_under_way(tmp_path: Path) -> None:
+def test_a_run_in_progress(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("x",), steps=3)
     write_summary(folder, ("x",), 3, 1)
     with (folder / "steps.csv").open("a") as file:
@@ -190,7 +190,7 @@ def test_run_under_way(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("svg_only")
-def test_hostile_words_stay_words(tmp_path: Path) -> None:
+def test_hostile_text_stays_text(tmp_path: Path) -> None:
     names = (HOSTILE.replace(",", ""), "../../名\u202e", "AUX")
     folder = write_run(tmp_path / "run", names, residual=HOSTILE[:100])
     content = json.loads((folder / "summary.json").read_text())
@@ -223,7 +223,7 @@ def test_units_of_a_given_space(tmp_path: Path) -> None:
     assert "this run: hardware of ours" in page.text
 
 
-def test_nothing_is_written_of_a_bad_run(written: Path, tmp_path: Path) -> None:
+def test_nothing_is_written_for_a_bad_run(written: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(written, folder)
     (folder / "summary.json").write_text("{}")

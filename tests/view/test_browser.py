@@ -1,4 +1,4 @@
-"""The page as people see it, in a headless Chromium: it talks to nobody else, complains of nothing, its buttons act."""
+"""The page in a headless Chromium: it contacts no other machine, has no error, and its buttons work."""
 
 import re
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ SMALL: ViewportSize = {"width": 800, "height": 500}
 
 
 ROBOT: FloatRect = {"x": 100, "y": 190, "width": 250, "height": 110}
-"""Where only the scene is seen of the small window, the leg in the middle."""
+"""Part of the small window that shows only the scene, with the leg in the middle."""
 
 
 @pytest.fixture
@@ -56,12 +56,12 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     watched_page.wait_for_change(robot, held)  # the robot has moved
     watched_page.keep_screenshot("view_tracking")
 
-    page.get_by_text("What was learnt").click()
-    expect(body).to_contain_text("as deployment 1 began (gp_on_linear)")
+    page.get_by_text("What was learned").click()
+    expect(body).to_contain_text("with which deployment 1 began (gp_on_linear)")
     choose(watched_page, "Along", "fx")
     expect(page.locator(".uplot:visible").first).to_be_visible()
     page.wait_for_timeout(500)
-    watched_page.keep_screenshot("view_learnt")
+    watched_page.keep_screenshot("view_learned")
 
     choose(watched_page, "Deployment", "0: uncorrected map")
     expect(body).to_contain_text("The robot is released.")

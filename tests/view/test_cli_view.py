@@ -1,4 +1,4 @@
-"""`stepgap view` and `run --view` as the shell sees them."""
+"""`stepgap view` and `run --view` as commands of the shell."""
 
 import shutil
 import signal
@@ -19,13 +19,13 @@ from tests.cli.command_line import Command, refused
 from tests.view.conftest import TARGETS
 
 SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-"""Where the tests run in the background, Ctrl-C is ignored."""
+"""Code that enables Ctrl-C, which is ignored where the tests run in the background."""
 
 PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; from stepgap.cli.app import main; main()"]
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
-    """A command in a process of its own, which Ctrl-C reaches."""
+    """Starts a command in a new process that reacts to Ctrl-C."""
     return subprocess.Popen(
         [*PROGRAM, *map(str, arguments)],
         stdout=subprocess.PIPE,
@@ -35,7 +35,7 @@ def started(*arguments: object) -> subprocess.Popen[str]:
 
 
 def address(process: subprocess.Popen[str]) -> str:
-    """Where a process says that its page is."""
+    """Address of the page that a process prints."""
     assert process.stderr
     for line in process.stderr:
         if "open http://" in line:
@@ -44,7 +44,7 @@ def address(process: subprocess.Popen[str]) -> str:
 
 
 def free_port() -> int:
-    """One that no page of another test takes, as it may the usual one when this page has left it."""
+    """A port that no page of another test uses; one could take the default port after this page has released it."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return listener.getsockname()[1]
@@ -92,7 +92,7 @@ def test_broken_files_are_one_line(
 def test_a_run_is_the_same_with_a_page_that_dies(
     stepgap: Command, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The page is killed after the first step; every recorded byte is that of a run without a page."""
+    """The page is killed after the first step; all recorded bytes equal those of a run without a page."""
     observing = LiveView.observing
 
     def killing(live: LiveView, observer: Observer) -> Observer:
@@ -107,8 +107,8 @@ def test_a_run_is_the_same_with_a_page_that_dies(
     monkeypatch.setattr(LiveView, "observing", killing)
     (tmp_path / "targets.csv").write_text(TARGETS)
     arguments = ["--reference", tmp_path / "targets.csv", "--out", tmp_path / "run", "--seed", "5"]
-    said = stepgap("run", *arguments, "--iterations", "1", "--quiet", "--view")
-    assert (said.code, said.out.strip()) == (0, str(tmp_path / "run" / "report.html"))
+    result = stepgap("run", *arguments, "--iterations", "1", "--quiet", "--view")
+    assert (result.code, result.out.strip()) == (0, str(tmp_path / "run" / "report.html"))
     assert (tmp_path / "run" / "steps.csv").read_bytes() == (run_folder / "steps.csv").read_bytes()
 
 

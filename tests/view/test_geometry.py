@@ -1,4 +1,4 @@
-"""The chain is closed, its foot is the leg's, and every joint is where MuJoCo has it."""
+"""The kinematic chain is closed, and all joints have the positions of the leg model and of MuJoCo."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -62,18 +62,18 @@ def replace_pose(pose: HopperPose, **changes: float) -> HopperPose:
 
 
 @pytest.mark.parametrize("stiffness", [np.inf, 3000.0])
-def test_every_joint_is_where_mujoco_has_it(stiffness: float) -> None:
+def test_every_joint_has_its_position_in_mujoco(stiffness: float) -> None:
     gap = replace(RealityGap(), boom_stiffness=stiffness)
     twin = Twin(ROBOT, gap, np.random.default_rng(3))
-    data, compared = twin._shown, 0
+    data, compared = twin._view_data, 0
 
     def compare(_: object) -> None:
         nonlocal compared
-        true, layout = twin.true_state(), twin.sensor_model
+        true, sensors = twin.true_state(), twin.sensor_model
         front, rear = true.leg
         (yaw, pitch), (along, up) = true.boom, true.deflection
         pose = HopperPose(yaw, pitch, (front + rear) / 2, (front - rear) / 2, along, up)
-        joints = joints_at(ROBOT, layout.pivot_height, pose)
+        joints = joints_at(ROBOT, sensors.pivot_height, pose)
         near = {"rtol": 0, "atol": max(1e-6, 5 * true.closure_error)}
         np.testing.assert_allclose(joints.hip, data.body("front_top").xpos, rtol=0, atol=1e-9)
         np.testing.assert_allclose(joints.front_knee, data.body("front_bottom").xpos, rtol=0, atol=1e-9)

@@ -1,4 +1,4 @@
-"""The page on a real server: who can reach it, and what its buttons do."""
+"""The page on a real server: access from other machines, and the effects of its buttons."""
 
 import socket
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ def page(run_folder: Path) -> Iterator[Page]:
     source.close()
 
 
-def test_only_this_machine_reaches_it(page: Page) -> None:
+def test_only_this_machine_can_open_it(page: Page) -> None:
     port = page._server.get_port()
     listening = [
         line.split()[1]
@@ -35,7 +35,7 @@ def test_only_this_machine_reaches_it(page: Page) -> None:
         if line.split()[3] == "0A" and line.split()[1].endswith(f":{port:04X}")
     ]
     if not listening:
-        pytest.skip("this system does not tell who listens where")
+        pytest.skip("this system does not list listening sockets")
     assert listening == [f"0100007F:{port:04X}"]
 
 
@@ -62,29 +62,29 @@ def test_it_plays_step_by_step_and_its_charts_grow(page: Page) -> None:
     assert f"Step {STEPS}" in page._status.content
 
 
-def test_what_was_learnt_is_drawn_along_the_chosen_input(page: Page) -> None:
+def test_what_was_learned_is_drawn_along_the_chosen_input(page: Page) -> None:
     page.player.show(2)
     page.update(0.0)
-    along_speed = page._learnt[0]._chart.data[0]
+    along_speed = page._learned[0]._chart.data[0]
     page._along.value = "fy"
     page.update(0.0)
-    along_force = page._learnt[0]._chart.data[0]
+    along_force = page._learned[0]._chart.data[0]
     assert (along_speed[0], along_speed[-1]) == (0.0, 0.4)
     assert (along_force[0], along_force[-1]) == (-20.0, 20.0)
-    *_, mean, here = page._learnt[0]._chart.data
+    *_, mean, here = page._learned[0]._chart.data
     assert np.isfinite(mean).all()
     assert np.isfinite(here).sum() == 1
     page.choose(0)
     page.player.show(2)
     page.update(0.0)
-    assert not np.isfinite(page._learnt[0]._chart.data[-1]).any()
+    assert not np.isfinite(page._learned[0]._chart.data[-1]).any()
     assert "uncorrected" in page._model_note.content
 
 
 def test_deployment_overlay_and_speed_can_be_chosen(page: Page) -> None:
     page.choose(0)
     page.update(0.1)
-    assert not page._ghost._root.visible, "a deployment is no ghost of itself"
+    assert not page._ghost._root.visible, "a deployment is not overlaid on itself"
     page.overlay(1)
     page.update(0.1)
     assert page._ghost._root.visible
@@ -107,7 +107,7 @@ def test_the_newest_is_the_last_step_of_the_last_deployment(page: Page) -> None:
     assert page.player.hop == STEPS
 
 
-def test_ghost_and_robot_begin_a_step_at_the_same_place(page: Page) -> None:
+def test_ghost_and_robot_begin_a_step_at_the_same_yaw(page: Page) -> None:
     page.player.playing = False
     page.player.show(3)
     page.update(0.0)
@@ -125,12 +125,12 @@ def test_riding_along_the_robot_stays_in_view(page: Page) -> None:
     assert np.cos(yaw) * x - np.sin(yaw) * y == pytest.approx(0, abs=0.02)
 
 
-def test_watching_ends_when_nothing_goes_on_and_frees_the_port(run_folder: Path) -> None:
+def test_watching_ends_with_the_run_and_frees_the_port(run_folder: Path) -> None:
     server = start_server(HERE, None)
     port, source = server.get_port(), Source(run_folder)
     page = Page(server, source)
-    left = iter([True, True, False])
-    watch(server, page, lambda: next(left))
+    running = iter([True, True, False])
+    watch(server, page, lambda: next(running))
     source.close()
     again = start_server(HERE, port)
     assert again.get_port() == port
@@ -148,6 +148,6 @@ def test_a_port_that_is_taken_is_refused_or_passed_over() -> None:
 @pytest.mark.parametrize(
     ("host", "port"), [("no.such.host.invalid", None), ("192.0.2.7", None), (HERE, 0), (HERE, 70000)]
 )
-def test_what_cannot_be_had_is_refused(host: str, port: int | None) -> None:
+def test_an_unusable_host_or_port_is_refused(host: str, port: int | None) -> None:
     with pytest.raises(InputError, match=r"--(host|port)"):
         start_server(host, port)

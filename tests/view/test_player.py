@@ -1,4 +1,4 @@
-"""Time goes on as it is told to, and never beyond what is known."""
+"""The player advances as requested, and never beyond the known hops."""
 
 import pytest
 from hypothesis import given, settings
@@ -11,7 +11,7 @@ def lasting(seconds: float):
     return lambda number: seconds
 
 
-def test_time_goes_on_through_the_hops() -> None:
+def test_time_advances_through_the_hops() -> None:
     player = Player()
     player.advance(1.25, 10, lasting(0.5))
     assert (player.hop, player.share) == (2, pytest.approx(0.5))
@@ -22,7 +22,7 @@ def test_time_goes_on_through_the_hops() -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0, 3), max_size=20), st.integers(1, 6))
-def test_it_stops_at_the_end_of_what_is_known(times: list[float], count: int) -> None:
+def test_it_stops_at_the_last_known_hop(times: list[float], count: int) -> None:
     player = Player()
     for time in times:
         player.advance(time, count, lasting(0.5))
@@ -31,7 +31,7 @@ def test_it_stops_at_the_end_of_what_is_known(times: list[float], count: int) ->
     assert player.hop + player.share == pytest.approx(min(count, sum(times) / 0.5), abs=1e-6)
 
 
-def test_it_waits_for_motion_that_is_being_made() -> None:
+def test_it_waits_for_motion_that_is_being_computed() -> None:
     player = Player()
     player.advance(5.0, 4, lambda number: 0.5 if number < 2 else None)
     assert (player.hop, player.share) == (1, 1.0)
@@ -57,13 +57,13 @@ def test_one_step_plays_to_the_end_of_a_hop_and_pauses() -> None:
         assert (player.hop, player.share, player.playing) == (hop, 1.0, False)
 
 
-def test_following_leaps_to_the_newest_hop() -> None:
+def test_following_skips_to_the_newest_hop() -> None:
     player = Player(follow=True)
     player.advance(0.5, 8, lasting(0.5))
     assert player.hop == 7
 
 
-def test_what_a_person_shows_ends_following() -> None:
+def test_a_choice_of_the_user_ends_following() -> None:
     player = Player(follow=True)
     player.show(3)
     player.advance(0.6, 8, lasting(0.5))

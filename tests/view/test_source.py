@@ -1,4 +1,4 @@
-"""What the page is told of a run is what its files and its ticks say."""
+"""The data for the page agree with the files and the ticks of the run."""
 
 import shutil
 from pathlib import Path
@@ -26,7 +26,7 @@ def copy(run_folder: Path, tmp_path: Path) -> Path:
 
 
 def found(source: Source, iteration: int) -> list[HopMotion]:
-    """All motion of a deployment, once it is known."""
+    """Waits for all motion of a deployment and returns it."""
     source.want(iteration)
     source.await_motion(iteration)
     hops = [source.hop(iteration, number) for number in range(source.hop_count(iteration))]
@@ -34,7 +34,7 @@ def found(source: Source, iteration: int) -> list[HopMotion]:
     return [hop for hop in hops if hop]
 
 
-def test_motion_is_the_deployment_made_again(run_folder: Path) -> None:
+def test_motion_is_that_of_the_replay(run_folder: Path) -> None:
     source, table = Source(run_folder), replay(run_folder, 1, 8)
     hops = found(source, 1)
     assert len(hops) == 1 + STEPS
@@ -54,7 +54,7 @@ def test_the_last_moment_of_a_step_is_at_its_apex(run_folder: Path) -> None:
         assert height == pytest.approx(logged.record.next_state[1], abs=0.02)
 
 
-def test_a_ring_gives_the_hops_that_are_over(run_folder: Path) -> None:
+def test_a_ring_gives_the_completed_hops(run_folder: Path) -> None:
     table = replay(run_folder, 1, 8)
     ticks = table.rows[:, : len(TICK_UNITS)]
     with TickRing.create(RING_FIELDS, 2**12) as ring:
@@ -96,10 +96,10 @@ def test_a_changed_record_is_shown_without_motion(copy: Path) -> None:
     hops = found(source, 0)
     assert hops[-1].duration == STILL
     assert source.missing_motion
-    assert "could not be made again" in source.missing_motion.reason
+    assert "could not be reproduced exactly" in source.missing_motion.reason
 
 
-def test_steps_that_come_are_seen(copy: Path) -> None:
+def test_new_steps_are_read(copy: Path) -> None:
     text = (copy / "steps.csv").read_text()
     lines = text.splitlines(keepends=True)
     (copy / "steps.csv").write_text("".join(lines[:3]) + lines[3][:20])
@@ -111,7 +111,7 @@ def test_steps_that_come_are_seen(copy: Path) -> None:
     assert source.iterations == [0, 1]
 
 
-def test_the_model_is_the_one_that_a_deployment_began_with(run_folder: Path) -> None:
+def test_the_model_is_that_at_the_start_of_the_deployment(run_folder: Path) -> None:
     source = Source(run_folder)
     assert source.residual(0, 1) is None
     residual = source.residual(1, 2)
@@ -123,7 +123,7 @@ def test_the_model_is_the_one_that_a_deployment_began_with(run_folder: Path) -> 
     np.testing.assert_allclose(predicted, steps.predicted[:1], atol=1e-3)
 
 
-def test_no_run_is_refused(tmp_path: Path, copy: Path) -> None:
+def test_a_folder_without_a_run_is_refused(tmp_path: Path, copy: Path) -> None:
     with pytest.raises(InputError, match=r"no experiment\.toml"):
         Source(tmp_path / "nothing")
     (copy / "steps.csv").write_text("other,columns\n")

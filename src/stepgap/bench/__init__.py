@@ -1,1 +1,1 @@
-"""What `stepgap bench` measures, and the baselines that learning must beat."""
+"""The measurements of `stepgap bench`, and the baselines with which learning is compared."""

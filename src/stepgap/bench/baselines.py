@@ -1,4 +1,4 @@
-"""What a Gaussian process must be better than: an integrating correction, and the model with identified parameters."""
+"""Baselines for the Gaussian process: an integral correction, and the model with identified parameters."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Self, final
@@ -16,13 +16,13 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 INTEGRAL_GAIN = 0.2
-"""Share of a step's error that the integrating correction takes in; set once and not tuned."""
+"""Fraction of a step's error that the integral correction adopts; set once and not tuned."""
 
-STATE_MISFIT = np.array([0.01, 0.002])
-"""Error of the next speed [m/s] and height [m] that costs as much as a parameter one spread from its nominal value."""
+STATE_ERROR_SCALE = np.array([0.01, 0.002])
+"""Error of the next speed [m/s] and height [m] with the cost of a parameter one prior standard deviation off."""
 
 FAILED_STEP_COST = 10.0
-"""Cost of a step that was made but fails with the parameters tried [misfits]."""
+"""Cost of a recorded step that fails with the tried parameters [scaled errors]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,9 @@ class AdjustedMap(StepMap):
     """A map with a constant error of its next state and of its commands.
 
     Attributes:
-        base: The map.
-        shift: What is added to the next state; shape (n,).
-        command_scale: Share of a command that arrives.
+        base: The unchanged map.
+        shift: Constant added to the next state; shape (n,).
+        command_scale: Factor on the command.
     """
 
     base: StepMap
@@ -45,9 +45,9 @@ class AdjustedMap(StepMap):
         return self.base.space
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        """Next states and reason codes; never raises for a step that fails."""
-        next_state, reason = self.base.evaluate(state, self.command_scale * np.asarray(command, float))
-        return Outcome(next_state + self.shift, reason)
+        """Next states and status codes; never raises for a step that fails."""
+        next_state, status = self.base.evaluate(state, self.command_scale * np.asarray(command, float))
+        return Outcome(next_state + self.shift, status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails."""
@@ -58,9 +58,9 @@ class AdjustedMap(StepMap):
 @final
 @dataclass(frozen=True, eq=False)
 class IntegralCorrection:
-    """Adds to the nominal map a constant that follows its errors: b ← b + k (actual − nominal − b) after every step.
+    """Integral correction: a constant added to the nominal map, b ← b + k (actual − nominal − b) after every step.
 
-    It stands where a `Learner` does; a step that failed does not change b.
+    It is used in place of a `Learner`; a failed step does not change b.
 
     Attributes:
         nominal: Map of the physics model.
@@ -80,24 +80,24 @@ class IntegralCorrection:
 
     @property
     def residual(self) -> Residual:
-        """No model of the error beside b."""
+        """Empty residual: there is no model of the error except b."""
         return no_residual(len(self.nominal.space.state), len(self.nominal.space.command))
 
     @property
     def failures(self) -> Array:
-        """Steps that failed are not remembered; shape (0, n + m)."""
+        """Empty array, since failed steps are not stored; shape (0, n + m)."""
         return np.empty((0, sum(self.residual.sizes)))
 
     @property
     def pending(self) -> None:
-        """There is nothing to compute in the background."""
+        """None: there is nothing to compute in the background."""
 
     def step_map(self) -> CorrectedMap:
-        """The map to plan the next step with; it has no standard deviation."""
+        """Map for planning the next step; it has no standard deviation."""
         return CorrectedMap(AdjustedMap(self.nominal, self.shift), self.residual)
 
     def after(self, logged: LoggedStep) -> Self:
-        """The correction after the step just executed."""
+        """The correction after the executed step."""
         error = error_of(logged.record, self.nominal)
         if not np.isfinite(error).all():
             return self
@@ -106,9 +106,9 @@ class IntegralCorrection:
 
 @dataclass(frozen=True)
 class PhysicalError:
-    """How a robot differs from its model, in the physics that one apex per hop can tell.
+    """Differences of a robot from its model that can be observed from one apex per hop.
 
-    A motor offset looks like another landing angle and landing length, friction like less torque.
+    A motor offset has the effect of another landing angle and landing length, friction that of less torque.
 
     Attributes:
         body_mass: Relative error of the body's mass.
@@ -131,27 +131,27 @@ class PhysicalError:
     rest_length: float = 0.005
 
 
-SPREAD = PhysicalError()
+PRIOR_STD = PhysicalError()
 """Standard deviations of the prior: the defaults above."""
 
 
 def identify(nominal: ApexMap, log: StepLog) -> AdjustedMap:
-    """The physics model with the parameters that explain the recorded steps best: least squares with a weak prior."""
+    """The physics model with parameters fitted to the recorded steps by least squares with a weak prior."""
     steps = log.completed()
-    spreads = np.array([getattr(SPREAD, field.name) for field in fields(SPREAD)])
+    prior_std = np.array([getattr(PRIOR_STD, field.name) for field in fields(PRIOR_STD)])
 
-    def misfit(shares: Array) -> Array:
-        step_map = with_error(nominal, PhysicalError(*(shares * spreads).tolist()))
-        error = (steps.next_state - step_map.evaluate(steps.state, steps.applied).next_state) / STATE_MISFIT
-        return np.concatenate([np.nan_to_num(error, nan=FAILED_STEP_COST).ravel(), shares])
+    def residuals(scaled: Array) -> Array:
+        step_map = with_error(nominal, PhysicalError(*(scaled * prior_std).tolist()))
+        error = (steps.next_state - step_map.evaluate(steps.state, steps.applied).next_state) / STATE_ERROR_SCALE
+        return np.concatenate([np.nan_to_num(error, nan=FAILED_STEP_COST).ravel(), scaled])
 
-    limits = np.full(len(spreads), 3.0)
-    found = least_squares(misfit, np.zeros(len(spreads)), bounds=(-limits, limits), diff_step=1e-3, max_nfev=30)
-    return with_error(nominal, PhysicalError(*(found.x * spreads).tolist()))
+    limits = np.full(len(prior_std), 3.0)
+    found = least_squares(residuals, np.zeros(len(prior_std)), bounds=(-limits, limits), diff_step=1e-3, max_nfev=30)
+    return with_error(nominal, PhysicalError(*(found.x * prior_std).tolist()))
 
 
 def with_error(nominal: ApexMap, error: PhysicalError) -> AdjustedMap:
-    """The model of a robot that differs so from the nominal one."""
+    """Model of a robot with these differences from the nominal one."""
     gains, torque = nominal.gains, 1 + error.torque
     gains = replace(
         gains,
@@ -167,7 +167,7 @@ def with_error(nominal: ApexMap, error: PhysicalError) -> AdjustedMap:
 
 
 def erring_robot(robot: RobotParameters, error: PhysicalError) -> RobotParameters:
-    """The robot that differs so from the nominal one."""
+    """Robot with these differences from the nominal one."""
     legs = 1 + error.leg_mass
     return replace(
         robot,

@@ -1,9 +1,9 @@
-"""`stepgap bench gp`: the time that the Gaussian process takes.
+"""`stepgap bench gp`: computing times of the Gaussian process.
 
-Other libraries may be measured beside it; `benchmarks/compare_gaussian_processes.py` does. Libraries take turns within
-one run, so that a busy machine slows all of them alike: compare ratios, not times. All
-have the same kernel, Matérn-5/2 with one length scale per input and noise, the same data, a smooth function of four
-inputs, and one thread for linear algebra, since several would wait for each other on a busy machine.
+Other libraries can be measured with it, as in `benchmarks/compare_gaussian_processes.py`. Libraries take turns within
+one run, so that a busy machine slows all of them equally: compare ratios, not times. All have the same kernel
+(Matérn-5/2 with one length scale per input, and noise), the same data (a smooth function of four inputs), and one
+thread for linear algebra, since several threads would wait for each other on a busy machine.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,24 +27,24 @@ NOISE = 0.008
 """Standard deviation of the noise of a value."""
 
 SCALE, VALUE_SCALE = np.ones(4), 0.2
-"""Sizes of inputs and values."""
+"""Scales of inputs and values."""
 
 MOST_STARTS = 5
-"""Starts of each search for hyper-parameters."""
+"""Number of starts of each search for hyper-parameters."""
 
 MANY_STARTS_SIZE = 200
-"""Most points for which the peers get all of them; with more they get one."""
+"""Largest number of points for which the peers use all starts; with more points they use one."""
 
 
 @dataclass(frozen=True)
 class GpBenchSize:
-    """Amount of measurements.
+    """Size of the benchmark.
 
     Attributes:
-        points: Numbers of points to fit to.
-        rounds: How often the libraries take turns, for each of them.
-        calls: How many predictions are timed.
-        queries: Points at which the error is measured.
+        points: Numbers of points of the fits.
+        rounds: Number of turns of the libraries, for each number of points.
+        calls: Number of timed predictions.
+        queries: Number of points at which the error is measured.
     """
 
     points: tuple[int, ...]
@@ -59,18 +59,18 @@ QUICK_GP_BENCH = GpBenchSize(points=(50, 200), rounds=(3, 3), calls=50, queries=
 
 @dataclass(frozen=True)
 class Library:
-    """One Gaussian process.
+    """An implementation of Gaussian processes.
 
     Attributes:
-        name: In the table.
-        note: What it does otherwise than the others.
-        fit: From points (N, 4), values (N,) and the number of starts to a process.
-        predict: From a process and queries (Q, 4) to means and standard deviations of f.
-        most_points: With more it is left out, for it takes too long.
-        least_points: With fewer it is left out.
-        predict_gradient: From a process and a query (4,) to mean and gradient.
-        append: From a process, a point and a value to a process.
-        starts: Of its search, where it takes no number of them.
+        name: Name in the table.
+        note: Differences from the others.
+        fit: Function of points (N, 4), values (N,) and the number of starts that returns a process.
+        predict: Function of a process and queries (Q, 4) that returns means and standard deviations of f.
+        most_points: Largest number of points; with more it is left out, because it takes too long.
+        least_points: Smallest number of points; with fewer it is left out.
+        predict_gradient: Function of a process and a query (4,) that returns mean and gradient.
+        append: Function of a process, a point and a value that returns a process.
+        starts: Number of starts of its search, if that cannot be chosen.
     """
 
     name: str
@@ -95,8 +95,8 @@ class GpPeers:
     """Other libraries with the same kernel.
 
     Attributes:
-        libraries: Those that can be used here.
-        skipped: Names of the others, and the reason why each is left out.
+        libraries: Libraries that are available.
+        skipped: Names of the others, with the reason why each is left out.
     """
 
     libraries: Sequence[Library] = ()
@@ -109,13 +109,13 @@ NO_PEER_LIBRARIES = GpPeers()
 def bench_gp(
     seed: int, quick: bool, announce: Announce = lambda line: None, peers: GpPeers = NO_PEER_LIBRARIES
 ) -> dict[str, Any]:
-    """Runs every size; the result is plain data for JSON.
+    """Runs the benchmark for every number of points; the result is plain data for JSON.
 
     Args:
         seed: Seed of the random points.
-        quick: Whether to take few points.
+        quick: Whether to use few points.
         announce: Called with the name of each section before it begins.
-        peers: Other libraries, measured beside it.
+        peers: Other libraries to measure.
     """
     size = QUICK_GP_BENCH if quick else FULL_GP_BENCH
     rows: list[dict[str, Any]] = []
@@ -159,7 +159,7 @@ def _ours() -> list[Library]:
     }
     return [
         Library("StepGap", "priors; starts compete on at most 100 points", exact, predict, 3000, **both),
-        Library("StepGap, linear basis", "and slopes", linear, predict, 3000, **both),
+        Library("StepGap, linear basis", "with linear basis functions", linear, predict, 3000, **both),
         Library("StepGap, sparse", "hyper-parameters from 1,000 points", sparse, predict, 10**6, 1000, **both),
     ]
 
@@ -167,7 +167,7 @@ def _ours() -> list[Library]:
 def time_libraries(
     libraries: list[Library], rng: np.random.Generator, count: int, rounds: int, size: GpBenchSize
 ) -> list[dict[str, Any]]:
-    """A row for each library: median times, medians over the rounds of the ratio to the first, worth of the fit."""
+    """A row for each library: median times, median ratios to the first library, error and coverage of the fit."""
     points, values = _draw(rng, count)
     queries, observed = _draw(rng, size.queries)
     starts = MOST_STARTS if count <= MANY_STARTS_SIZE else 1
@@ -214,7 +214,7 @@ def _turns(calls: list[Callable[[], object]], rounds: int) -> Array:
 
 
 def describe_gp_bench(result: dict[str, Any]) -> str:
-    """The result as a table."""
+    """The result as a text table."""
     lines = [
         f"{'points':>6}  {'library':24}{'fit':>12}{'ratio':>8}{'mean, std':>12}{'ratio':>8}"
         f"{'gradient':>11}{'append':>10}{'error':>9}{'covered':>9}   note"
@@ -231,7 +231,7 @@ def describe_gp_bench(result: dict[str, Any]) -> str:
     lines += [f"{'':8}{name:24}{'skipped':>12}   {reason}" for name, reason in result["skipped"].items()]
     lines += [
         "",
-        "ratio: to StepGap. gradient: mean and its gradient at one point. error: root mean square against the truth;",
-        f"the noise is {NOISE}. covered: share of new noisy values within the 95 % interval.",
+        "ratio: to StepGap. gradient: mean and its gradient at one point. error: RMS error of the function;",
+        f"the noise is {NOISE}. covered: fraction of new noisy values within the 95 % interval.",
     ]
     return "\n".join(lines)

@@ -1,9 +1,9 @@
 """Identification from every tick with MuJoCo's toolbox `mujoco.sysid`, which the extra `stepgap[sysid]` installs.
 
-The nominal MuJoCo model is rolled out under the recorded torques from shortly before a touchdown until after take-off,
-and what is sought are the parameters with which the hip then moves as the boom's encoders say. A window starts from
-what the sensors tell. Motion tells masses, inertias and torques only up to one common factor: doubled all together they
-hop alike. The priors fix it, and the map does not depend on it.
+The nominal MuJoCo model is simulated with the recorded torques from shortly before a touchdown until after take-off.
+Its parameters are fitted so that the hip moves as measured by the boom's encoders. Windows start from measured values.
+The motion determines masses, inertias and torques only up to a common factor: if all are doubled, the motion is the
+same. The priors fix this factor, and the map does not depend on it.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -21,7 +21,7 @@ import numpy as np
 from mujoco import sysid
 from numpy.typing import NDArray
 
-from stepgap.bench.baselines import SPREAD, AdjustedMap, PhysicalError, erring_robot, with_error
+from stepgap.bench.baselines import PRIOR_STD, AdjustedMap, PhysicalError, erring_robot, with_error
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.leg import foot, four_bar, knee_angle, leg_of
 from stepgap.robots.hopper.parameters import RobotParameters
@@ -32,57 +32,57 @@ from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array
 
 HORIZONS = (60, 120, 250)
-"""Ticks compared after touchdown, one fit after the other: parameters far off would send the leg through its singular
-stretch if all of a stance (100 to 150 ticks) and the flight after it were compared at once."""
+"""Numbers of ticks after touchdown that are compared, in successive fits. If a whole stance (100 to 150 ticks) and the
+flight after it were one window, inaccurate parameters would move the leg through its singular stretched pose."""
 
 BEFORE = 10
-"""Ticks compared before touchdown: torques that hold a leg at rest, rolled out for longer, would move it."""
+"""Number of ticks before touchdown that are compared; in a longer simulation, torques that hold a leg would move it."""
 
 HIP_FIT, LEG_FIT = 150, 40
-"""Ticks before touchdown to whose sensor values a parabola is fitted."""
+"""Numbers of ticks before touchdown to whose sensor values a parabola is fitted."""
 
 TOUCHDOWN_MARGIN = 2
-"""Of these, the last ones that are left out: the foot may touch the ground before that is noticed."""
+"""Number of the last of these ticks that are left out, because the foot may touch the ground before it is detected."""
 
 WINDOWS = 28
-"""Touchdowns of a deployment that are used."""
+"""Number of touchdowns of a deployment that are used."""
 
 SUBSTEPS = 4
-"""Physics steps in a tick."""
+"""Physics steps per tick."""
 
 SAMPLE = 5
-"""Ticks from one error that counts to the next."""
+"""Interval of the compared samples, in ticks."""
 
-HIP_MISFIT = 0.005
-"""Error of the hip's travel or height that costs as much as a parameter one spread from its nominal value [m]."""
+HIP_ERROR_SCALE = 0.005
+"""Error of the hip's travel or height with the cost of a parameter one prior standard deviation off [m]."""
 
 DIVERGED_COST = 100.0
-"""Errors of a motion that diverges [misfits]."""
+"""Error of a motion that diverges [scaled errors]."""
 
 SHARED = ("body_mass", "leg_mass", "boom_vertical", "boom_horizontal", "torque")
 """Parameters that are fields of `PhysicalError`."""
 
 OFFSETS = {"motor_offset_1": 0.005, "motor_offset_2": 0.005}
-"""Parameters that are fields of `RealityGap` and that `PhysicalError` says in other words; spreads of priors [rad]."""
+"""Parameters that are fields of `RealityGap` with equivalents in `PhysicalError`; prior standard deviations [rad]."""
 
 UNKNOWN = {"joint_friction": 0.05, "joint_damping": 0.005, "boom_friction": 0.5, "torque_lag": 0.002}
-"""Parameters that are fields of `RealityGap` and that the physics model has no word for; spreads of their priors."""
+"""Parameters that are fields of `RealityGap` without equivalents in the physics model; prior standard deviations."""
 
-SPREADS = {name: getattr(SPREAD, name) for name in SHARED} | OFFSETS | UNKNOWN
+PRIOR_STDS = {name: getattr(PRIOR_STD, name) for name in SHARED} | OFFSETS | UNKNOWN
 
 Values = dict[str, float]
-"""Parameters by the names of SPREADS."""
+"""Parameters by the names of PRIOR_STDS."""
 
 
 class Windows(NamedTuple):
-    """W stretches of T ticks about a touchdown.
+    """W windows of T ticks around a touchdown.
 
     Attributes:
         tick: Time from one tick to the next [s].
-        start: Travel and height of the hip, motor angles, and the rates of all, at the first; shape (W, 2, 4) [m, rad].
-        touchdown: Values then; shape (W, 4) [m, rad].
-        torque: Applied; shape (W, T, 2) [N·m].
-        hip: Travel and height after each `SAMPLE` ticks; shape (W, T / SAMPLE − 1, 2) [m].
+        start: Travel and height of the hip, motor angles, and their rates, at the first tick; shape (W, 2, 4) [m, rad].
+        touchdown: Values at touchdown; shape (W, 4) [m, rad].
+        torque: Applied torques; shape (W, T, 2) [N·m].
+        hip: Travel and height of the hip after every `SAMPLE` ticks; shape (W, T / SAMPLE − 1, 2) [m].
     """
 
     tick: float
@@ -92,57 +92,57 @@ class Windows(NamedTuple):
     hip: Array
 
 
-def identify_from_ticks(nominal: ApexMap, ticks: Sequence[Tick], layout: HopperSensorModel) -> AdjustedMap:
-    """The physics model with the parameters that explain the recorded motion best.
+def identify_from_ticks(nominal: ApexMap, ticks: Sequence[Tick], sensors: HopperSensorModel) -> AdjustedMap:
+    """The physics model with parameters fitted to the recorded motion.
 
     Args:
         nominal: Map of the physics model.
-        ticks: All of a deployment with at least one step.
-        layout: Of the rig.
+        ticks: All ticks of a deployment with at least one step.
+        sensors: Sensor model of the rig.
     """
-    return with_error(nominal, physical_error(nominal, identify_values(nominal.robot, ticks, layout)))
+    return with_error(nominal, physical_error(nominal, identify_values(nominal.robot, ticks, sensors)))
 
 
 def physical_error(nominal: ApexMap, values: Values) -> PhysicalError:
-    """In words of the physics model, where a motor's offset is another landing posture and another rest length."""
+    """Equivalent errors of the physics model; a motor's offset becomes another landing posture and rest length."""
     leg, gains = leg_of(nominal.robot), nominal.gains
-    lean, fold = _leg_angles(np.array([values[name] for name in OFFSETS]))
-    shorter = -float(fold) * four_bar(leg, knee_angle(leg, gains.landing_length)).d_length
+    alpha_1, alpha_2 = _leg_angles(np.array([values[name] for name in OFFSETS]))
+    length_error = -float(alpha_2) * four_bar(leg, knee_angle(leg, gains.landing_length)).d_length
     return PhysicalError(
         **{name: values[name] for name in SHARED},
-        landing_speed=float(lean) / gains.speed_gain,
-        landing_length=shorter,
-        rest_length=shorter,
+        landing_speed=float(alpha_1) / gains.speed_gain,
+        landing_length=length_error,
+        rest_length=length_error,
     )
 
 
-def identify_values(robot: RobotParameters, ticks: Sequence[Tick], layout: HopperSensorModel) -> Values:
-    """The parameters of the MuJoCo model: least squares with a weak prior."""
+def identify_values(robot: RobotParameters, ticks: Sequence[Tick], sensors: HopperSensorModel) -> Values:
+    """Parameters of the MuJoCo model, fitted by least squares with a weak prior."""
     found = sysid.ParameterDict()
-    for name in SPREADS:
+    for name in PRIOR_STDS:
         range_ = (0.3, 0.05, 3.0) if name in UNKNOWN else (0.0, -3.0, 3.0)
         found.add(sysid.Parameter(name, *range_))
     for horizon in HORIZONS:
-        windows = record_windows(ticks, layout, horizon)
+        windows = record_windows(ticks, sensors, horizon)
 
-        def misfit(shares: Array, parameters: Any, windows: Windows = windows) -> tuple[list[Array], None, None]:
-            parameters.update_from_vector(shares)
-            return [errors(robot, windows, _values(parameters)), shares], None, None
+        def residuals(scaled: Array, parameters: Any, windows: Windows = windows) -> tuple[list[Array], None, None]:
+            parameters.update_from_vector(scaled)
+            return [errors(robot, windows, _values(parameters)), scaled], None, None
 
-        with redirect_stdout(StringIO()):  # its optimiser cannot be told to be silent
+        with redirect_stdout(StringIO()):  # its optimiser has no option to print nothing
             found, _ = sysid.optimize(
-                found.move_off_bounds(), misfit, "scipy", verbose=False, max_iters=15, diff_step=1e-2, ftol=1e-3
+                found.move_off_bounds(), residuals, "scipy", verbose=False, max_iters=15, diff_step=1e-2, ftol=1e-3
             )
     return _values(found)
 
 
-def record_windows(ticks: Sequence[Tick], layout: HopperSensorModel, horizon: int) -> Windows:
-    """Windows that end so many ticks after touchdown, spread evenly over the recording."""
+def record_windows(ticks: Sequence[Tick], sensors: HopperSensorModel, horizon: int) -> Windows:
+    """Windows that end `horizon` ticks after touchdown, spread evenly over the recording."""
     readings = np.array([tick.reading for tick in ticks], float)
-    travel = layout.boom_length * readings[:, 2] * tau / layout.boom_counts_horizontal
-    height = layout.pivot_height + layout.boom_length * np.sin(readings[:, 3] * tau / layout.boom_counts_vertical)
-    sensed = np.column_stack([travel, height, readings[:, :2] * tau / layout.motor_counts])
-    standing = readings[:, 4] > layout.touchdown_force
+    travel = sensors.boom_length * readings[:, 2] * tau / sensors.boom_counts_horizontal
+    height = sensors.pivot_height + sensors.boom_length * np.sin(readings[:, 3] * tau / sensors.boom_counts_vertical)
+    sensed = np.column_stack([travel, height, readings[:, :2] * tau / sensors.motor_counts])
+    standing = readings[:, 4] > sensors.touchdown_force
     landings = np.array(
         [
             tick
@@ -153,27 +153,27 @@ def record_windows(ticks: Sequence[Tick], layout: HopperSensorModel, horizon: in
     landings = landings[np.linspace(0, len(landings) - 1, min(WINDOWS, len(landings))).round().astype(int)]
     within = landings[:, None] + np.arange(-BEFORE, horizon)
     starts = [
-        _start(sensed[:, :2], landings, HIP_FIT, layout.tick),
-        _start(sensed[:, 2:], landings, LEG_FIT, layout.tick),
+        _start(sensed[:, :2], landings, HIP_FIT, sensors.tick),
+        _start(sensed[:, 2:], landings, LEG_FIT, sensors.tick),
     ]
     return Windows(
-        tick=layout.tick,
+        tick=sensors.tick,
         start=np.concatenate(starts, axis=-1),
-        touchdown=0.5 * (sensed[landings] + sensed[landings - 1]),  # it happened between two ticks
+        touchdown=0.5 * (sensed[landings] + sensed[landings - 1]),  # touchdown was between two ticks
         torque=np.array([tick.applied for tick in ticks])[within],
         hip=sensed[within[:, SAMPLE::SAMPLE], :2],
     )
 
 
 def _start(sensed: Array, landings: NDArray[np.intp], count: int, tick: float) -> Array:
-    """Values and rates BEFORE ticks before landings, by parabolas through the `count` ticks before; shape (W, 2, 2)."""
+    """Values and rates BEFORE ticks before landings, by parabolas fitted to `count` ticks; shape (W, 2, 2)."""
     before = np.arange(-count, -TOUCHDOWN_MARGIN)
     powers = np.vander((before + BEFORE) * tick, 3, increasing=True)
     return (np.linalg.pinv(powers) @ sensed[landings[:, None] + before])[:, :2]
 
 
 def errors(robot: RobotParameters, windows: Windows, values: Values) -> Array:
-    """Travel and height of the hip, model less recording, in misfits; flat."""
+    """Scaled errors of the hip's travel and height, model minus recording; flat array."""
     try:
         return sysid.model_residual(
             np.empty(0),
@@ -184,12 +184,12 @@ def errors(robot: RobotParameters, windows: Windows, values: Values) -> Array:
             n_threads=1,
             resample_true=False,
         )[0]
-    except ValueError:  # so the toolbox takes a motion that diverges
+    except ValueError:  # raised by the toolbox if the motion diverges
         return np.full(windows.hip.size, DIVERGED_COST)
 
 
 def _model(robot: RobotParameters, values: Values, timestep: float) -> mujoco.MjModel:
-    """The nominal MuJoCo model but for these parameters; offsets are no part of it."""
+    """The nominal MuJoCo model with these parameters, except the offsets."""
     error = PhysicalError(**{name: values[name] for name in SHARED}, landing_speed=0, landing_length=0, rest_length=0)
     friction = {name: values[name] for name in UNKNOWN}
     gap = replace(RealityGap.none(), torque_scale=1 + error.torque, **friction)
@@ -197,7 +197,7 @@ def _model(robot: RobotParameters, values: Values, timestep: float) -> mujoco.Mj
 
 
 def _trajectories(robot: RobotParameters, windows: Windows, values: Values) -> list[Any]:
-    """The windows as the toolbox takes them, heights from the ground under the foot on."""
+    """Trajectories of the toolbox for the windows, with heights above the ground under the foot."""
     leg, offsets = leg_of(robot), np.array([values[name] for name in OFFSETS])
     touchdown = _leg_angles(windows.touchdown[:, 2:] - offsets)
     ground = windows.touchdown[:, 1] + foot(leg, four_bar(leg, touchdown[1]), touchdown[0]).y
@@ -208,7 +208,7 @@ def _trajectories(robot: RobotParameters, windows: Windows, values: Values) -> l
     travel, height = windows.start[:, 0, :2].T
     state = np.column_stack(
         [
-            np.zeros(len(ground)),  # time, coordinates, rates, torques on their way through the lag
+            np.zeros(len(ground)),  # time, coordinates, rates, states of the torque lag
             *(travel, height - ground, motor[:, 0], -knee, motor[:, 1], knee),
             *(*windows.start[:, 1, :2].T, motor_rate[:, 0], -knee_rate, motor_rate[:, 1], knee_rate),
             *windows.torque[:, 0].T,
@@ -227,9 +227,9 @@ def _trajectories(robot: RobotParameters, windows: Windows, values: Values) -> l
 
 
 def _hip_errors(parameters: Any, sensors: Any, measured: Any, model: Any, everything: bool, state: Array) -> tuple:
-    """What the toolbox asks for: errors and what they are between; states have the time before the coordinates."""
+    """Residual function of the toolbox: errors and the compared series; in states, time precedes the coordinates."""
     stride = SAMPLE * SUBSTEPS
-    return (state[stride - 1 :: stride, 1:3] - measured.data) / HIP_MISFIT, measured, measured
+    return (state[stride - 1 :: stride, 1:3] - measured.data) / HIP_ERROR_SCALE, measured, measured
 
 
 def _leg_angles(motor: Array) -> Array:
@@ -238,5 +238,5 @@ def _leg_angles(motor: Array) -> Array:
 
 
 def _values(parameters: Any) -> Values:
-    """Parameters of shares of their spreads."""
-    return {name: spread * float(parameters[name].value[0]) for name, spread in SPREADS.items()}
+    """Values of parameters that are scaled by their prior standard deviations."""
+    return {name: std * float(parameters[name].value[0]) for name, std in PRIOR_STDS.items()}

@@ -1,8 +1,8 @@
-"""`stepgap bench learning`: how soon and how well each way to learn closes the gap, on a family of random twins.
+"""`stepgap bench learning`: comparison of learning methods on a family of random twins.
 
-Per twin and seed: one deployment without correction, which all methods learn from, then redeployments by each. Twin T
-draws its gap from `random_stream(T)` and its floor from `random_stream(T, 0)`; deployment K draws from
-`random_stream(T, seed, K)` whatever the method, so methods are compared under equal noise.
+For each twin and seed there is one deployment without correction, from which all methods learn, and then a
+redeployment by each method. Twin T draws its gap from `random_stream(T)` and its floor from `random_stream(T, 0)`;
+deployment K draws from `random_stream(T, seed, K)` for every method, so methods are compared under equal noise.
 """
 
 import json
@@ -48,10 +48,10 @@ from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array
 
 FIRST_STEPS = 20
-"""Steps that the uncorrected robot of a draw must manage, or else it is drawn again."""
+"""Number of steps that the uncorrected robot must make without a fall; otherwise the twin is drawn again."""
 
 EXPLORATION = 20
-"""Hops of the methods that begin with some whose commands are chosen for what they teach."""
+"""Number of exploratory hops of the methods that explore."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +60,11 @@ class Trial:
 
     Attributes:
         nominal: Map of the physics model.
-        gap: What the twin has besides.
-        reference: What is tracked.
+        gap: Differences of the twin from the model.
+        reference: Reference to track.
         twin: Number of the twin.
-        seed: Of the noise.
-        redeployed: Steps of the first redeployment by the residual used, saved as JSON.
+        seed: Seed of the noise.
+        redeployed: Steps of the first redeployment, by the residual used as JSON.
     """
 
     nominal: ApexMap
@@ -75,11 +75,11 @@ class Trial:
     redeployed: dict[str, StepLog] = field(default_factory=dict)
 
     def uncorrected(self) -> Learner:
-        """Knows nothing."""
+        """Learner without any knowledge."""
         return Learner.start(self.nominal, StepLog(self.nominal.space), LearningSettings(residual="none"), 0)
 
-    def meet(self, iteration: int) -> Twin:
-        """The twin of a deployment."""
+    def twin_of(self, iteration: int) -> Twin:
+        """Twin of a deployment."""
         robot, rng = self.nominal.robot, random_stream(self.twin, self.seed, iteration)
         ground = GroundProfile(self.gap, robot.boom_length, random_stream(self.twin, 0))
         return Twin(robot, self.gap, rng, ground=ground, floor_yaw=rng.uniform(0, tau))
@@ -92,9 +92,9 @@ class Trial:
         most_steps: int | None = None,
         on_tick: Callable[[Tick], None] | None = None,
     ) -> StepLog:
-        """The steps of a deployment; none where not even the hop before them was made."""
+        """Steps of a deployment; none if the hop before the first step failed."""
         nominal, log = self.nominal, StepLog(self.nominal.space)
-        plant = RigPlant(self.meet(iteration), HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_tick)
+        plant = RigPlant(self.twin_of(iteration), HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_tick)
         with closing(deploy(learner, plant, self.reference, iteration, exploration)) as steps:
             try:
                 for logged in islice(steps, most_steps):
@@ -106,7 +106,7 @@ class Trial:
 
 
 Method = Callable[[Trial, StepLog], StepLog]
-"""From a trial and the steps of its deployment 0 to those of the deployment that the method makes."""
+"""Function of a trial and the steps of its deployment 0 that returns the steps of the method's deployment."""
 
 
 def _integral(trial: Trial, log: StepLog) -> StepLog:
@@ -121,17 +121,17 @@ def _sysid(trial: Trial, log: StepLog) -> StepLog:
     from stepgap.bench.identification import identify_from_ticks
 
     ticks: list[Tick] = []
-    again = trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)  # the very same deployment, to the last bit
+    again = trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)  # exactly the same deployment
     if not len(again):
         return trial.deploy(trial.uncorrected(), 1)
-    found = identify_from_ticks(trial.nominal, ticks, trial.meet(0).sensor_model)
+    found = identify_from_ticks(trial.nominal, ticks, trial.twin_of(0).sensor_model)
     return trial.deploy(Learner.start(found, log, LearningSettings(residual="none"), 1), 1)
 
 
 def _residual(trial: Trial, log: StepLog, kind: str) -> StepLog:
     learner = Learner.start(trial.nominal, log, LearningSettings(residual=kind), 1)
     key = json.dumps(learner.residual.to_dict())
-    if key not in trial.redeployed:  # `auto` is one of the others: its deployment would be the same
+    if key not in trial.redeployed:  # `auto` chooses one of the others, with the same deployment
         trial.redeployed[key] = trial.deploy(learner, 1)
     return trial.redeployed[key]
 
@@ -141,37 +141,37 @@ def _from_the_first_hop(trial: Trial, log: StepLog, learning: LearningSettings) 
 
 
 SKIPPED = {} if hasattr(mujoco.sysid, "optimize") else {"sysid": "needs the packages of stepgap[sysid]"}
-"""What is not installed."""
+"""Methods that cannot be used, with the reason."""
 
 WITHOUT_RESIDUAL: dict[str, Method] = {
     "integral": _integral,
     "identified": _identified,
     **({} if "sysid" in SKIPPED else {"sysid": _sysid}),
 }
-"""Methods that correct from deployment 0 in another way than by a residual."""
+"""Methods that learn from deployment 0 without a residual."""
 
 FROM_THE_FIRST_HOP: dict[str, Method] = {
     "online": partial(_from_the_first_hop, learning=LearningSettings(online=True)),
     "exploring": partial(_from_the_first_hop, learning=LearningSettings(exploration=EXPLORATION)),
     "exploring_online": partial(_from_the_first_hop, learning=LearningSettings(online=True, exploration=EXPLORATION)),
 }
-"""Methods that make deployment 0 themselves, all with the default residual."""
+"""Methods that learn during deployment 0, all with the default residual."""
 
 
 def methods() -> dict[str, Method]:
-    """All methods by name; every installed residual but `none`, which is deployment 0, is one."""
+    """All methods by name, including every installed residual except `none`, which is deployment 0."""
     kinds = (*(name for name in residual_names() if name != UNCORRECTED), AUTO)
     return WITHOUT_RESIDUAL | {kind: partial(_residual, kind=kind) for kind in kinds} | FROM_THE_FIRST_HOP
 
 
-def usual_methods() -> list[str]:
-    """Names of those that are compared unless others are asked for: of the residuals the candidates of `auto`."""
+def default_methods() -> list[str]:
+    """Names of the methods that are compared by default; their residuals are the candidates of `auto`."""
     kinds = [model.name for model in residual_models() if model.candidate and model.name != UNCORRECTED]
     return [*WITHOUT_RESIDUAL, *kinds, AUTO, *FROM_THE_FIRST_HOP]
 
 
 def measure_twin(reference: Reference, twin: int, seed: int, names: Sequence[str]) -> list[DeploymentRow]:
-    """What each method makes of a twin; the first row is that of the shared deployment 0."""
+    """Measures of all methods on a twin; the first row is that of the common deployment 0."""
     nominal = ApexMap()
     with threadpool_limits(limits=1, user_api="blas"):
         gap, drawn_again = hopping_gap(nominal, reference, twin)
@@ -185,7 +185,7 @@ def measure_twin(reference: Reference, twin: int, seed: int, names: Sequence[str
 
 
 def hopping_gap(nominal: ApexMap, reference: Reference, twin: int) -> tuple[RealityGap, int]:
-    """The twin's gap, and how often it was drawn again because the robot fell within the first steps."""
+    """Draws the gap of a twin, again if the robot falls within the first steps; returns gap and number of redraws."""
     rng, drawn_again = random_stream(twin), 0
     while True:
         trial = Trial(nominal, random_gap(rng), reference, twin, seed=0)
@@ -196,7 +196,7 @@ def hopping_gap(nominal: ApexMap, reference: Reference, twin: int) -> tuple[Real
 
 
 def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> DeploymentRow:
-    """The measures of the last of the deployments that a method needs."""
+    """Measures of the last of the deployments that a method needs."""
     steps = deployments[-1]
     row: DeploymentRow = {"twin": trial.twin, "seed": trial.seed, "method": method}
     if not len(steps):
@@ -204,7 +204,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
     found = summarise(steps, trial.reference, method)
     tracked = [StepLog(log.space, (step for step in log.completed() if step.step > 0)) for log in deployments]
     errors = np.concatenate([log.next_state - log.target for log in tracked])
-    earlier = sum(map(len, deployments)) - len(errors)  # calibrating hops, and those that failed
+    earlier = sum(map(len, deployments)) - len(errors)  # exploratory and failed hops
     hops = None if found.falls else hops_to_band(errors)
     covered, counted = count_covered(tracked[-1])
     return row | {
@@ -221,18 +221,18 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
 
 
 def count_covered(steps: StepLog) -> tuple[Array, int]:
-    """How many steps ended within the 95 % interval predicted, by coordinate (n,), and how many had one."""
+    """Number of steps within the predicted 95 % interval, by coordinate (n,), and number of steps with an interval."""
     known = np.isfinite(steps.predicted).all(axis=1) & (steps.std > 0).all(axis=1)
     inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL_95 * steps.std
     return inside[known].sum(axis=0), int(known.sum())
 
 
 BEGINNING = '[{"twin": '
-"""Of every line of a record."""
+"""Beginning of every line of a record."""
 
 
 class Job(NamedTuple):
-    """A twin, a seed, and the methods that are still to be measured."""
+    """A twin, a seed, and the methods to measure."""
 
     twin: int
     seed: int
@@ -248,16 +248,19 @@ def bench_learning(
     workers: int,
     announce: Announce = lambda line: None,
 ) -> list[DeploymentRow]:
-    """Measures what the record does not hold yet, a line per twin and seed as it is done; all rows asked for.
+    """Measures the methods and adds the results to the record, which may already contain some of them.
 
     Args:
-        reference: What is tracked.
-        twins: How many.
-        seeds: How many of each.
+        reference: Reference to track.
+        twins: Number of twins.
+        seeds: Number of seeds per twin.
         methods: Names of methods.
-        record: JSON lines, each the rows of one twin and seed; need not exist.
-        workers: Processes; 1 is this one.
+        record: File of JSON lines, each with the rows of one twin and seed; it need not exist.
+        workers: Number of processes; 1 means this process only.
         announce: Called with a line of progress.
+
+    Returns:
+        All requested rows, measured or recorded.
     """
     known = _read(record)
     done = {(row["twin"], row["seed"], row["method"]) for row in known}
@@ -265,18 +268,18 @@ def bench_learning(
     jobs = [Job(*pair, tuple(method for method in methods if (*pair, method) not in done)) for pair in pairs]
     jobs = [job for job in jobs if job.methods]
     begin = perf_counter()
-    append_text(record, "")  # or hours might pass before it is found that nothing can be written
+    append_text(record, "")  # fails now, not after hours, if the file cannot be written
     for number, rows in enumerate(_measured(reference, jobs, workers), start=1):
         append_text(record, json.dumps(rows) + "\n")
-        left = (perf_counter() - begin) * (len(jobs) - number) / number
-        announce(f"{number} of {len(jobs)} done, {left / 60:.0f} min remaining")
+        remaining = (perf_counter() - begin) * (len(jobs) - number) / number
+        announce(f"{number} of {len(jobs)} done, {remaining / 60:.0f} min remaining")
         known += rows
     rows = {(row["twin"], row["seed"], row["method"]): row for row in known}
     return [rows[*pair, method] for method in (UNCORRECTED, *methods) for pair in pairs]
 
 
 def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterator[list[DeploymentRow]]:
-    """The rows of each job, in the order in which they are done."""
+    """Yields the rows of each job in the order of completion."""
     if workers == 1:
         yield from (measure_twin(reference, *job) for job in jobs)
         return
@@ -289,10 +292,10 @@ def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterat
 
 
 def _read(record: Path) -> list[DeploymentRow]:
-    """The rows recorded; a last line cut off in the middle of writing is taken out of the file.
+    """Reads the recorded rows; removes a last line that was not completely written from the file.
 
     Raises:
-        InputError: The file is no such record; it stays as it is.
+        InputError: The file is not such a record; it is not changed.
     """
     if not record.exists():
         return []
@@ -303,7 +306,7 @@ def _read(record: Path) -> list[DeploymentRow]:
             raise ValueError
         rows = [row for line in whole.splitlines() for row in _rows(line)]
     except ValueError:
-        raise InputError(f"--out {record}: it holds something else; choose another name") from None
+        raise InputError(f"--out {record}: not a record of this benchmark; choose another name") from None
     if whole != content:
         write_whole(record, whole)
     return rows

@@ -1,8 +1,9 @@
-"""`stepgap bench run`: where the processor's time of a default run goes.
+"""`stepgap bench run`: how the CPU time of a default run is divided.
 
-All times are of the processor, not of the clock, so that other programs on the machine change them little. A timer
-looks every millisecond which part of the program is running, which gives the parts of the run. What `mj_step` takes of
-a tick is measured afterwards: some hops are made with the whole loop and, as recorded, with `mj_step` alone, by turns.
+All times are CPU times, not wall-clock times, so that other programs on the machine change them little. A timer samples
+every millisecond which part of the program is running, which gives the parts of the run. The share of `mj_step` in a
+tick is measured afterwards: some hops are made alternately with the whole loop and, from the record, with `mj_step`
+alone.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -30,8 +31,8 @@ from stepgap.rigs.rig import HEALTHY
 from stepgap.robots.hopper.hop_control import HopControl, HopperControl
 from stepgap.robots.hopper.twin.twin import Twin
 
-_LOOK_EVERY = 1e-3
-"""Processor time between two looks at what is running [s]."""
+_SAMPLING_PERIOD = 1e-3
+"""CPU time between two samples [s]."""
 
 HOPPING, REST = "hopping", "rest"
 LOADING = "loading"
@@ -44,27 +45,27 @@ PARTS = (
     ("files", ("stepgap/learning/step_log", "stepgap/records/", "stepgap/base/files", "stepgap/base/output_files")),
     ("learning", ("stepgap/learning/",)),
 )
-"""Parts of a run by the files one of whose functions is running, in the order in which they are looked for."""
+"""Parts of a run, with patterns of the files whose functions belong to them, in order of precedence."""
 
 TURNS, HOPS = 8, 10
-"""How often loop and `mj_step` take turns, and hops in a turn."""
+"""Number of turns of loop and `mj_step`, and number of hops in a turn."""
 
 _EVERY = 10
-"""One of this many ticks is kept by a run for its report."""
+"""Interval of the ticks that a run keeps for its report."""
 
 COMMAND = np.array([-7.0, -6.0])
-"""With which the robot hops while the cost of a tick is measured [N]."""
+"""Command during the measurement of the cost of a tick [N]."""
 
 PACKAGES = ("stepgap", "numpy", "numba", "mujoco")
-"""Whose versions the result names."""
+"""Packages whose versions are part of the result."""
 
 
 @dataclass(frozen=True)
 class TickCost:
-    """Processor time of one tick of hopping, on average [µs].
+    """Mean CPU time of one tick of hopping [µs].
 
     Attributes:
-        loop: All of it, as in a deployment.
+        loop: The whole tick, as in a deployment.
         physics: `mj_step` alone.
         control: One call of the control tick.
     """
@@ -75,7 +76,7 @@ class TickCost:
 
 
 class Sampler:
-    """Counts what is running, by the first of `PARTS` that one of the running functions belongs to."""
+    """Counts samples by the first of `PARTS` to which one of the running functions belongs."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -83,53 +84,53 @@ class Sampler:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Looks every millisecond of processor time."""
-        before = signal.signal(signal.SIGPROF, self._look)
-        signal.setitimer(signal.ITIMER_PROF, _LOOK_EVERY, _LOOK_EVERY)
+        """Samples after every millisecond of CPU time."""
+        before = signal.signal(signal.SIGPROF, self._sample)
+        signal.setitimer(signal.ITIMER_PROF, _SAMPLING_PERIOD, _SAMPLING_PERIOD)
         try:
             yield
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
             signal.signal(signal.SIGPROF, before)
 
-    def _look(self, _number: int, frame: FrameType | None) -> None:
-        seen = set[str]()
+    def _sample(self, _number: int, frame: FrameType | None) -> None:
+        files = set[str]()
         while frame:
-            seen.add(frame.f_code.co_filename)
+            files.add(frame.f_code.co_filename)
             frame = frame.f_back
-        self.counts[self._part(seen)] += 1
+        self.counts[self._part(files)] += 1
 
     def _part(self, files: set[str]) -> str:
-        for part, places in PARTS:
-            if any(place in file for file in files for place in places):
+        for part, patterns in PARTS:
+            if any(pattern in file for file in files for pattern in patterns):
                 return part
         return REST
 
 
 class RecordedTwin(Twin):
-    """A twin that remembers what MuJoCo was given at every tick."""
+    """A twin that records the inputs of MuJoCo at every tick."""
 
     def connect(self) -> None:
-        """Puts the robot into its starting pose."""
+        """Puts the robot into its starting pose, and starts a recording."""
         super().connect()
         self.record()
 
     def record(self) -> None:
-        """Begins with the present motion."""
+        """Starts a recording at the present motion."""
         self.start, self.given = copy(self._data), list[tuple[float, ...]]()
 
     @property
     def ticks(self) -> int:
-        """Ticks since the recording began."""
+        """Number of ticks since the start of the recording."""
         return round((self._data.time - self.start.time) / self.sensor_model.tick)
 
     def keep(self, _tick: Any) -> None:
-        """The tick is over, and what it was given is still there."""
+        """Records the inputs of a tick at its end, when they are still in memory."""
         force = self._force
         self.given.append((*self._ctrl, force[self._motor_1], force[self._motor_2], self._ground_position[2]))
 
     def bare_time(self) -> float:
-        """Processor time of `mj_step` over the recorded ticks [s], which must move the robot as they did."""
+        """CPU time of `mj_step` over the recorded ticks [s]; asserts that the motion is the same."""
         data = copy(self.start)
         ctrl, force, ground = data.ctrl, data.qfrc_applied, data.mocap_pos[0]
         first, second, model, steps = self._motor_1, self._motor_2, self._model, self._substeps
@@ -140,12 +141,12 @@ class RecordedTwin(Twin):
         for ctrl[0], ctrl[1], force[first], force[second], ground[2] in self.given:
             mujoco.mj_step(model, data, steps)
         spent = (thread_time() - between) - (between - begin)
-        assert np.array_equal(data.qpos, self._data.qpos), "the recorded ticks move the robot as they did"
+        assert np.array_equal(data.qpos, self._data.qpos), "the recorded ticks must reproduce the motion"
         return spent
 
 
 def tick_cost(settings: Experiment) -> TickCost:
-    """The cost of a tick of hopping on the settings' twin, with all that a run does in a tick."""
+    """Cost of a tick of hopping with the twin of the settings, including all that a run does in a tick."""
     control = HopperControl(settings.robot, settings.gains, settings.command)
     twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(settings.seed))
     plain = RigPlant(twin, control, TickRecorder(_EVERY).on_tick)
@@ -160,7 +161,7 @@ def tick_cost(settings: Experiment) -> TickCost:
 
 
 def _hopping_time(plant: RigPlant, twin: RecordedTwin) -> float:
-    """Processor time of a tick of some hops [s]."""
+    """Mean CPU time of a tick over some hops [s]."""
     with plant:
         plant.start()
         twin.record()
@@ -171,7 +172,7 @@ def _hopping_time(plant: RigPlant, twin: RecordedTwin) -> float:
 
 
 def _control_cost(control: HopControl, twin: Twin, calls: int = 20_000) -> float:
-    """Processor time of one call of the control tick from Python, the least of some rounds [µs]."""
+    """CPU time of one call of the control tick from Python, the smallest of several rounds [µs]."""
     twin.connect()
     reading, order, spent = twin.read(), Order(Mode.STEP, 1.0, (-7.0, -6.0)), []
     for _ in range(5):
@@ -184,21 +185,21 @@ def _control_cost(control: HopControl, twin: Twin, calls: int = 20_000) -> float
 
 
 def bench_run(settings: Experiment, run: Callable[[], object]) -> dict[str, Any]:
-    """Measures a run.
+    """Measures how the CPU time of a run is divided.
 
     Args:
-        settings: Of the run.
+        settings: Settings of the run.
         run: Runs it, report included.
 
     Returns:
-        Processor time of the parts [s], of a tick [µs], ratios to `mj_step` alone, and the machine. Loading, which
-        includes compilation on a machine's first run, is no part of the ratios.
+        CPU time of the parts [s] and of a tick [µs], ratios to `mj_step` alone, and the machine. The ratios do not
+        include loading, which includes compilation in the first run on a machine.
     """
     sampler, begin = Sampler(), process_time()
     with sampler.running():
         run()
-    total, looks = process_time() - begin, sum(sampler.counts.values())
-    seconds = {part: total * count / looks for part, count in sampler.counts.items()}
+    total, samples = process_time() - begin, sum(sampler.counts.values())
+    seconds = {part: total * count / samples for part, count in sampler.counts.items()}
     tick = tick_cost(settings)
     hopping = seconds.pop(HOPPING, 0.0)
     physics, control = (hopping * part / tick.loop for part in (tick.physics, tick.control))
@@ -215,7 +216,7 @@ def bench_run(settings: Experiment, run: Callable[[], object]) -> dict[str, Any]
 
 
 def describe_run(result: Mapping[str, Any]) -> str:
-    """The result as a table."""
+    """The result as a text table."""
     total, tick = result["total"], result["tick"]
     lines = [f"{part:18} {seconds:7.2f} s  {seconds / total:6.1%}" for part, seconds in result["seconds"].items()]
     return "\n".join(
@@ -224,7 +225,7 @@ def describe_run(result: Mapping[str, Any]) -> str:
             f"{'total':18} {total:7.2f} s",
             f"A tick of 1 ms takes {tick['loop']:.1f} µs: mj_step {tick['physics']:.1f} µs, the control tick "
             f"{tick['control']:.2f} µs.",
-            f"Hopping takes {result['hopping_to_physics']:.2f} times the mj_step calls in it, "
+            f"Hopping takes {result['hopping_to_physics']:.2f} times as long as its mj_step calls alone, "
             f"the whole run without loading {result['run_to_physics']:.2f} times.",
         ]
     )

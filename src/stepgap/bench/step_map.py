@@ -1,7 +1,7 @@
-"""`stepgap bench map`: the time that the nominal map takes, and everything that is built on it.
+"""`stepgap bench map`: computing times of the nominal map and of everything that is built on it.
 
-Other engines may be measured beside it; `benchmarks/compare_maps.py` does. Engines take turns within one run, so that a
-busy machine slows all of them alike: compare ratios, not times.
+Other engines can be measured with it, as in `benchmarks/compare_maps.py`. Engines take turns within one run, so that a
+busy machine slows all of them equally: compare ratios, not times.
 """
 
 import os
@@ -23,24 +23,24 @@ MAP_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco", "heyoka")
 """Packages whose versions are part of the result."""
 
 Evaluate = Callable[[Any, Any], Any]
-"""State (n,) and command (m,) to next state (n,)."""
+"""Function of state (n,) and command (m,) that returns the next state (n,)."""
 
 
 class TooFewSteps(StepGapError):
-    """The settings let the robot hop too rarely to measure anything; the message is one line."""
+    """Too few steps succeed with the settings to measure anything; the message is one line."""
 
 
 @dataclass(frozen=True)
 class MapBenchSize:
-    """Amount of measurements.
+    """Size of the benchmark.
 
     Attributes:
-        points: Random points, on all of which every engine's error is measured.
-        rounds: How often the engines take turns.
-        jacobians: Points at which the Jacobian is compared with differences of the reference.
-        solves: Random reachable pairs of state and target.
-        table: Points along each axis of the command table.
-        batch: Maps in a batch.
+        points: Number of random points at which the errors of all engines are measured.
+        rounds: Number of turns of the engines.
+        jacobians: Number of points at which the Jacobian is compared with differences of the reference.
+        solves: Number of random reachable pairs of state and target.
+        table: Number of points along each axis of the command table.
+        batch: Number of maps in a batch.
     """
 
     points: int
@@ -59,15 +59,15 @@ QUICK_MAP_BENCH = MapBenchSize(points=3, rounds=3, jacobians=0, solves=50, table
 
 @dataclass(frozen=True)
 class Engine:
-    """One way to compute the map.
+    """An implementation of the map.
 
     Attributes:
-        name: In the table.
+        name: Name in the table.
         note: Method and tolerance.
-        evaluate: One step.
-        calls: How many calls are timed in a round.
-        maps: How many maps one call evaluates.
-        error: Its error where it cannot be had by calling it.
+        evaluate: Function that computes one step.
+        calls: Number of timed calls in a round.
+        maps: Number of maps that one call evaluates.
+        error: Error of the engine, if it cannot be measured by calls.
     """
 
     name: str
@@ -80,12 +80,12 @@ class Engine:
 
 @dataclass(frozen=True)
 class MapPeers:
-    """Other ways to compute the same map.
+    """Other implementations of the same map.
 
     Attributes:
-        engines: Those that can be used here.
-        skipped: Names of the others, and the reason why each is left out.
-        reference: The map at a much finer tolerance, from which errors are measured.
+        engines: Engines that are available.
+        skipped: Names of the others, with the reason why each is left out.
+        reference: The map with a much smaller tolerance, relative to which errors are measured.
     """
 
     engines: Sequence[Engine] = ()
@@ -103,14 +103,14 @@ def bench_map(
     announce: Announce = lambda line: None,
     peers: MapPeers = NO_PEERS,
 ) -> dict[str, Any]:
-    """Runs every section; the result is plain data for JSON.
+    """Runs all sections of the benchmark; the result is plain data for JSON.
 
     Args:
         nominal: StepGap's engine.
         seed: Seed of the random points.
-        quick: Whether to take few points.
+        quick: Whether to use few points.
         announce: Called with the name of each section before it begins.
-        peers: Other engines, measured beside it.
+        peers: Other engines to measure.
     """
     size, rng = QUICK_MAP_BENCH if quick else FULL_MAP_BENCH, np.random.default_rng(seed)
     states, commands = random_steps(nominal, rng, size.points)
@@ -140,39 +140,37 @@ def bench_map(
 
 
 def random_steps(nominal: ApexMap, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Random states and commands within their ranges of use that make a step; shapes (count, n) and (count, m).
+    """Random states and commands within their ranges that make a step; shapes (count, n) and (count, m).
 
     Raises:
-        TooFewSteps: Fewer than a quarter of them do.
+        TooFewSteps: Fewer than a quarter of the random points make a step.
     """
     space, most = nominal.space, 4 * count
     lower, upper = ([getattr(quantity, end) for quantity in space.state] for end in ("lower", "upper"))
     states = rng.uniform(lower, upper, (most, len(lower)))
     commands = rng.uniform(space.command_lower, space.command_upper, (most, len(space.command)))
-    works = np.flatnonzero(nominal.evaluate(states, commands).status == StepStatus.OK)[:count]
-    if len(works) < count:
+    succeed = np.flatnonzero(nominal.evaluate(states, commands).status == StepStatus.OK)[:count]
+    if len(succeed) < count:
         raise TooFewSteps(
-            f"only {len(works)} of {most} random steps succeed; choose settings with which the robot hops"
+            f"only {len(succeed)} of {most} random steps succeed; choose settings with which the robot hops"
         )
-    return states[works], commands[works]
+    return states[succeed], commands[succeed]
 
 
 def _ours(nominal: ApexMap, states: Array, commands: Array) -> list[Engine]:
     many = np.resize(states, (15, 2)), np.resize(commands, (15, 2))
     return [
         Engine("StepGap", "one call from Python", lambda state, command: nominal(state, command), calls=100),
-        Engine(
-            "StepGap in a batch", "15 maps a call, each map", lambda *_: nominal.evaluate(*many), 20, maps=15, error=0.0
-        ),
+        Engine("StepGap in a batch", "15 maps per call", lambda *_: nominal.evaluate(*many), 20, maps=15, error=0.0),
     ]
 
 
 def time_engines(
     engines: list[Engine], states: Array, commands: Array, truth: Array | None, nominal: ApexMap, rounds: int
 ) -> list[dict[str, Any]]:
-    """Median time of one map for each engine, the median over the rounds of its ratio to the first, and its error."""
+    """A row for each engine: median time of one map, median ratio to the first engine, and error."""
     for engine in engines:
-        engine.evaluate(states[0], commands[0])  # compiles
+        engine.evaluate(states[0], commands[0])  # compiles the engine
     times = [[_round(engine, states, commands, turn) for engine in engines] for turn in range(rounds)]
     medians = np.array([[np.median(taken) for taken in row] for row in times])
     ratios = np.median(medians / medians[:, :1], axis=0)
@@ -213,13 +211,13 @@ def _evaluate_all(evaluate: Evaluate, states: Array, commands: Array) -> Array:
 
 
 def _largest_error(nominal: ApexMap, evaluate: Evaluate, states: Array, commands: Array, truth: Array) -> float:
-    """Relative to the larger of the true value and half the range of use."""
+    """Largest error relative to the larger of the true value and half the range."""
     found = _evaluate_all(evaluate, states, commands)
     return float((np.abs(found - truth) / np.maximum(np.abs(truth), nominal.space.state_scale)).max())
 
 
 def _jacobian(nominal: ApexMap, reference: Evaluate | None, states: Array, commands: Array) -> dict[str, Any]:
-    """Cost in maps, and the largest error against Richardson differences of the reference, of its largest entry."""
+    """Cost of the Jacobian in maps, and its largest error relative to its largest entry, by Richardson differences."""
     many = random_steps(nominal, np.random.default_rng(0), 15)
     pairs = [(timed(lambda: nominal.jacobian(*many)), timed(lambda: nominal.evaluate(*many))) for _ in range(9)]
     errors = []
@@ -232,7 +230,7 @@ def _jacobian(nominal: ApexMap, reference: Evaluate | None, states: Array, comma
 
 
 def richardson(nominal: ApexMap, evaluate: Evaluate, state: Array, command: Array) -> Array:
-    """∂next/∂(state, command) by central differences of two widths, extrapolated; shape (n, n + m)."""
+    """∂next/∂(state, command) by Richardson extrapolation of central differences; shape (n, n + m)."""
     point, n = np.concatenate([state, command]), len(state)
     scale = np.concatenate([nominal.space.state_scale, nominal.space.command_scale])
     columns = []
@@ -247,7 +245,7 @@ def richardson(nominal: ApexMap, evaluate: Evaluate, state: Array, command: Arra
 
 
 def _root_solve(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, Any]:
-    """Cold solves of random pairs that a random command connects."""
+    """Times of solves without a guess for random pairs of state and reachable target."""
     states, commands = random_steps(nominal, rng, count)
     targets, controller = nominal(states, commands), StepController(nominal)
     times, reached = [], []
@@ -261,7 +259,7 @@ def _root_solve(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[
 
 
 def _batch(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, Any]:
-    """Maps a second on one core and on all, taking turns."""
+    """Time per map in a batch, alternately on one core and on all."""
     many = random_steps(nominal, rng, count)
     if not hasattr(os, "sched_setaffinity"):
         return {"cores": os.cpu_count(), "one_core_us": None, "all_cores_us": timed(lambda: nominal.evaluate(*many))}
@@ -280,7 +278,7 @@ def _batch(nominal: ApexMap, rng: np.random.Generator, count: int) -> dict[str, 
 
 
 def _table(nominal: ApexMap, rng: np.random.Generator, points: int) -> dict[str, Any]:
-    """Time to build a command table and the worst error of interpolating in it."""
+    """Time to compute a command table, and the largest error of interpolation in it."""
     begin = perf_counter()
     table = build_table(nominal, points)
     seconds = perf_counter() - begin
@@ -291,21 +289,22 @@ def _table(nominal: ApexMap, rng: np.random.Generator, points: int) -> dict[str,
             "state": error.worst_state.tolist(),
             "border_state": error.border_state.tolist() if error.border_samples else None,
         }
-    except ValueError:  # so coarse that no cell lies within reach
+    except ValueError:  # the table is so coarse that no cell is reached
         worst = None
     return {"points": points, "seconds": seconds, "within_reach": float(table.reached.mean()), "worst_error": worst}
 
 
 def describe_map_bench(result: dict[str, Any]) -> str:
-    """The result as a table and a line for each further section."""
+    """The result as a text table and a line for each further section."""
     lines = [f"{'engine':22}{'one map':>12}{'ratio':>10}{'error':>10}   note"]
     for row in result["engines"]:
         error = row["largest_relative_error"]
-        shown = "-" if error is None else f"{error:.1e}"
-        lines.append(f"{row['name']:22}{row['median_us']:9.1f} µs{row['ratio']:10.2f}{shown:>10}   {row['note']}")
+        text = "-" if error is None else f"{error:.1e}"
+        lines.append(f"{row['name']:22}{row['median_us']:9.1f} µs{row['ratio']:10.2f}{text:>10}   {row['note']}")
     lines += [f"{name:22}{'skipped':>12}{'':20}   {reason}" for name, reason in result["skipped"].items()]
     jacobian, solve, batch, table = (result[name] for name in ("jacobian", "root_solve", "batch", "table"))
-    error = "" if jacobian["largest_error"] is None else f", error {jacobian['largest_error']:.1e} of its largest entry"
+    largest = jacobian["largest_error"]
+    error = "" if largest is None else f", largest error {largest:.1e} of its largest entry"
     lines += [
         "",
         f"Jacobian       {jacobian['maps']:.1f} maps{error}",
@@ -314,7 +313,7 @@ def describe_map_bench(result: dict[str, Any]) -> str:
     ]
     if batch["one_core_us"] is not None:
         lines.append(
-            f"batch          {batch['one_core_us']:.1f} µs a map on one core, {batch['all_cores_us']:.1f} on "
+            f"batch          {batch['one_core_us']:.1f} µs per map on one core, {batch['all_cores_us']:.1f} on "
             f"{batch['cores']}: {batch['speed_up']:.2f} times as fast"
         )
     lines.append(f"command table  {table['points']}⁴ in {table['seconds']:.1f} s, {_worst(table['worst_error'])}")

@@ -1,4 +1,4 @@
-"""Functions of every benchmark: the time of a call, and the machine it was measured on."""
+"""Functions for all benchmarks: the time of a call, and the description of the machine."""
 
 import os
 import platform
@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import Any
 
 Announce = Callable[[str], None]
-"""Receives a line that names what is measured next."""
+"""Function that receives a line with the name of the next measurement."""
 
 
 def timed(call: Callable[[], object]) -> float:
@@ -19,7 +19,7 @@ def timed(call: Callable[[], object]) -> float:
 
 
 def machine(packages: Sequence[str]) -> dict[str, Any]:
-    """Processor, cores, load, and the versions of Python and of those packages that are installed."""
+    """Processor, cores, load, and the versions of Python and of the installed packages."""
     return {
         "processor": platform.machine(),
         "cores": os.cpu_count(),

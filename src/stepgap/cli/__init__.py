@@ -1,1 +1,1 @@
-"""The command line: one file per verb; the only place that chooses robots and plants."""
+"""The command line: one file per verb. Robots and plants are chosen only here."""

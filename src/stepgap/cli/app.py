@@ -1,8 +1,8 @@
 """The command line.
 
-Verb modules import at their top only what is quick to import, so that help does not wait; a test holds this.
+At their top, verb modules import only modules that load quickly, so that help does not wait; a test checks this.
 
-Exit codes: 0 done; 2 bad input, with one line that says what would be right; 130 Ctrl-C; 1 any other failure.
+Exit codes: 0 done; 2 bad input, with one line that gives the rule; 130 Ctrl-C; 1 any other failure.
 """
 
 import re
@@ -31,7 +31,7 @@ from stepgap.cli.view import view
 OVERRIDE = re.compile(r"--([a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
 _BAD_INPUT, _FAILED, _STOPPED = 2, 1, 130
-"""Exit codes; the last one after Ctrl-C, as shells have it."""
+"""Exit codes; the last one after Ctrl-C, as in shells."""
 
 app = App(
     name="stepgap",
@@ -89,28 +89,28 @@ def _run_verb(arguments: Sequence[str], program: list[str]) -> None:
 
 
 def _is_bad_input(error: Exception) -> bool:
-    """Whether the user gave something wrong, or named a file or folder without permission to use it."""
+    """Whether the user gave wrong input, or a file or folder without permission to use it."""
     forbidden = isinstance(error, PermissionError) and error.filename is not None
     return forbidden or isinstance(error, InputError | cyclopts.CycloptsError)
 
 
 def _line_of(error: Exception) -> str:
-    """The message of an error; of one that neither StepGap nor the system explains, its type, too."""
+    """Message of an error, with its type if neither StepGap nor the system explains it."""
     if isinstance(error, cyclopts.UnusedCliTokensError) and error.unused_tokens:
-        return f"{' '.join(error.unused_tokens)}: too many arguments; --help shows what this verb takes"
-    about_a_file = isinstance(error, OSError) and error.filename is not None  # such as that its disk is full
+        return f"{' '.join(error.unused_tokens)}: too many arguments; --help shows those of this verb"
+    about_a_file = isinstance(error, OSError) and error.filename is not None  # such as a full disk
     if _is_bad_input(error) or about_a_file or isinstance(error, StepGapError):
         return f"{message_of(error)}{_hint(error)}"
     return f"{type(error).__name__}: {error}"
 
 
 def _hint(error: Exception) -> str:
-    """Suggests that an unknown option was meant as a setting, where the verb takes settings."""
+    """Hint that an unknown option may be a setting, if the verb takes settings."""
     if not isinstance(error, cyclopts.UnknownOptionError) or "Did you mean" in str(error) or not error.target:
         return ""
     if "overrides" not in signature(error.target).parameters:
         return ""
-    return " If it is a setting, name its table, too, as in --robot.body_mass 1.6."
+    return " If it is a setting, name its table as well, as in --robot.body_mass 1.6."
 
 
 def split_program(arguments: Sequence[str]) -> tuple[list[str], list[str]]:

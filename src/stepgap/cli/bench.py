@@ -17,7 +17,7 @@ from stepgap.cli.options import Flag, Integer, Overrides, add_verb
 from stepgap.cli.terminal import announces_compilation
 
 Count = Annotated[Integer, Parameter(validator=validators.Number(gte=1, lte=1000))]
-"""A number of things to measure."""
+"""Number of repetitions."""
 
 
 @announces_compilation
@@ -100,8 +100,8 @@ def bench_learning_(
         seeds: Number of seeds of each twin.
         methods: Names of the methods, as NAME,NAME. [default: all]
         quick: Take half a minute: 2 twins, 1 seed, and only the methods linear and gp.
-        out: JSON lines of all measurements, to which a second call adds what is missing; the summary and the
-            picture get the same name with other endings.
+        out: File of JSON lines with all measurements, to which a second call adds the missing ones; the summary and the
+            figure get the same name with other endings.
     """
     from stepgap.base.files import write_whole
     from stepgap.bench.learning import SKIPPED, bench_learning
@@ -109,7 +109,7 @@ def bench_learning_(
     from stepgap.report.learning import describe_learning, learning_picture, summarise_learning
 
     chosen = _chosen_methods(methods, quick)
-    summary_file, picture_file = _beside(out)
+    summary_file, picture_file = _summary_files(out)
     if quick:
         twins, seeds = 2, 1
     workers = os.cpu_count() or 1
@@ -125,23 +125,23 @@ def bench_learning_(
 
 
 def _chosen_methods(methods: str | None, quick: bool) -> list[str]:
-    """The methods that are compared.
+    """Names of the compared methods.
 
     Raises:
         InputError: One of them is unknown or cannot be used here.
     """
-    from stepgap.bench.learning import SKIPPED, usual_methods
+    from stepgap.bench.learning import SKIPPED, default_methods
     from stepgap.bench.learning import methods as known_methods
 
-    chosen = methods.split(",") if methods else ["linear", "gp"] if quick else usual_methods()
+    chosen = methods.split(",") if methods else ["linear", "gp"] if quick else default_methods()
     if unknown := [name for name in chosen if name not in known_methods()]:
         missing = SKIPPED.get(unknown[0], f"it must be one of {', '.join(known_methods())}")
         raise InputError(f"--methods {unknown[0]}: {missing}")
     return chosen
 
 
-def _beside(out: Path) -> tuple[Path, Path]:
-    """The files of the summary and of the picture; a second call with the same `out` replaces them."""
+def _summary_files(out: Path) -> tuple[Path, Path]:
+    """Files of the summary and of the figure; a second call with the same `out` replaces them."""
     if not out.parent.is_dir() or out.suffix != ".jsonl":
         raise InputError(f"--out {out}: give a name that ends with .jsonl in a folder that exists")
     files = out.with_suffix(".json"), out.with_suffix(".png")
@@ -151,9 +151,9 @@ def _beside(out: Path) -> tuple[Path, Path]:
     return files
 
 
-def _new_file(out: Path | None, usual: str) -> Path:
-    """The file for a result, which must not exist."""
-    file = out or free_name(Path(usual))
+def _new_file(out: Path | None, default: str) -> Path:
+    """File for a result, which must not exist."""
+    file = out or free_name(Path(default))
     check_new(file, "--out")
     return file
 
@@ -165,7 +165,7 @@ def _write_json(file: Path, result: dict[str, Any]) -> None:
 
 
 def _announce(line: str) -> None:
-    """Prints on stderr what is measured next."""
+    """Prints on stderr the name of the next measurement."""
     print(f"{line} …", file=sys.stderr)
 
 

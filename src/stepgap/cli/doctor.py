@@ -1,4 +1,4 @@
-"""The verb `stepgap doctor`: what this machine has of everything that StepGap can use; no user needs all of it."""
+"""The verb `stepgap doctor`: the components that StepGap can use, and whether this machine has them."""
 
 import os
 import re
@@ -24,11 +24,11 @@ REALTIME_TRIAL = "from stepgap.plants.realtime.pace import ask_for_realtime; pri
 TRIAL_TIMEOUT = 30.0
 """Longest time of a trial in another process [s]."""
 
-NEEDS_GL = "only MuJoCo's own pictures need it, not runs, reports and their figures"
+NEEDS_GL = "needed only for MuJoCo's own pictures, not for runs, reports and their figures"
 
 
 _Row = tuple[str, str]
-"""What was looked for and what was found."""
+"""Name of a component, and the result."""
 
 
 def doctor() -> None:
@@ -71,7 +71,7 @@ def _rights() -> Iterator[_Row]:
 
 
 def _raw_sockets() -> str:
-    """Says whether EtherCAT frames may be sent."""
+    """Sentence on whether EtherCAT frames may be sent."""
     import socket
 
     if not hasattr(socket, "AF_PACKET"):
@@ -90,7 +90,7 @@ def _cache() -> _Row:
     if folder is None:
         return "cache", "no folder can be written: everything is compiled at every start; set NUMBA_CACHE_DIR"
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    return "cache", f"{folder}, {size / 2**20:.0f} MiB; it may be deleted; what is needed is then compiled again"
+    return "cache", f"{folder}, {size / 2**20:.0f} MiB; it may be deleted; code is then compiled again when needed"
 
 
 def _extras() -> Iterator[_Row]:

@@ -1,4 +1,4 @@
-"""An emulated ring with the twin behind it, for a master that drives it like hardware."""
+"""An emulated ring with the twin behind it, for a master that uses it like hardware."""
 
 import os
 import shlex
@@ -29,23 +29,23 @@ from stepgap.robots.hopper.twin_machine import TwinMachine
 def emulate_ring(
     experiment: Experiment, ring: RingSettings, interface: str, hold: float, settings_file: Path, program: Sequence[str]
 ) -> int:
-    """Emulates a ring until Ctrl-C, or while a command line is running; returns its exit code, else 0.
+    """Emulates a ring until Ctrl-C, or while a command is running; returns the exit code of the command, or 0.
 
     Args:
-        experiment: Its robot and gap are those of the twin.
-        ring: Timing of the ring.
+        experiment: Settings with the robot and the gap of the twin.
+        ring: Settings of the ring.
         interface: Network interface that a master opens.
         hold: Time for which the twin is held after the drives have been enabled [s].
         settings_file: File for the rig.toml of this ring.
-        program: The command line, or an empty one.
+        program: Command line of the command; empty for none.
 
     Raises:
-        InputError: The settings make no twin behind a ring, or a file is in the way.
-        NoNetwork: There can be no ring here; the message says what to do.
+        InputError: No twin behind a ring can be made with the settings, or the settings file exists already.
+        NoNetwork: No ring can run on this computer; the message gives the remedy.
     """
     make_machine = partial(_make_machine, experiment, hold)
-    layout = _layout_behind_ring(experiment, hold)
-    text = tomli_w.dumps(to_table(emulated_settings(layout, experiment.robot, ring, interface)))
+    sensors = _sensors_behind_ring(experiment, hold)
+    text = tomli_w.dumps(to_table(emulated_settings(sensors, experiment.robot, ring, interface)))
     if os.geteuid() != 0:
         _leave_for_namespace(settings_file, program)
 
@@ -56,7 +56,7 @@ def emulate_ring(
     if not program:
         run_emulator(interface, make_machine(), ring, started)
         return 0
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # handed down to the ring: Ctrl-C is for the program
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited by the ring: Ctrl-C is for the program
     with emulated(interface, make_machine, ring):
         signal.signal(signal.SIGINT, before)
         _write_settings(settings_file, text)
@@ -64,7 +64,7 @@ def emulate_ring(
 
 
 def run_program(program: Sequence[str]) -> int:
-    """Runs a command line until it ends, also by Ctrl-C or SIGTERM; returns its exit code as shells have it.
+    """Runs a command until it ends, also by Ctrl-C or SIGTERM; returns its exit code as in shells.
 
     Raises:
         InputError: There is no such program.
@@ -73,14 +73,14 @@ def run_program(program: Sequence[str]) -> int:
         process = subprocess.Popen(program)
     except OSError as error:
         raise InputError(f"-- {shlex.join(program)}: cannot be run: {error.strerror}") from None
-    before = signal.signal(signal.SIGTERM, lambda *_: process.terminate())  # it came to this process alone
+    before = signal.signal(signal.SIGTERM, lambda *_: process.terminate())  # it reaches only this process
     try:
         while True:
             try:
                 code = process.wait()
                 return code if code >= 0 else 128 - code
             except KeyboardInterrupt:
-                continue  # the program got it, too
+                continue  # the program was interrupted, too
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -90,8 +90,8 @@ def _make_machine(experiment: Experiment, hold: float) -> TwinMachine:
     return TwinMachine(Twin(experiment.robot, experiment.gap, rng, hold=hold))
 
 
-def _layout_behind_ring(experiment: Experiment, hold: float) -> HopperSensorModel:
-    """The twin's layout, if a ring can carry its counts."""
+def _sensors_behind_ring(experiment: Experiment, hold: float) -> HopperSensorModel:
+    """Sensor model of the twin, after a check that a ring can carry its counts."""
     for name in (field.name for field in fields(experiment.gap) if "counts" in field.name):
         if isinf(getattr(experiment.gap, name)):
             raise InputError(
@@ -101,11 +101,11 @@ def _layout_behind_ring(experiment: Experiment, hold: float) -> HopperSensorMode
         rng = np.random.default_rng(experiment.seed)
         return Twin(experiment.robot, experiment.gap, rng, hold=hold).sensor_model
     except ValueError as error:
-        raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None
+        raise InputError(f"no twin can be made with the settings [robot] and [gap]: {error}") from None
 
 
 def _write_settings(file: Path, text: str) -> None:
-    """Writes rig.toml and says so; one that says the same already will do."""
+    """Writes rig.toml and prints its path, unless the file exists with the same content."""
     try:
         if file.is_file() and file.read_text("utf-8") == text:
             return
@@ -114,19 +114,19 @@ def _write_settings(file: Path, text: str) -> None:
     except FileExistsError:
         raise InputError(f"{file}: exists and describes another rig; choose another --settings") from None
     except UnicodeDecodeError:
-        raise InputError(f"{file}: exists and is no text; choose another --settings") from None
+        raise InputError(f"{file}: exists and is not a text file; choose another --settings") from None
     except OSError as error:
         raise InputError(f"{file}: cannot be written: {error.strerror}; choose another --settings") from None
     print(file, flush=True)
 
 
 def _leave_for_namespace(settings_file: Path, program: Sequence[str]) -> None:
-    """Continues in a network namespace, which needs no root; with the program, or else there would be no master."""
+    """Continues in a network namespace, which does not need root; the program is needed there as the master."""
     if not program:
         master = shlex.join(["stepgap", "rig", "check", str(settings_file)])
         typed = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
         raise NoNetwork(
-            "only root can make a network interface; else ring and master must be in one network of their "
-            f"own: type `{typed} -- {master}`, or any other command after --"
+            "only root can make a network interface; without root, ring and master must share a private network: "
+            f"type `{typed} -- {master}`, or any other command after --"
         )
     run_in_namespace([sys.executable, *sys.orig_argv[1:]])

@@ -29,7 +29,7 @@ def export(
         folder: Folder of the run.
         to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; mjcf: the twin's model.
         iteration: Number of the only deployment to export. [default: all of them; for mcap the last one]
-        out: New file, or for mjcf a new folder. [default: a new one in export/ in the run's folder]
+        out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
     if to == "mjcf":
         _export_model(folder, iteration, out)
@@ -83,10 +83,10 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
         print(target)
         return
     if iteration is not None:
-        raise InputError("--iteration: logs of a rig do not name the deployment; leave this option out")
+        raise InputError("--iteration: not valid for the tick logs of a rig; leave this option out")
     logs = folder / "ticks"
     if not any(logs.glob("*.mcap")):
-        raise InputError(f"{logs}: no .mcap file there, so there are no ticks of this run")
+        raise InputError(f"{logs}: contains no .mcap file, so there are no ticks of this run")
     target = _target(folder, "ticks", out)
     with writing(target, "--out"):
         for line in copy_ticks(logs, target):
@@ -94,14 +94,14 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
 
 
 def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None:
-    from stepgap.experiment.plants import remade_rig
+    from stepgap.experiment.plants import replay_rig
     from stepgap.experiment.settings import read_experiment
     from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
 
     if iteration is not None:
         raise InputError("--iteration: the model is the same in all deployments; leave this option out")
     settings = read_experiment(folder / "experiment.toml")
-    _, twin = remade_rig(settings, 0)
+    _, twin = replay_rig(settings, 0)
     files = mjcf_files(twin, settings.robot.boom_length)
     target = _target(folder, "mjcf", out)
     with writing(target, "--out"):
@@ -111,7 +111,7 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
 
 
 def _read_run(folder: Path) -> "RunRecord":
-    """The record in the folder of a run."""
+    """Reads the record in the folder of a run."""
     from stepgap.records.run_folder import read_run_folder
 
     try:
@@ -125,7 +125,7 @@ def _suffix(iteration: int | None) -> str:
 
 
 def _target(folder: Path, name: str, out: Path | None) -> Path:
-    """The path to write to: the one given, or a free name in the run's folder."""
+    """Path of the output: the given one, or a free name in the run's folder."""
     if out:
         check_new(out, "--out")
         return out

@@ -12,8 +12,8 @@ from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, write_new
 from stepgap.cli.options import Integer, Overrides
 
-if TYPE_CHECKING:  # what takes time to import is imported where it is used
-    from stepgap.experiment.fit import Lesson
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.experiment.fit import FitData
     from stepgap.learning.validation import Validation
 
 
@@ -24,7 +24,7 @@ class ColumnNames:
 
     Attributes:
         state: Columns of the state before the step, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN.
-        next: Columns of the state after it. [default: those of the state in the following row]
+        next: Columns of the state after the step. [default: those of the state in the following row]
         command: Columns of the command.
         target: Columns of the target; without --command they are used as the command.
         predicted: Columns of the nominal next state.
@@ -52,7 +52,7 @@ class Results:
 
     Attributes:
         out: New JSON file for all numbers.
-        plot: New file for a picture of predicted against actual errors.
+        plot: New file for a figure of predicted against actual errors.
         save: New JSON file for the best residual, fitted to all steps.
     """
 
@@ -61,7 +61,7 @@ class Results:
     save: Path | None = None
 
     def check(self) -> None:
-        """Raises InputError where one of them cannot be written."""
+        """Raises InputError if one of the files cannot be written."""
         from stepgap.report.fit import PICTURE_FORMATS
 
         for option, file in (("--out", self.out), ("--plot", self.plot), ("--save", self.save)):
@@ -84,7 +84,7 @@ def fit(
     results: Results = NO_RESULTS,
     overrides: Overrides = None,
 ) -> None:
-    """Fit every residual to recorded steps, score it on steps held out, and summarise what can be learned.
+    """Fit every residual to recorded steps, score it on held-out steps, and summarise how much can be learned.
 
     Args:
         log: Folders of runs or their steps.csv; or CSV files of any origin, if their columns are named.
@@ -97,36 +97,36 @@ def fit(
     from threadpoolctl import threadpool_limits
 
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.fit import choose_folds, describe_lesson, read_lesson, show_validation, verdicts
+    from stepgap.experiment.fit import choose_folds, describe_fit_data, read_fit_data, show_validation, verdicts
     from stepgap.learning.residual_fit import names_without_lagged_inputs
     from stepgap.learning.validation import validate
     from stepgap.records.columns import read_columns
 
     if not log:
-        raise InputError("LOG: none given; give folders of runs, or CSV files and what their columns hold")
+        raise InputError("LOG: none given; give folders of runs, or CSV files and the names of their columns")
     results.check()
-    lesson = read_lesson(log, read_columns(columns, names.given()), nominal, experiment, overrides or [])
-    parts = choose_folds(lesson.steps, folds)
-    print(describe_lesson(lesson, parts), flush=True)
+    data = read_fit_data(log, read_columns(columns, names.given()), nominal, experiment, overrides or [])
+    parts = choose_folds(data.steps, folds)
+    print(describe_fit_data(data, parts), flush=True)
     with threadpool_limits(limits=1, user_api="blas"), progress_bar("fits") as progress:
-        validation = validate(names_without_lagged_inputs(), lesson.steps, parts, progress)
-    show_validation(lesson.steps.space.state, validation, sys.stdout)
-    print(verdicts(lesson.steps.space.state, validation))
-    _write(results, log, lesson, validation)
+        validation = validate(names_without_lagged_inputs(), data.steps, parts, progress)
+    show_validation(data.steps.space.state, validation, sys.stdout)
+    print(verdicts(data.steps.space.state, validation))
+    _write(results, log, data, validation)
 
 
-def _write(results: Results, log: tuple[Path, ...], lesson: "Lesson", validation: "Validation") -> None:
-    """Writes the files that were asked for."""
+def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation: "Validation") -> None:
+    """Writes the requested files."""
     from stepgap.experiment.fit import best_residual, fit_report
     from stepgap.report.fit import fit_picture
 
     if results.out:
-        write_new(results.out, "--out", json.dumps(fit_report(log, lesson, validation), indent=1))
+        write_new(results.out, "--out", json.dumps(fit_report(log, data, validation), indent=1))
     if results.plot:
-        picture = fit_picture(lesson.steps.space.state, validation, _format_of(results.plot))
+        picture = fit_picture(data.steps.space.state, validation, _format_of(results.plot))
         write_new(results.plot, "--plot", picture)
     if results.save:
-        write_new(results.save, "--save", json.dumps(best_residual(lesson.steps, validation).to_dict()))
+        write_new(results.save, "--save", json.dumps(best_residual(data.steps, validation).to_dict()))
 
 
 def _format_of(picture: Path) -> str:

@@ -25,7 +25,7 @@ def gait(
         experiment: TOML file of settings.
         speed: Forward speed at the apex [m/s].
         height: Height of the apex [m].
-        out: New file for the picture. [default: gait.png or the next free name]
+        out: New file for the figure. [default: gait.png or the next free name]
     """
     from stepgap.control.limit_cycle import fixed_point, reachable_set
     from stepgap.experiment.settings import read_experiment
@@ -43,7 +43,7 @@ def gait(
         point = fixed_point(nominal, [speed, height])
     except StepFailed as error:
         raise InputError(
-            f"--speed {speed:g} --height {height:g}: no command makes a step from there ({error})"
+            f"--speed {speed:g} --height {height:g}: no command makes a step from this state ({error})"
         ) from None
     reachable = reachable_set(nominal, point.state)
     figure = gait_figure(nominal.space, point, reachable)

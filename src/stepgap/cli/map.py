@@ -12,7 +12,7 @@ from stepgap.base.output_files import check_new, free_name, writing
 from stepgap.cli.options import Integer, Overrides
 from stepgap.cli.terminal import announces_compilation
 
-if TYPE_CHECKING:  # what takes time to import is imported where it is used
+if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.control.command_table import CommandTable, TableError
     from stepgap.experiment.settings import Experiment
     from stepgap.step import Array, Quantity, StepMap, StepSpace
@@ -58,8 +58,8 @@ def map_(
 
     given = {"speed": speed, "height": height, "fx": fx, "fy": fy}
     given = {name: value for name, value in given.items() if value is not None}
-    ways = {"--csv": csv, "--table": table, "--speed, --height, --fx, --fy": given or None}
-    chosen = [name for name, value in ways.items() if value is not None]
+    modes = {"--csv": csv, "--table": table, "--speed, --height, --fx, --fy": given or None}
+    chosen = [name for name, value in modes.items() if value is not None]
     if len(chosen) > 1:
         raise InputError(f"{' and '.join(chosen)}: give only one of them")
     if out and not csv:
@@ -100,7 +100,7 @@ def _map_point(nominal: "StepMap", point: dict[str, float]) -> None:
     try:
         next_state = nominal(state, command)
     except StepFailed as error:
-        raise InputError(f"{given}: no step ends in an apex from there ({error})") from None
+        raise InputError(f"{given}: the step does not end at an apex ({error})") from None
     print(describe_step(nominal.space, next_state, nominal.jacobian(state, command)))
 
 
@@ -135,7 +135,7 @@ def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
     check_new(file, "--table")
     with progress_bar("commands") as progress:
         table = build_table(nominal, points, progress)
-    file = free_name(file)  # another process may have taken the name by now
+    file = free_name(file)  # another process may have used the name in the meantime
     with writing(file, "--table"):
         write_table(file, table)
     try:
@@ -146,7 +146,7 @@ def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
 
 
 def describe_step(space: "StepSpace", next_state: "Array", jacobian: "Array") -> str:
-    """The next state and its Jacobian as text."""
+    """Next state and Jacobian as text."""
     inputs = (*space.state, *space.command)
     lines = [f"next state    {_named(space.state, next_state)}", "", "derivative" + " " * 14]
     lines[-1] += "".join(f"{f'by {q.name} [{q.unit}]':>18}" for q in inputs)
@@ -156,16 +156,16 @@ def describe_step(space: "StepSpace", next_state: "Array", jacobian: "Array") ->
 
 
 def describe_table(table: "CommandTable", error: "TableError") -> str:
-    """The size of a table and the error of interpolation in it, as text."""
+    """Size of a table and error of interpolation in it, as text."""
     space = table.space
     return "\n".join(
         [
             f"{table.reached.size} commands, {table.reached.mean():.0%} of them reach their target",
-            f"interpolated, on {error.samples} random points between nodes within reach:",
+            f"interpolated, at {error.samples} random points between nodes with reachable targets:",
             f"  worst error of the command       {_named(space.command, error.worst_command, '.2g')}",
             f"  worst error of the next state    {_named(space.state, error.worst_state, '.2g')}",
             f"  median error of the next state   {_named(space.state, error.median_state, '.2g')}",
-            f"on {error.border_samples} at the border of reach:",
+            f"at {error.border_samples} points on the border of the reachable targets:",
             f"  worst error of the next state    {_named(space.state, error.border_state, '.2g')}",
         ]
     )

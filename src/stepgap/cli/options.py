@@ -1,4 +1,4 @@
-"""Types of command-line options, and how a verb is added to the command line."""
+"""Types of command-line options, and the function that adds a verb to the command line."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ MOST_DIGITS = 30
 
 
 def _to_integer(_: Any, tokens: Sequence[Token]) -> int:
-    """The integer that a token spells; Cyclopts itself would round 1.5 to 2."""
+    """Converts a token to an integer; Cyclopts itself would round 1.5 to 2."""
     text = tokens[0].value
     if not re.fullmatch(rf"[+-]?[0-9]{{1,{MOST_DIGITS}}}", text):
         raise ValueError(f'"{text:.40}" is not an integer')
@@ -27,13 +27,13 @@ def _to_integer(_: Any, tokens: Sequence[Token]) -> int:
 
 
 Integer = Annotated[int, Parameter(converter=_to_integer)]
-"""An integer."""
+"""Option with an integer value."""
 
 Port = Annotated[Integer, Parameter(validator=Number(gte=1, lt=2**16))]
 """Number of a TCP port."""
 
 Flag = Annotated[bool, Parameter(show_default=False)]
-"""An option without a value."""
+"""Option without a value."""
 
 Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
 """Settings given as `--table.key value`."""
@@ -43,6 +43,6 @@ Program = Annotated[list[str] | None, Parameter(parse=False)]
 
 
 def add_verb(app: App, name: str, verb: Callable[..., None]) -> None:
-    """Adds a function as a verb; its help is its docstring, and how to give settings if it takes any."""
+    """Adds a function as a verb; its help is its docstring, with a note on settings if it takes any."""
     takes_settings = "overrides" in signature(verb).parameters
     app.command(verb, name=name, help_epilogue=SETTINGS_HELP if takes_settings else DEBUG_HELP)

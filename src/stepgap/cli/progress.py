@@ -19,7 +19,7 @@ from stepgap.step import StepSpace, StepStatus
 
 @contextmanager
 def progress_bar(description: str, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
-    """Shows a bar on a terminal, elsewhere nothing; gives the callback for the numbers done and in total."""
+    """Shows a bar on a terminal, elsewhere nothing; yields the progress callback (done, total)."""
     console = Console(stderr=True, highlight=False)
     columns = TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bars:
@@ -28,7 +28,7 @@ def progress_bar(description: str, quiet: bool = False) -> Iterator[Callable[[in
 
 
 class RunProgress:
-    """Shows a bar per deployment with its error so far on a terminal, elsewhere a plain line per deployment.
+    """Progress display of a run: on a terminal a bar per deployment with its error, elsewhere a line per deployment.
 
     Args:
         space: Names and units of the state.
@@ -56,7 +56,7 @@ class RunProgress:
 
     @property
     def observer(self) -> Observer:
-        """The observer whose calls move the bar."""
+        """Observer whose callbacks update the display."""
         return Observer(self._on_step, self._on_deployment, self._on_fault)
 
     def __enter__(self) -> Self:
@@ -66,7 +66,7 @@ class RunProgress:
     def __exit__(self, exc_type: object, *exc_info: object) -> None:
         self._bars.stop()
         if exc_type is None and self._last < self._iterations and not self._quiet:
-            self._console.print("stopped there: the error no longer falls (learning.tolerance)", soft_wrap=True)
+            self._console.print("stopped: the error no longer decreases (learning.tolerance)", soft_wrap=True)
 
     def _on_step(self, logged: LoggedStep) -> None:
         if self._task is None:
@@ -84,12 +84,12 @@ class RunProgress:
             self._task = None
         self._last = deployment.iteration
         if not self._quiet:
-            fall = ", ended by a fall" if deployment.falls else ""
+            fall = ", ended with a fall" if deployment.falls else ""
             error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"
             self._console.print(
                 f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "
                 f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{fall}{error}",
-                soft_wrap=True,  # where it is no terminal, a line stays a line
+                soft_wrap=True,  # without a terminal, do not wrap lines
             )
 
     def _on_fault(self, message: str) -> None:
@@ -104,7 +104,7 @@ class RunProgress:
 
 
 def print_event(event: str, **values: Any) -> None:
-    """Prints one JSON object as a line, at once; a number that is not finite becomes null."""
+    """Prints one JSON object as a line without delay; a number that is not finite becomes null."""
     finite = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in values.items()
     }
@@ -112,7 +112,7 @@ def print_event(event: str, **values: Any) -> None:
 
 
 def printing_events(observer: Observer, space: StepSpace) -> Observer:
-    """An observer that also prints a JSON line for every step, deployment and fault, for programs."""
+    """Observer that also prints a JSON line for every step, deployment and fault, for programs."""
 
     def on_step(logged: LoggedStep) -> None:
         print_event("step", **values_of(logged, space))

@@ -6,11 +6,11 @@ from stepgap.base.output_files import check_new, free_name
 
 
 def recover(file: Path, /, *, out: Path | None = None) -> None:
-    """Recover the intact part of a truncated or damaged steps.csv or log of ticks.
+    """Recover the intact part of a truncated or damaged steps.csv or tick log.
 
     Args:
-        file: The steps.csv, or the log of ticks (.mcap); it is not changed.
-        out: New file for the intact part. [default: NAME_recovered beside it]
+        file: The steps.csv, or the tick log (.mcap); it is not changed.
+        out: New file for the intact part. [default: NAME_recovered next to it]
     """
     from stepgap.records.recovery import recover_file
 

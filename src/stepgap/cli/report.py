@@ -12,7 +12,7 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
 
     Args:
         folders: Folder of the run, or the folders of several runs.
-        out: New HTML file for a comparison. [default: comparison.html beside the first run, or the next free name]
+        out: New HTML file for a comparison. [default: comparison.html next to the first run, or the next free name]
     """
     from stepgap.cli.progress import progress_bar
     from stepgap.cli.run_report import compare_runs, report_run
@@ -21,10 +21,10 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
         page = out or free_name(folders[0].resolve().parent / "comparison.html")
         compare_runs(folders, page)
     elif out:
-        raise InputError("--out: valid only with several runs; the report of one run lies in its folder")
+        raise InputError("--out: valid only with several runs; the report of one run is written into its folder")
     else:
         with progress_bar("replay") as progress:
             page, left_out = report_run(folders[0], progress)
         if left_out:
-            warn(f"left out of the report: {'; '.join(left_out)}")
+            warn(f"missing in the report: {'; '.join(left_out)}")
     print(page)

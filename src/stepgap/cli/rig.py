@@ -1,4 +1,4 @@
-"""The verbs of `stepgap rig`: from an emulated ring to a real robot that is ready to hop."""
+"""The verbs of `stepgap rig`, for commissioning: from an emulated ring to a real robot that is ready to hop."""
 
 import shlex
 import sys
@@ -23,7 +23,7 @@ def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds:
     """Measure the timing of this machine and of the bus, without torque; exit code 1 if it is not good enough.
 
     Args:
-        rig_file: rig.toml of the robot; the result is written beside it. [default: only the machine is measured]
+        rig_file: rig.toml of the robot; the result is written next to it. [default: only the machine is measured]
         plant: Name of its rig. [default: ethercat]
         seconds: Duration [s].
     """
@@ -45,7 +45,7 @@ def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds:
     frames, robot = FrameCount(), RobotParameters()
     control = HopperControl(robot, Gains(), CommandBounds())
     if rig_file is None:
-        print("no rig.toml given: this is the machine alone, with sensor values that never change")
+        print("no rig.toml given: timing of this machine alone, with constant sensor values")
         result = measure(
             RealtimeSetup(partial(still_hopper, 1e-3), control),
             frames,
@@ -153,7 +153,7 @@ def dry_run_(
 def emulate(
     experiment: Path | None = None,
     /,
-    *words: Annotated[str, Parameter(allow_leading_hyphen=True, show=False)],
+    *surplus: Annotated[str, Parameter(allow_leading_hyphen=True, show=False)],
     interface: str = "stepgap0",
     lock_step: Flag = False,
     hold: float = 5.0,
@@ -165,14 +165,14 @@ def emulate(
 
     Args:
         experiment: TOML file of settings, whose [robot] and [gap] are the twin's.
-        words: Not allowed; a command is written after --.
+        surplus: Not allowed; a command is written after --.
         interface: Name of the network interface that a master opens.
         lock_step: Advance time by one tick with every frame. [default: time follows the clock]
         hold: Time for which the twin is held in the air after its drives have been enabled [s].
         settings: File for the rig.toml of this bus.
     """
-    if words:
-        _refuse_words(experiment, words)
+    if surplus:
+        _refuse_surplus(experiment, surplus)
     from stepgap.cli.emulate import emulate_ring
     from stepgap.experiment.settings import read_experiment
     from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
@@ -185,10 +185,11 @@ def emulate(
         sys.exit(code)
 
 
-def _refuse_words(experiment: Path | None, words: tuple[str, ...]) -> None:
-    """Raises InputError that says how a command is written, since surplus words most likely are a command."""
+def _refuse_surplus(experiment: Path | None, surplus: tuple[str, ...]) -> None:
+    """Raises InputError that explains how to give a command, since surplus arguments are probably a command."""
     of_command = experiment and experiment.suffix != ".toml"
-    before, command = ([], [str(experiment), *words]) if of_command else ([str(experiment)] * bool(experiment), words)
+    given = [str(experiment)] if experiment else []
+    before, command = ([], [*given, *surplus]) if of_command else (given, surplus)
     if command[0].startswith("-"):
         raise InputError(f"{command[0]}: not an option of rig emulate; options of a command follow it after --")
     typed = shlex.join(["stepgap", "rig", "emulate", *before, "--", *command])
@@ -200,7 +201,7 @@ def _check_seconds(seconds: float) -> None:
         raise InputError(f"--seconds {seconds:g}: it must lie between 0.1 and {LONGEST_DURATION:g}")
 
 
-rig = App(name="rig", help="Bring up a robot, on EtherCAT or by the name of its rig, or practise on an emulated one.")
+rig = App(name="rig", help="Commission a robot, on EtherCAT or by the name of its rig, or practise on an emulated one.")
 add_verb(rig, "check", check)
 add_verb(rig, "calibrate", calibrate)
 add_verb(rig, "dry-run", dry_run_)

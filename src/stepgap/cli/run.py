@@ -16,7 +16,7 @@ from stepgap.base.output_files import free_name
 from stepgap.cli.options import Flag, Integer, Overrides, Port
 from stepgap.cli.terminal import announces_compilation, warn
 
-if TYPE_CHECKING:  # what takes time to import is imported where it is used
+if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.control.reference import Reference
     from stepgap.experiment.plants import Plants
     from stepgap.experiment.settings import Experiment
@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # what takes time to import is imported where it is used
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Shorthand:
-    """Settings of an experiment that have an option of their own.
+    """Settings of an experiment that have their own options.
 
     Attributes:
         reference: CSV file of targets, one row per step. [default: the reference of the paper]
@@ -55,7 +55,7 @@ class Shorthand:
     warm_start: str | None = None
 
     def overrides(self) -> list[tuple[str, str]]:
-        """The settings that were given, as dotted name and TOML value."""
+        """Given settings as dotted names and TOML values."""
         texts = {"reference": self.reference, "plant": self.plant, "rig": self.rig, "warm_start": self.warm_start}
         numbers = {
             "seed": self.seed,
@@ -72,7 +72,7 @@ class Shorthand:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Display:
-    """What a run shows while it is running.
+    """Output of a run while it is running.
 
     Attributes:
         quiet: Print only the path of the report.
@@ -129,7 +129,7 @@ def run(
     from stepgap.view.live import LiveView
 
     if not display.view and (display.host or display.port):
-        raise InputError("--host, --port: of the page that --view shows; give --view, too")
+        raise InputError("--host, --port: valid only with --view, whose page they belong to")
     ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume)
     live = LiveView(ready.folder, display.host or "127.0.0.1", display.port) if display.view else None
     recorder = TickRecorder(TICKS_PER_FRAME)
@@ -141,12 +141,12 @@ def run(
             _execute(ready, plants, recorder, live, display)
             _finish(_report(ready.folder, recorder, display), live, display)
     except KeyboardInterrupt:
-        again = f"stepgap run --out {shlex.quote(str(ready.folder))} --resume{' --arm' if arm else ''}"
-        raise KeyboardInterrupt(f"; resume with: {again}") from None
+        command = f"stepgap run --out {shlex.quote(str(ready.folder))} --resume{' --arm' if arm else ''}"
+        raise KeyboardInterrupt(f"; resume with: {command}") from None
 
 
 def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]], resume: bool) -> Prepared:
-    """Reads all that a run needs, and checks that the nominal map can track the reference; writes nothing."""
+    """Reads all inputs of a run and checks that the nominal map can track the reference; writes nothing."""
     from stepgap.experiment.run_start import check_reach, dated_folder, folder_to_resume
     from stepgap.experiment.settings import load_known, load_reference, read_experiment
     from stepgap.robots.hopper.apex_map import ApexMap
@@ -160,14 +160,14 @@ def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[
 
 
 def _choose_plants(ready: Prepared, arm: bool, recorder: "TickRecorder", live: "LiveView | None") -> "Plants":
-    """The plants of the settings, whose ticks go to the recorder and to the live page."""
+    """Chooses the plants of the settings; their ticks go to the recorder and to the live page."""
     from stepgap.experiment.plants import choose_plants
 
     return choose_plants(ready.settings, ready.reference, arm, ready.folder, _all_of(recorder.on_tick, live))
 
 
 def _all_of(record: "Callable[[Tick], None]", live: "LiveView | None") -> "Callable[[Tick], None]":
-    """One function for every tick: it is recorded, and shown if there is a live page."""
+    """Function that passes every tick to the recorder and, if there is one, to the live page."""
     if live is None:
         return record
 
@@ -181,7 +181,7 @@ def _all_of(record: "Callable[[Tick], None]", live: "LiveView | None") -> "Calla
 def _execute(
     ready: Prepared, plants: "Plants", recorder: "TickRecorder", live: "LiveView | None", display: Display
 ) -> None:
-    """Runs the experiment and shows its progress."""
+    """Runs the experiment and displays its progress."""
     from stepgap.cli.progress import RunProgress, printing_events
     from stepgap.experiment.loop import run_experiment
 
@@ -204,7 +204,7 @@ def _execute(
 
 
 def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "WrittenReport":
-    """Writes the report."""
+    """Writes the report of the run."""
     from stepgap.cli.progress import progress_bar
     from stepgap.cli.run_report import report_run
 
@@ -213,7 +213,7 @@ def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "Writte
 
 
 def _finish(report: "WrittenReport", live: "LiveView | None", display: Display) -> None:
-    """Prints where the report is, and keeps the live page until Ctrl-C, which by now can stop nothing else."""
+    """Prints the path of the report, and keeps the live page until Ctrl-C."""
     from stepgap.cli.progress import print_event
 
     try:
@@ -222,7 +222,7 @@ def _finish(report: "WrittenReport", live: "LiveView | None", display: Display) 
         else:
             print(report.path, flush=True)
         if report.missing and not display.quiet:
-            warn(f"left out of the report: {'; '.join(report.missing)}")
+            warn(f"missing in the report: {'; '.join(report.missing)}")
         if live:
             live.stay()
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""Makes the report of a run: reads its settings, chooses its nominal map and finds its motions."""
+"""The report of a run with its context: its settings, its nominal map and its motions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -18,7 +18,7 @@ from stepgap.report.motion import RATE, DeploymentMotion, Replay, kept_motion, s
 from stepgap.robots.hopper.apex_map import ApexMap
 
 TICKS_PER_FRAME = 1000 // RATE
-"""Ticks of a simulation, of which there are 1000 per second, in a frame of the replay."""
+"""Number of ticks, of which there are 1000 per second, per frame of the replay."""
 
 
 def report_run(
@@ -26,17 +26,17 @@ def report_run(
     progress: Callable[[int, int], None] = lambda done, total: None,
     recorded: Mapping[int, TickTable] | None = None,
 ) -> WrittenReport:
-    """Writes the report of a run with all that is known of it.
+    """Writes the report of a run with all available information.
 
     The replay is kept in `replay/` of the run folder.
 
     Args:
         folder: The run folder.
-        progress: Is called with the number of steps done and in total while a deployment is simulated again.
-        recorded: Ticks of deployments, `RATE` a second, as a `TickRecorder` kept them during the run.
+        progress: Called with the numbers of finished and of all steps while a deployment is simulated again.
+        recorded: Ticks of deployments, `RATE` per second, as kept by a `TickRecorder` during the run.
 
     Raises:
-        InputError: A file of the run is not what it must be, or the report cannot be written.
+        InputError: The content of a file is wrong, or the report cannot be written.
     """
     try:
         record = read_run_folder(folder)
@@ -57,7 +57,7 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
     """
     check_new(page, "--out")
     if len({folder.resolve() for folder in folders}) < len(folders):
-        raise InputError("a run is named twice; name each run once")
+        raise InputError("a run is given twice; give each run once")
     try:
         text = comparison_html([read_run_folder(folder) for folder in folders])
     except (ValueError, OSError) as error:
@@ -67,7 +67,7 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
 
 
 def _context(record: RunRecord, progress: Callable[[int, int], None], recorded: Mapping[int, TickTable]) -> RunContext:
-    """What the settings of a run say; where they are not understood, why."""
+    """Context of the report from the settings of a run, with the reason for each missing part."""
     settings = _settings_of(record)
     if isinstance(settings, Missing):
         return RunContext("plant of an unknown kind", settings, settings, settings)
@@ -78,11 +78,11 @@ def _context(record: RunRecord, progress: Callable[[int, int], None], recorded: 
 
 def _settings_of(record: RunRecord) -> Experiment | Missing:
     if record.settings is None:
-        return Missing("the folder holds no experiment.toml")
+        return Missing("the folder contains no experiment.toml")
     try:
         return read_experiment(record.folder / "experiment.toml")
     except InputError as error:
-        return Missing(f"the settings are not understood here: {error}")
+        return Missing(f"the settings are not valid in this version: {error}")
 
 
 def _replay(
@@ -91,7 +91,7 @@ def _replay(
     progress: Callable[[int, int], None],
     recorded: Mapping[int, TickTable],
 ) -> Replay | Missing:
-    """Motions of the first and the last deployment, or why there are none."""
+    """Motions of the first and the last deployment, or the reason why there are none."""
 
     def motion(iteration: int) -> DeploymentMotion:
         if iteration in recorded:

@@ -1,4 +1,4 @@
-"""Lines on stderr: warnings, and the announcement that code is compiled."""
+"""Lines on stderr: warnings, and the announcement of compilation."""
 
 import sys
 from collections.abc import Callable
@@ -12,7 +12,7 @@ def warn(message: str) -> None:
 
 
 def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
-    """Makes a verb print on stderr, unless it is quiet, why it takes longer the first time."""
+    """Decorator that makes a verb announce compilation on stderr, unless it is quiet."""
 
     @wraps(verb)
     def announcing(*arguments: Any, **options: Any) -> None:
@@ -20,7 +20,7 @@ def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
 
         def announce() -> None:
             if not _is_quiet(options):
-                warn("compiling for this machine; takes about half a minute, once")
+                warn("compiling for this machine; this takes about half a minute, once")
 
         with on_first_compilation(announce):
             verb(*arguments, **options)
@@ -29,5 +29,5 @@ def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
 
 
 def _is_quiet(options: dict[str, Any]) -> bool:
-    """Whether `--quiet` is among the options or in a group of them."""
+    """Whether `--quiet` is given among the options or in a group of them."""
     return any(getattr(option, "quiet", False) for option in options.values()) or bool(options.get("quiet"))

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from stepgap.base.errors import InputError
 from stepgap.cli.options import Integer, Port
 
-if TYPE_CHECKING:  # what takes time to import is imported where it is used
+if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.plants.ticks.tick_ring import TickRing
 
 
@@ -23,14 +23,14 @@ def view(
     port: Port | None = None,
     ring: Annotated[str | None, Parameter(show=False)] = None,
 ) -> None:
-    """Show a run in the browser, also while it is running: the robot in 3-D, errors, what was learned.
+    """Show a run in the browser, also while it is running: the robot in 3-D, the errors and the learned model.
 
     Ctrl-C stops the server.
 
     Args:
         run: Folder of a run, finished or still running.
         deployment: Number of the deployment that is shown first. [default: the last]
-        host: Address to serve the page on; only this machine can open the default.
+        host: Address at which the page is served; only this machine can open the default address.
         port: TCP port of the page. [default: the first free one from 8080 on]
         ring: Shared memory with the ticks of the run that started this process.
     """
@@ -59,4 +59,4 @@ def _attached(ring: str) -> "TickRing":
     try:
         return TickRing.attach(ring)
     except (OSError, ValueError):
-        raise InputError(f"--ring {ring}: no such ring of ticks; the run that made it is over") from None
+        raise InputError(f"--ring {ring}: there is no such ring of ticks; the run that made it has ended") from None

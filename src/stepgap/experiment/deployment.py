@@ -1,4 +1,4 @@
-"""One deployment: track a reference with what is known of the map, step by step, and measure how well."""
+"""One deployment: tracking a reference step by step with the map as known so far, and the tracking errors."""
 
 from collections.abc import Generator
 from typing import Protocol, Self
@@ -7,7 +7,7 @@ import numpy as np
 
 from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.reference import Reference
-from stepgap.experiment.exploration import calibrating_plan, goals_of
+from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.background import BackgroundThread, Deferred
 from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -16,11 +16,11 @@ from stepgap.records.summary import Deployment
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 Steps = Generator[LoggedStep, None, None]
-"""Steps as they are executed; closing it stops the plant."""
+"""Generator of steps as they are executed; closing it stops the plant."""
 
 
 def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment:
-    """The errors of one deployment's steps."""
+    """Tracking errors of the steps of one deployment."""
     tracked = StepLog(steps.space, (logged for logged in steps.completed() if logged.step > 0))
     numbers = np.array([logged.step - 1 for logged in tracked], dtype=int)
     error = tracked.next_state - tracked.target
@@ -42,10 +42,10 @@ def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment
 
 
 def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
-    """Standard deviation of the next state at equal state and command, from steady steps [state units]; shape (n,).
+    """Noise floor estimated from the steady steps of one deployment [state units]; shape (n,).
 
-    Estimated from one deployment: the residual standard error of the next state after a linear fit in state and
-    command. Where the map bends, that is more than the true noise. NaN where the steps are too few.
+    It is the residual standard error of a linear fit of the next state in state and command. Where the map is not
+    linear, it is larger than the true noise. NaN where the steps are too few.
     """
     numbers = set((reference.steady + 1).tolist())
     steady = StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))
@@ -58,7 +58,7 @@ def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
 
 
 class AdaptiveMap(Protocol):
-    """What a deployment needs to know of the map between two steps; a `Learner` is one."""
+    """The map between two steps of a deployment, as far as it is known; a `Learner` is one."""
 
     @property
     def nominal(self) -> StepMap:
@@ -67,37 +67,37 @@ class AdaptiveMap(Protocol):
 
     @property
     def residual(self) -> Residual:
-        """Model of actual − nominal for the step to come."""
+        """Model of actual − nominal for the next step."""
         ...
 
     @property
     def failures(self) -> Array:
-        """Points (state, command) of the steps that failed; shape (k, n + m)."""
+        """Points (state, command) of the failed steps; shape (k, n + m)."""
         ...
 
     @property
     def pending(self) -> Deferred[Residual] | None:
-        """What a thread may compute while the robot hops."""
+        """Computation that a thread may do while the robot hops."""
         ...
 
     def step_map(self) -> StepMap:
-        """The map to plan the next step with."""
+        """Map for planning the next step."""
         ...
 
     def after(self, logged: LoggedStep) -> Self:
-        """The map after the step just executed."""
+        """State of knowledge after the executed step."""
         ...
 
 
 def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: int, exploration: int = 0) -> Steps:
-    """Tracks the reference with the map as it is known at each step, until its end or a fall.
+    """Tracks the reference until its end or a fall, at each step with the map as known then.
 
     Args:
-        learner: What is known before the first step.
+        learner: State of knowledge before the first step.
         plant: Executes the steps.
-        reference: What to track, from step 1 on.
+        reference: Reference to track from step 1 on.
         iteration: Number of the deployment.
-        exploration: Steps before that, numbered up to 0, whose commands are chosen for what they teach.
+        exploration: Number of exploratory steps before step 1, which are numbered up to 0.
     """
     command = None
     with BackgroundThread() as background, plant:
@@ -106,10 +106,10 @@ def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: 
             controller = CautiousController(learner.step_map(), learner.nominal, learner.failures)
             if number < 1:
                 goals = goals_of(reference, controller.step_map)
-                plan = calibrating_plan(controller, learner.residual, state, goals)
+                plan = exploration_plan(controller, learner.residual, state, goals)
             else:
                 plan = tracking_plan(controller, state, reference.targets[number - 1], command)
-            background.compute(learner.pending)  # now that the command is out, so that it delays none
+            background.compute(learner.pending)  # after the command, so that it causes no delay
             record = plant.take_step(plan.command)
             target = reference.targets[number - 1] if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
@@ -121,7 +121,7 @@ def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: 
 
 
 def tracking_plan(controller: CautiousController, state: Array, target: Array, guess: Array | None) -> CautiousPlan:
-    """The command for a target; the middle of the bounds where the map knows none that makes a step."""
+    """The command for a target; the middle of the bounds where the map has no command that makes a step."""
     try:
         return controller(state, target, guess=guess)
     except StepFailed:

@@ -1,8 +1,8 @@
-"""Which step teaches most: the choice of the first hops, before tracking starts.
+"""Exploration: the choice of the most informative first hops, before tracking starts.
 
-A step is worth what it takes from the variance of the map where the reference will need it (I-optimal design of
-experiments; Atkinson, Donev, Tobias, Optimum Experimental Designs, ch. 10). A residual's variance hardly depends on
-what a step measures, so it is known before the step is taken: append the step as the residual expects it.
+The value of a step is the reduction of the map's variance at the points that the reference needs (I-optimal design of
+experiments; Atkinson, Donev, Tobias, Optimum Experimental Designs, ch. 10). The variance of a residual hardly depends
+on the measured value, so it can be computed before the step: the step is appended with its predicted value.
 """
 
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ from stepgap.learning.residual import Residual
 from stepgap.step import Array, StepFailed, StepMap
 
 TRIED = 5
-"""Commands along each axis that are compared."""
+"""Number of commands along each axis that are compared."""
 MARGIN = 0.1
-"""How far a calibrating step may leave the range of the targets [half ranges]."""
+"""Distance by which an exploratory step may leave the range of the targets [half ranges]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Goals:
-    """Where the map must be known.
+    """Points at which the map must be known.
 
     Attributes:
-        points: States and commands side by side; shape (G, n + m).
-        weights: How often each is needed; shape (G,).
-        scale: By which errors of the state coordinates are compared; shape (n,).
+        points: States and commands, concatenated; shape (G, n + m).
+        weights: Number of times that each is needed; shape (G,).
+        scale: Scales by which the errors of the state coordinates are divided; shape (n,).
     """
 
     points: Array
@@ -36,7 +36,7 @@ class Goals:
     scale: Array
 
     def uncertainty_after(self, residual: Residual, *points: Array) -> float:
-        """Mean variance of the residual once steps at these points (n + m,) have been taken [squared scales]."""
+        """Mean variance of the residual after steps at these points (n + m,) [squared scales]."""
         for point in points:
             residual = residual.append(point, residual.mean(point))
         variance = np.sum((residual.std(self.points) / self.scale) ** 2, axis=-1)
@@ -44,7 +44,7 @@ class Goals:
 
 
 def goals_of(reference: Reference, step_map: StepMap) -> Goals:
-    """The steps that the reference asks for, each from target to target, with the commands that the map gives them."""
+    """Steps that the reference needs, each from target to target, with their commands by the map."""
     before = np.concatenate([reference.targets[:1], reference.targets[:-1]])
     steps, counts = np.unique(np.stack([before, reference.targets], axis=1), axis=0, return_counts=True)
     points, weights, controller = [], [], StepController(step_map)
@@ -57,13 +57,13 @@ def goals_of(reference: Reference, step_map: StepMap) -> Goals:
     return Goals(np.array(points), np.array(weights, float), step_map.space.state_scale)
 
 
-def calibrating_plan(controller: CautiousController, residual: Residual, state: Array, goals: Goals) -> CautiousPlan:
-    """The safe command that, with the one after it, leaves the least uncertainty at the goals.
+def exploration_plan(controller: CautiousController, residual: Residual, state: Array, goals: Goals) -> CautiousPlan:
+    """The safe command that, together with the next one, gives the smallest uncertainty at the goals.
 
-    It leads to a state in the range of the goals, or as near to it as one can be had.
+    It leads to a state in the range of the goals, or as close to it as possible.
 
     Raises:
-        StepFailed: No command that was searched makes a step.
+        StepFailed: None of the compared commands makes a step.
     """
     step_map, space = controller.step_map, controller.step_map.space
     n, m = len(space.state), len(space.command)
@@ -76,10 +76,10 @@ def calibrating_plan(controller: CautiousController, residual: Residual, state: 
     outside = np.linalg.norm((ends - np.clip(ends, lower, upper)) / space.state_scale, axis=-1)
     allowed = np.flatnonzero(outside <= max(float(outside.min()), MARGIN))
 
-    def left(i: int) -> float:
-        here = np.append(state, safe[i])
-        onward = [np.append(ends[i], command) for command in commands[:: TRIED // 2]]
-        return min(goals.uncertainty_after(residual, here, point) for point in onward)
+    def uncertainty(i: int) -> float:
+        first = np.append(state, safe[i])
+        second = [np.append(ends[i], command) for command in commands[:: TRIED // 2]]
+        return min(goals.uncertainty_after(residual, first, point) for point in second)
 
-    best = min(allowed.tolist(), key=left)
+    best = min(allowed.tolist(), key=uncertainty)
     return CautiousPlan(safe[best], ends[best], controller.step_std(state, safe[best]))

@@ -1,4 +1,4 @@
-"""What `stepgap fit` reads and says: the error of the nominal map in any log, and how much of it can be learnt."""
+"""Input and output of `stepgap fit`: the error of the nominal map in any log, and how much of it can be learned."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -36,51 +36,51 @@ FIT_SCHEMA = 1
 """Version of the JSON file."""
 
 MOST_STEPS = 2000
-"""More would be fitted for hours."""
+"""Largest number of steps; fits to more would take hours."""
 
 BASELINES: tuple[str, ...] = ("none", "constant")
-"""What every residual is compared with."""
+"""Residuals with which all others are compared."""
 
 NOMINALS = {
     "map": "the hopper's apex map",
     "predicted": "the predictions in the log",
-    "target": "the target, which is what a controller's map predicts",
-    "state": "the state, as if a step changed nothing",
+    "target": "the target, which is the prediction of a controller's map",
+    "state": "the state, as if a step did not change it",
 }
-"""Where the nominal next states come from."""
+"""Sources of the nominal next states, with descriptions."""
 
 Settings = Sequence[tuple[str, str]]
 """Dotted names and values."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
-    """What there is to learn from.
+class FitData:
+    """Steps to which residuals are fitted.
 
     Attributes:
-        steps: With the nominal next states as predictions.
-        nominal: Where these come from, in words.
+        steps: Steps with the nominal next states as predictions.
+        nominal: Description of the source of these predictions.
     """
 
     steps: StepTable
     nominal: str
 
 
-def read_lesson(
+def read_fit_data(
     logs: Sequence[Path], columns: Columns | None, nominal: str | None, experiment: Path | None, overrides: Settings
-) -> Lesson:
-    """The steps of logs with their nominal next states.
+) -> FitData:
+    """Reads the steps of logs and computes their nominal next states.
 
     Args:
         logs: Run folders or their `steps.csv`; with `columns`, any CSV files.
-        columns: What the columns of the logs hold.
-        nominal: A key of `NOMINALS`; None to take what there is.
-        experiment: Settings of the hopper; None for those of the runs, else the defaults.
-        overrides: Single settings of it.
+        columns: Meaning of the columns of such files.
+        nominal: A key of `NOMINALS`; None to choose by the content of the logs.
+        experiment: Settings of the hopper; None for those of the runs or, without runs, the defaults.
+        overrides: Single settings that override these.
 
     Raises:
         InputError: The arguments do not fit each other, or the steps are too few or too many.
-        RecordError: A log is not what it must be.
+        RecordError: The content of a log is wrong.
     """
     if nominal not in (None, "map") and (experiment or overrides):
         raise InputError(f"--nominal {nominal}: it has no settings; leave them out")
@@ -91,25 +91,26 @@ def read_lesson(
     hopper = ApexMap(settings.robot, settings.gains, settings.command)
     steps = _read_runs(logs, hopper.space) if columns is None else read_foreign_logs(logs, columns)
     source = nominal or _nominal_of(steps, hopper.space)
-    words, predicted = NOMINALS[source], {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
+    description = NOMINALS[source]
+    predicted = {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
     if source == "map":
         steps = replace(steps, space=_same_names(steps.space, hopper.space))
         predicted = hopper.evaluate(steps.state, steps.command).next_state
-        words += f" with the settings of {experiment}" if experiment else " with default settings"
-        words += ", some overridden" if overrides else ""
+        description += f" with the settings of {experiment}" if experiment else " with default settings"
+        description += ", some overridden" if overrides else ""
     if predicted is None:
         raise InputError(f"--nominal {source}: the log has none; name its columns by --{source}")
-    steps = steps.with_predictions(predicted, "that must fail by the nominal map")
+    steps = steps.with_predictions(predicted, "for which the nominal map predicts a failure")
     if not LEAST_STEPS <= len(steps) <= MOST_STEPS:
         raise InputError(
-            f"{', '.join(map(str, logs))}: {len(steps)} steps to learn from, it must be {LEAST_STEPS} to {MOST_STEPS}; "
+            f"{', '.join(map(str, logs))}: {len(steps)} usable steps, but there must be {LEAST_STEPS} to {MOST_STEPS}; "
             f"rows left out: {describe_left_out(steps.left_out)}"
         )
-    return Lesson(steps, words)
+    return FitData(steps, description)
 
 
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
-    """The settings beside the logs, if they are the same hopper's."""
+    """Settings in the folders of the logs, if they describe the same hopper."""
     files = [log.with_name("experiment.toml") if log.with_name("experiment.toml").is_file() else None for log in logs]
     hoppers = [(read.robot, read.gains, read.command) for read in map(read_experiment, files)]
     for log, hopper in zip(logs, hoppers, strict=True):
@@ -119,7 +120,7 @@ def _common_experiment(logs: Sequence[Path]) -> Path | None:
 
 
 def _read_runs(logs: Sequence[Path], space: StepSpace) -> StepTable:
-    """The steps of our own logs, whose deployments are numbered through."""
+    """Reads the steps of runs; their deployments are numbered consecutively over all runs."""
     found: list[StepLog] = []
     for path in logs:
         try:
@@ -129,24 +130,24 @@ def _read_runs(logs: Sequence[Path], space: StepSpace) -> StepTable:
                 f"{path}: {error.strerror}; give the folder of a run, its steps.csv, or a CSV file"
             ) from None
         except RecordError as error:
-            raise InputError(f"{error}; for another log say what its columns hold, see --help") from None
+            raise InputError(f"{error}; for any other CSV file name its columns, see --help") from None
     return tabulate(joined(found))
 
 
 def _nominal_of(steps: StepTable, hopper: StepSpace) -> str:
-    """Where the nominal next states come from if it is not said."""
+    """Source of the nominal next states if none is given."""
     if steps.predicted is not None:
         return "predicted"
     if (steps.space.state_names, steps.space.command_names) == (hopper.state_names, hopper.command_names):
         return "map"
     raise InputError(
-        "--nominal: the log predicts no next states; name columns by --predicted, or say by --nominal target or "
-        "--nominal state what stands for them"
+        "--nominal: the log contains no predicted next states; name their columns by --predicted, or choose --nominal "
+        "target or --nominal state"
     )
 
 
 def _same_names(found: StepSpace, hopper: StepSpace) -> StepSpace:
-    """The hopper's space, once it is sure that the columns are its own."""
+    """The hopper's space, after a check that the columns have its names."""
     wanted = ",".join((*hopper.state_names, *hopper.command_names))
     names = ",".join((*found.state_names, *found.command_names))
     if names != wanted:
@@ -155,7 +156,7 @@ def _same_names(found: StepSpace, hopper: StepSpace) -> StepSpace:
 
 
 def choose_folds(steps: StepTable, count: int | None) -> Folds:
-    """Deployments if there are several and no count is given, else so many contiguous blocks."""
+    """Folds of whole deployments if there are several and no count is given, otherwise `count` contiguous blocks."""
     if count is None and len(np.unique(steps.deployment)) > 1:
         return deployment_folds(steps.deployment)
     if count is not None and not 2 <= count <= len(steps):
@@ -164,37 +165,37 @@ def choose_folds(steps: StepTable, count: int | None) -> Folds:
 
 
 def best_residual(steps: StepTable, validation: Validation) -> Residual:
-    """The residual to use for all coordinates, fitted to all steps."""
+    """The best residual for all coordinates together, fitted to all steps."""
     return fit_steps(validation.best(range(len(steps.space.state))), steps)
 
 
-# What is said
+# Text output
 
 
 def verdicts(state: Sequence[Quantity], validation: Validation) -> str:
-    """A sentence for each state coordinate, and one for all together."""
+    """One sentence for each state coordinate, and one for all together."""
     lines = [f"{quantity.name + ':':16}{verdict(validation, [index])}" for index, quantity in enumerate(state)]
     together = [f"{'all together:':16}{verdict(validation, range(len(state)))}"] if len(state) > 1 else []
     return "\n".join(lines + together)
 
 
 def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
-    """What residual to use for these state coordinates, and how much better it is, in a sentence."""
+    """Sentence on the best residual for these state coordinates, and how much better it is than the baselines."""
     chosen = validation.best(coordinates)
     if chosen in BASELINES:
         nearest = validation.nearest(chosen, coordinates)
-        beside = f"the nearest, {nearest}, is {_compared(validation.reduction(nearest, chosen, coordinates), chosen)}"
+        closest = f"the closest, {nearest}, is {_compared(validation.reduction(nearest, chosen, coordinates), chosen)}"
         if chosen == "none":
-            return f"nothing to learn: no residual is surely better than none ({beside})"
+            return f"nothing to learn: no residual is significantly better than none ({closest})"
         better = _compared(validation.reduction("constant", "none", coordinates), "none")
-        return f"constant is {better}; no residual beats the constant: nothing more to learn ({beside})"
+        return f"constant is {better}; no residual is better than the constant: nothing more to learn ({closest})"
     constant, none = (_compared(validation.reduction(chosen, other, coordinates), other) for other in BASELINES[::-1])
     last = chosen == list(validation.held_out)[-1]
-    return f"{chosen} is {constant}, {none}" + ("" if last else "; nothing more complex is surely better")
+    return f"{chosen} is {constant}, {none}" + ("" if last else "; no more complex residual is significantly better")
 
 
 def _compared(by: Reduction, other: str) -> str:
-    """A reduction in words; ± is one standard error."""
+    """A reduction as text; ± is one standard error."""
     return f"{'better' if by.value >= 0 else 'worse'} than {other} by {_percent(abs(by.value), by.standard_error)}"
 
 
@@ -205,9 +206,9 @@ def _percent(value: float, standard_error: float) -> str:
     return f"{100 * value:{form}} ± {100 * standard_error:{form}} %"
 
 
-def describe_lesson(lesson: Lesson, folds: Folds) -> str:
-    """What was read and how it is held out, in a few lines."""
-    steps, space = lesson.steps, lesson.steps.space
+def describe_fit_data(data: FitData, folds: Folds) -> str:
+    """A few lines on the steps that were read, and on the parts that are held out."""
+    steps, space = data.steps, data.steps.space
     deployments = len(np.unique(steps.deployment))
     parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
     return "\n".join(
@@ -216,14 +217,14 @@ def describe_lesson(lesson: Lesson, folds: Folds) -> str:
             f"rows left out: {describe_left_out(steps.left_out)}",
             f"state       {', '.join(map(_with_unit, space.state))}",
             f"command     {', '.join(map(_with_unit, space.command))}",
-            f"nominal     {lesson.nominal}",
+            f"nominal     {data.nominal}",
             f"held out    {folds.count} {parts}, one at a time",
         ]
     )
 
 
 def show_validation(state: Sequence[Quantity], validation: Validation, stream: TextIO) -> None:
-    """A table for each state coordinate and one for all of them: framed on a terminal, plain elsewhere."""
+    """Prints a table for each state coordinate and one for all together: framed on a terminal, plain elsewhere."""
     console = Console(file=stream, highlight=False)
     if not console.is_terminal:
         console = Console(file=stream, highlight=False, width=200)
@@ -231,19 +232,19 @@ def show_validation(state: Sequence[Quantity], validation: Validation, stream: T
     for index, quantity in enumerate(state):
         table = _table(framed, _with_unit(quantity), "RMSE", "log density", "within 95 %")
         for kind, held in validation.held_out.items():
-            scores = (_shown(held.rmse[index], ".4g"), _shown(held.log_density[index], ".2f"))
+            scores = (_format(held.rmse[index], ".4g"), _format(held.log_density[index], ".2f"))
             table.add_row(
-                kind, *scores, _shown(100 * held.coverage[index], ".0f"), *_compared_all(validation, kind, [index])
+                kind, *scores, _format(100 * held.coverage[index], ".0f"), *_compared_all(validation, kind, [index])
             )
         console.print(table)
     table = _table(framed, "all together", "fit [s]")
     for kind, held in validation.held_out.items():
-        table.add_row(kind, _shown(held.seconds, ".2g"), *_compared_all(validation, kind, range(len(state))))
+        table.add_row(kind, _format(held.seconds, ".2g"), *_compared_all(validation, kind, range(len(state))))
     console.print(table)
 
 
 def _table(framed: bool, title: str, *scores: str) -> Table:
-    """An empty table of residuals, ending with how they compare with the baselines."""
+    """Empty table of residuals whose last columns compare them with the baselines."""
     table = Table(box=SIMPLE if framed else None, pad_edge=False)
     table.add_column(Text(title))
     for name in (*scores, *(f"better than {other}" for other in BASELINES)):
@@ -252,7 +253,7 @@ def _table(framed: bool, title: str, *scores: str) -> Table:
 
 
 def _compared_all(validation: Validation, kind: str, coordinates: Sequence[int]) -> list[str]:
-    """By how much a residual is better than each baseline."""
+    """Improvement of a residual over each baseline."""
     by = [validation.reduction(kind, other, coordinates) for other in BASELINES]
     return [
         "–" if kind == other else _percent(one.value, one.standard_error)
@@ -260,7 +261,7 @@ def _compared_all(validation: Validation, kind: str, coordinates: Sequence[int])
     ]
 
 
-def _shown(value: float, form: str) -> str:
+def _format(value: float, form: str) -> str:
     return f"{value:{form}}" if np.isfinite(value) else "–"
 
 
@@ -268,9 +269,9 @@ def _with_unit(quantity: Quantity) -> str:
     return f"{quantity.name} [{quantity.unit}]" if quantity.unit else quantity.name
 
 
-def fit_report(logs: Sequence[Path], lesson: Lesson, validation: Validation) -> dict[str, Any]:
-    """All of it as JSON-ready data; NaN and infinities become null."""
-    steps, state = lesson.steps, lesson.steps.space.state
+def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> dict[str, Any]:
+    """All results as JSON-ready data; NaN and infinities become null."""
+    steps, state = data.steps, data.steps.space.state
     parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
 
     def named(values: Array) -> dict[str, float | None]:
@@ -283,7 +284,7 @@ def fit_report(logs: Sequence[Path], lesson: Lesson, validation: Validation) -> 
     return {
         "schema": FIT_SCHEMA,
         "logs": [str(log) for log in logs],
-        "nominal": lesson.nominal,
+        "nominal": data.nominal,
         "units": {quantity.name: quantity.unit for quantity in (*state, *steps.space.command)},
         "steps": len(steps),
         "left_out": dict(steps.left_out),

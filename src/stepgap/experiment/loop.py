@@ -1,6 +1,6 @@
-"""The whole method (Sec. 4.4): deploy, learn the map's error, recompute the controller, deploy again.
+"""The experiment loop (Sec. 4.4): deploy, learn the map's error, recompute the controller, deploy again.
 
-It knows no robot: a nominal `StepMap`, something that makes a `Plant`, and a `Reference` are all it takes.
+It does not depend on a robot: it needs only a nominal `StepMap`, a function that makes a `Plant`, and a `Reference`.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,13 +32,13 @@ MeasureNoiseFloor = Callable[[StepMap, np.random.Generator], Array]
 
 
 def deployment_generator(seed: int, iteration: int) -> np.random.Generator:
-    """What the plant of a deployment draws from."""
+    """Random generator of the plant of a deployment."""
     return random_stream(seed, iteration)
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Progress callbacks; each of them may take its time.
+    """Progress callbacks, which may be slow.
 
     Attributes:
         on_step: Called with every executed step, after it is on disk.
@@ -66,26 +66,26 @@ def run_experiment(
     """Runs the experiment, or resumes one that was interrupted, and keeps its record in `folder`.
 
     Writes `steps.csv` as steps happen, `models/iteration_K.json` before deployment K and `summary.json` after every
-    deployment. No recorded step is lost: `experiment.resume` says how a run is resumed.
+    deployment. No recorded step is lost; `experiment.resume` describes how a run is resumed.
 
     Args:
         nominal: Map of the physics model.
         make_plant: Makes the plant of one deployment from its random generator.
-        reference: What to track.
-        learning: How often is learnt, and what.
+        reference: Reference to track.
+        learning: Settings of learning.
         folder: An existing folder.
         seed: Random seed; deployment K draws from `deployment_generator(seed, K)`.
         observer: Progress callbacks.
-        measure_noise_floor: Measures the spread of repeated steps under the last controller; it draws from
-            `random_stream(seed, K, 1)` after deployment K. Without it, the spread is estimated from the steady steps.
-        replays: Plants made from the same generator take the same steps again. Where they do not, as on hardware, the
-            steps of a deployment that was interrupted stay as they are, and the next deployment starts.
-        known: Steps of the same state and command, recorded earlier, that are learnt from before the first deployment;
-            where they are those of another robot or map, the errors of this nominal map are what is learnt.
+        measure_noise_floor: Measures the noise floor under the last controller; it draws from
+            `random_stream(seed, K, 1)` after deployment K. Without it, the noise floor is estimated from steady steps.
+        replays: Whether plants made from the same generator take the same steps again. If not, as on hardware, the
+            steps of an interrupted deployment are kept, and the next deployment starts.
+        known: Steps with the same state and command, recorded earlier, that are used for learning before the first
+            deployment; even if they come from another robot or map, the errors of this nominal map are learned.
 
     Raises:
-        ValueError: The reference is not one for this map.
-        RecordError: The folder's record is not one of this experiment, or another process is writing it.
+        ValueError: The reference does not fit this map.
+        RecordError: The record in the folder belongs to another experiment, or another process is writing it.
     """
     reference.check(nominal.space)
     log, deployments = StepLog(nominal.space), list[Deployment]()
@@ -109,11 +109,13 @@ def run_experiment(
                 break
         recording.check_finished()
         if measure_noise_floor:
-            noise_floor = recording.measured_repeatability(len(deployments))
+            noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:
                 last_map = reduce(Learner.after, steps.completed(), learner).step_map()
                 noise_floor = measure_noise_floor(last_map, random_stream(seed, iteration, 1))
-            write_summary(folder / "summary.json", replace(summary, repeatability=noise_floor, measured=True), names)
+            write_summary(
+                folder / "summary.json", replace(summary, noise_floor=noise_floor, noise_floor_measured=True), names
+            )
     return deployments
 
 
@@ -124,7 +126,7 @@ def _execute(
     seed: int,
     observer: Observer,
 ) -> Steps:
-    """The steps of a deployment on a plant of its own, whose fault is reported at the end."""
+    """Executes a deployment on a new plant, whose fault is reported at the end."""
     iteration = learner.iteration
     plant = make_plant(deployment_generator(seed, iteration))
     yield from deploy(learner, plant, reference, iteration, 0 if iteration else learner.settings.exploration)
@@ -133,7 +135,7 @@ def _execute(
 
 
 def _observed(steps: Steps, space: StepSpace, observer: Observer) -> StepLog:
-    """All steps of a deployment, each reported when it happens; an error stops the plant at once."""
+    """All steps of a deployment, each reported when it happens; an error stops the plant immediately."""
 
     def reported() -> Steps:
         for logged in steps:
@@ -145,12 +147,12 @@ def _observed(steps: Steps, space: StepSpace, observer: Observer) -> StepLog:
 
 
 def _residual_name(learner: Learner) -> str:
-    """Name of the residual of a deployment; one that learns online may start without any."""
+    """Name of the residual of a deployment; an online learner may start without a residual."""
     return learner.settings.residual if learner.steps_to_learn else learner.residual.name
 
 
 def _summary(deployments: Sequence[Deployment], log: StepLog, noise_floor: Array, seed: int, past: StepLog) -> Summary:
-    """The summary of the finished deployments, whose digest verifies `steps.csv` when the run is resumed."""
+    """Summary of the finished deployments; its digest verifies `steps.csv` when the run is resumed."""
     return Summary(
         seed,
         tuple(deployments),
@@ -162,12 +164,12 @@ def _summary(deployments: Sequence[Deployment], log: StepLog, noise_floor: Array
 
 
 def _as_past(known: StepLog) -> StepLog:
-    """The steps as those of deployments before number 0."""
+    """Steps renumbered as deployments before number 0."""
     count = max(known.iterations, default=-1) + 1
     return StepLog(known.space, (replace(logged, iteration=logged.iteration - count) for logged in known))
 
 
 def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:
-    """Whether the last deployment still made the tracking error smaller."""
+    """Whether the last deployment still reduced the tracking error."""
     errors = [inf if deployment.falls else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments]
     return len(errors) < 3 or errors[-1] == inf or errors[-1] <= (1 - tolerance) * min(errors[:-1])

@@ -1,7 +1,7 @@
-"""The noise floor of the twin: how much the next state scatters when a step is repeated.
+"""The noise floor of the twin: the standard deviation of the next state when a step is repeated.
 
-A controller that knows neither the noise nor the yaw cannot track better on average; one that estimates the disturbance
-(`learning.disturbance`) can.
+A controller that knows neither the noise nor the yaw cannot track better on average; a controller that estimates the
+disturbance (`learning.disturbance`) can.
 """
 
 from copy import deepcopy
@@ -16,13 +16,13 @@ from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 REPEATED_TARGETS = 20
-"""Targets of the reference, at most, at which a step is repeated; they are spread evenly."""
+"""Largest number of targets of the reference at which a step is repeated; they are spread evenly."""
 
 SETTLING = 6
-"""Steps towards a target before the one that is repeated."""
+"""Number of steps towards a target before the repeated one."""
 
 REPEATS = 12
-"""How often it is repeated."""
+"""Number of repetitions of a step."""
 
 
 def measure_noise_floor(
@@ -30,16 +30,17 @@ def measure_noise_floor(
 ) -> Array:
     """Pooled standard deviation of the next state when the twin repeats a step [state units]; shape (n,).
 
-    Held equal are the command, the true motion of robot, boom and drives at the apex, and all that the controller
-    remembers, so the measured state, too. Drawn again are the torque noise, its present value included, and the yaw:
-    the floor is turned by any angle, because the yaw is not part of the state. The spread is that of the measured next
-    state. Where the yaw-dependent disturbance is estimated, tracking errors may be a little smaller.
+    The repetitions have the same command, the same true motion of robot, boom and drives at the apex, and the same
+    memory of the control, hence the same measured state. The torque noise, including its present value, and the yaw are
+    drawn again: the floor is turned by a random angle, because the yaw is not part of the state. The standard deviation
+    is that of the measured next state. Where the yaw-dependent disturbance is estimated, tracking errors may be a
+    little smaller.
 
     Args:
-        plant: Hops the twin.
-        twin: The one that `plant` hops.
-        step_map: Its step controller leads to the targets.
-        reference: Whose targets are held.
+        plant: Plant of the twin.
+        twin: The twin in `plant`.
+        step_map: Map whose step controller leads to the targets.
+        reference: Reference whose targets are held.
         rng: Draws noise and yaw of the repeated steps.
 
     Returns:
@@ -66,12 +67,12 @@ def measure_noise_floor(
 
 
 def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, floor_yaw: float = 0.0) -> Array:
-    """Next state of a copy of the plant that takes the step with other noise; the plant itself stays at the apex.
+    """Next state of a copy of the plant that takes a step with new noise; the plant itself stays at the apex.
 
     Args:
-        plant: Hops the twin.
-        twin: The one that `plant` hops.
-        command: Of the step; shape (m,).
+        plant: Plant of the twin.
+        twin: The twin in `plant`.
+        command: Command of the step; shape (m,).
         rng: Draws the copy's noise.
         floor_yaw: Angle by which the floor is turned under the copy [rad].
     """
@@ -79,7 +80,7 @@ def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generat
 
 
 def _command(controller: StepController, state: Array, target: Array) -> Array:
-    """What `deploy` commands."""
+    """Command as in `deploy`."""
     try:
         return controller(state, target).command
     except StepFailed:

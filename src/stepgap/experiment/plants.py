@@ -1,4 +1,4 @@
-"""What `stepgap run` hops: the twin, the twin behind an emulated EtherCAT ring, or a rig by name."""
+"""Plants of `stepgap run`: the twin, the twin behind an emulated EtherCAT ring, or a rig by name."""
 
 import os
 import sys
@@ -35,19 +35,19 @@ from stepgap.robots.hopper.twin_machine import TwinMachine
 from stepgap.step import Array, StepMap
 
 SIMULATED = (TWIN, EMULATED_RING)
-"""Plants of which a deployment can be made again."""
+"""Plants whose deployments can be simulated again."""
 
 RING = RingSettings(inputs_after_tick=True)
-"""How the ring of a run passes frames."""
+"""Settings of the emulated ring of a run."""
 
 
 class Plants(NamedTuple):
-    """How a run gets its plants.
+    """Functions that make and measure the plants of a run.
 
     Attributes:
         make: Makes the plant of one deployment from its random generator.
-        replays: The same generator gives the same steps again.
-        measure_noise_floor: Measures the noise floor, where that can be done.
+        replays: Whether the same generator gives the same steps again.
+        measure_noise_floor: Measures the noise floor; None where that is not possible.
     """
 
     make: Callable[[np.random.Generator], Plant]
@@ -62,21 +62,21 @@ def choose_plants(
     folder: Path,
     on_tick: Callable[[Tick], None] | None = None,
 ) -> Plants:
-    """The plants of an experiment.
+    """Chooses the plants of an experiment.
 
     Args:
-        settings: Which plant, and all that describes it.
-        reference: What will be tracked.
-        arm: A person wants a rig to have torque.
-        folder: Of the run; a rig's ticks go there.
+        settings: Settings, which name and describe the plant.
+        reference: Reference that will be tracked.
+        arm: Whether a person allows torque on a rig.
+        folder: Folder of the run, into which a rig's ticks are written.
         on_tick: Called with every tick of a simulation.
 
     Raises:
-        InputError: They cannot be had with these settings.
+        InputError: No plant can be made with these settings.
     """
     simulated = settings.plant in SIMULATED
     if simulated and (arm or settings.rig):
-        raise InputError(f"--arm, --rig: for rigs that can break things; plant '{settings.plant}' takes neither")
+        raise InputError(f"--arm, --rig: only for real rigs; plant '{settings.plant}' takes neither")
     if not simulated:
         return _of_rig(settings, arm, folder / "ticks")
     make_twin = partial(_twin, settings, _ground(settings))
@@ -96,16 +96,18 @@ def choose_plants(
     return Plants(make_on_ring, True, measure)
 
 
-def remade_rig(settings: Experiment, iteration: int) -> tuple[Rig, Twin]:
-    """What the plant of a recorded deployment hopped, as it was before the first hop, and the twin in it.
+def replay_rig(settings: Experiment, iteration: int) -> tuple[Rig, Twin]:
+    """Rig of a recorded deployment, in its state before the first hop, and the twin in it.
 
-    It does what it did in the run, tick by tick; an emulated ring is left out, and none of its faults is known.
+    It repeats the motion of the run tick by tick. An emulated ring is left out, and its faults are not reproduced.
 
     Raises:
-        InputError: It was no simulation, or the settings make no twin.
+        InputError: The plant was not simulated, or no twin can be made with the settings.
     """
     if settings.plant not in SIMULATED:
-        raise InputError(f"plant '{settings.plant}': what a rig did cannot be made again; its own ticks are in ticks/")
+        raise InputError(
+            f"plant '{settings.plant}': a deployment of a rig cannot be simulated again; its ticks are in ticks/"
+        )
     twin = _twin(settings, _ground(settings), deployment_generator(settings.seed, iteration))
     rig = twin if settings.plant == TWIN else DirectRing(twin, RING, _bus(settings, twin))
     return rig, twin
@@ -116,29 +118,29 @@ def _ground(settings: Experiment) -> GroundProfile:
 
 
 def _twin(settings: Experiment, ground: GroundProfile, rng: np.random.Generator) -> Twin:
-    floor_yaw = rng.uniform(0, tau)  # or every deployment would meet every target at the same yaw, and learn that
+    floor_yaw = rng.uniform(0, tau)  # otherwise every deployment would reach a target at the same yaw
     try:
         return Twin(settings.robot, settings.gap, rng, ground=ground, floor_yaw=floor_yaw)
     except ValueError as error:
-        raise InputError(f"the settings [robot] and [gap] make no twin: {error}") from None
+        raise InputError(f"no twin can be made with the settings [robot] and [gap]: {error}") from None
 
 
 def plant_on(settings: Experiment, rig: Rig, on_tick: Callable[[Tick], None] | None = None) -> RigPlant:
-    """What hops a simulated rig."""
+    """Plant of a simulated rig."""
     return RigPlant(rig, HopperControl(settings.robot, settings.gains, settings.command), on_tick)
 
 
 def _machine(settings: Experiment, rng: np.random.Generator) -> TwinMachine:
-    """What an emulated ring's drives move; called in the ring's process."""
+    """Machine behind the drives of an emulated ring; called in the ring's process."""
     return TwinMachine(_twin(settings, _ground(settings), rng))
 
 
 def _bus(settings: Experiment, twin: Twin) -> RigSettings:
-    """What the master of an emulated ring is told of it."""
+    """Settings of the master of an emulated ring."""
     for name in ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical"):
         if not np.isfinite(getattr(settings.gap, name)):
-            raise InputError(f"gap.{name} must be finite: a ring carries whole counts, such as {name} = 16384")
-    return emulated_settings(twin.sensor_model, settings.robot, RING, f"sg{os.getpid()}")  # runs may go on side by side
+            raise InputError(f"gap.{name} must be finite: a ring carries integer counts, such as {name} = 16384")
+    return emulated_settings(twin.sensor_model, settings.robot, RING, f"sg{os.getpid()}")  # several runs may be active
 
 
 def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
@@ -146,17 +148,17 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
         plants = (*SIMULATED, *rig_names())
         if settings.plant not in plants:
             raise InputError(f"--plant {settings.plant}: unknown; it must be one of {', '.join(plants)}")
-        raise InputError(f"--plant {settings.plant}: say which robot by --rig RIG.toml")
+        raise InputError(f"--plant {settings.plant}: give the rig's file by --rig RIG.toml")
     make_rig = partial(load_rig, settings.plant, Path(settings.rig), settings.robot)
-    make_rig()  # whatever is wrong with it is said before the first deployment
+    make_rig()  # reports errors before the first deployment
     if not arm:
         raise InputError(
-            f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` does everything but torque"
+            f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` tests all but torque"
         )
     setup = RealtimeSetup(make_rig, HopperControl(settings.robot, settings.gains, settings.command))
 
     def make(_: np.random.Generator) -> Plant:
-        checked(Path(settings.rig))  # before each: every deployment reads the file anew
+        checked(Path(settings.rig))  # every deployment reads the file again
         return RealtimePlant(setup, logs, ask_to_hold)
 
     checked(Path(settings.rig))
@@ -167,16 +169,16 @@ def ask_to_hold() -> None:
     """Waits until a person holds the robot.
 
     Raises:
-        RigFault: Nobody answers.
+        RigFault: There is no answer.
     """
     if sys.stdin.isatty():
-        import termios  # a terminal's; Windows has none
+        import termios  # not available on Windows
 
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before is no answer
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)  # earlier input is not an answer
     print(
-        "Hold the robot up, its foot clear of the ground, and press Enter: it takes its landing posture within half a "
-        "second. Then let it go. Ctrl-C lands it.",
+        "Hold the robot up with its foot off the ground and press Enter: it takes its landing posture within half a "
+        "second. Then release it. Ctrl-C lands it.",
         file=sys.stderr,
     )
     if not sys.stdin.readline():
-        raise RigFault("nobody pressed Enter, so there was no torque")
+        raise RigFault("Enter was not pressed, so no torque was given")

@@ -8,7 +8,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
-from stepgap.experiment.plants import SIMULATED, plant_on, remade_rig
+from stepgap.experiment.plants import SIMULATED, plant_on, replay_rig
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.realtime.states import RigState
@@ -41,7 +41,7 @@ REPLAY_UNITS = {
     "foot_z": "m",
     "ground_height": "m",
 }
-"""Columns of a replay: those of a tick, the step it belongs to, and what is true of the twin when its sensors are read.
+"""Columns of a replay: those of a tick, the number of its step, and the true state of the twin at the reading.
 
 The hip's x is the distance travelled along the circle; the foot is in MuJoCo's frame, whose z points up from the floor.
 The step before the first recorded one is the hop after the release.
@@ -56,12 +56,12 @@ def replay(
     Args:
         folder: The run folder.
         iteration: Number of the deployment.
-        every: Every how many ticks one is kept, from 1 on.
-        progress: Is called with the number of steps done and in total.
+        every: Interval of the kept ticks; 1 keeps every tick.
+        progress: Called with the number of finished steps and their total number.
 
     Raises:
-        InputError: The run cannot be read, has no such deployment, or was not a simulation.
-        RecordError: The steps are not, to the last bit, those recorded.
+        InputError: The run cannot be read, has no such deployment, or was not simulated.
+        RecordError: The simulated steps differ from the recorded ones.
     """
     experiment, steps = _read(folder, iteration)
     rows = []
@@ -72,16 +72,16 @@ def replay(
 
 
 def replayed_hops(folder: Path, iteration: int, every: int = 1) -> Iterator[TickTable]:
-    """The ticks of `replay` hop by hop, as they are simulated; the first hop is the one after the release."""
+    """Yields the ticks of `replay` hop by hop as they are simulated; the first hop is the one after the release."""
     for ticks in _hops(folder, *_read(folder, iteration), every):
         yield TickTable(REPLAY_UNITS, ticks)
 
 
 def sensor_model_of(settings: Experiment) -> HopperSensorModel:
-    """How to read the counts of an experiment's ticks; builds no twin.
+    """Sensor model of the ticks of an experiment; builds no twin.
 
     Raises:
-        InputError: The rig, or the file that describes it, is not there.
+        InputError: The rig, or the file that describes it, does not exist.
     """
     if settings.plant in SIMULATED:
         return twin_sensor_model(settings.robot, settings.gap)
@@ -89,17 +89,17 @@ def sensor_model_of(settings: Experiment) -> HopperSensorModel:
 
 
 def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
-    """The ticks of a rig's deployment from its log, with a column `step`, as far as the sensors were read.
+    """Reads the ticks of a rig's deployment from its log, with a column `step`; only ticks with sensor values are kept.
 
-    They begin when torque is given, and end with the last step, or where the robot had come to rest after a fall. The
-    apexes that were passed while the robot hopped separate the steps; step 0 is the hop after the release.
+    They begin when torque is given, and end with the last step or, after a fall, when the robot is at rest. The apexes
+    that were passed while the robot hopped separate the steps; step 0 is the hop after the release.
 
     Args:
         folder: The run folder.
-        steps: Those of the deployment, at least one.
+        steps: Steps of the deployment, at least one.
 
     Raises:
-        InputError: The log is not there, or not a whole one, or has fewer hops than the deployment.
+        InputError: The log does not exist, is incomplete, or has fewer hops than the deployment.
     """
     path = folder / "ticks" / f"ticks-{steps[0].iteration}.mcap"
     try:
@@ -111,14 +111,14 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
     hop = np.searchsorted(passed, np.arange(len(ticks)))  # the tick just past an apex ends its hop
     if len(passed) < len(steps):
         number = steps[0].iteration
-        raise InputError(f"{path}: has fewer hops than deployment {number}, so it is not known which are which")
+        raise InputError(f"{path}: has fewer hops than deployment {number}, so hops and steps cannot be matched")
     kept = (ticks["state"] >= RigState.STAND) & (hop <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
     step = (hop + steps[0].step - 1).astype(float)
     return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, step])[kept])
 
 
 def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:
-    """Settings of a run and the steps of one of its deployments."""
+    """Reads the settings of a run and the steps of one of its deployments."""
     settings, path = read_experiment(folder / "experiment.toml"), folder / "steps.csv"
     try:
         log = read_step_log(path, settings.command.space())
@@ -127,15 +127,15 @@ def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:
     steps = list(log.of_iteration(iteration))
     if not steps:
         there = ", ".join(map(str, log.iterations)) or "none"
-        raise InputError(f"{path}: no step of deployment {iteration}; the deployments there are: {there}")
+        raise InputError(f"{path}: no step of deployment {iteration}; recorded deployments: {there}")
     return settings, steps
 
 
 def _hops(folder: Path, settings: Experiment, steps: list[LoggedStep], every: int) -> Iterator[Array]:
-    """The rows of each hop, once its step is found to be the one recorded."""
-    rig, twin = remade_rig(settings, steps[0].iteration)
+    """Yields the rows of each hop after a check that its step equals the recorded one."""
+    rig, twin = replay_rig(settings, steps[0].iteration)
     recorder = _Recorder(twin, every)
-    with plant_on(settings, _Watched(rig, recorder.look), recorder.keep) as plant:
+    with plant_on(settings, _ObservedRig(rig, recorder.on_read), recorder.on_tick) as plant:
         recorder.step = steps[0].step - 1
         try:
             plant.start()
@@ -144,8 +144,8 @@ def _hops(folder: Path, settings: Experiment, steps: list[LoggedStep], every: in
         yield recorder.drain()
         for logged in steps:
             recorder.step = logged.step
-            made = replace(logged, record=plant.take_step(logged.record.command))
-            if row_of(made) != row_of(logged):
+            simulated = replace(logged, record=plant.take_step(logged.record.command))
+            if row_of(simulated) != row_of(logged):
                 raise RecordError(_mismatch(folder, logged, plant.space.state_names))
             yield recorder.drain()
 
@@ -159,14 +159,14 @@ def _mismatch(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
         recorded = ()
     changed = [f"{name} {then}, here {here[name]}" for name, then in recorded if here.get(name, then) != then]
     reason = (
-        f"it was run with {'; '.join(changed)}" if changed else "the record was changed, or made on another machine"
+        f"it was run with {'; '.join(changed)}" if changed else "the record was changed, or is from another machine"
     )
     step = f"step {logged.step} of deployment {logged.iteration}"
-    return f"{folder / 'steps.csv'}: {step} could not be made again to the last bit; {reason}"
+    return f"{folder / 'steps.csv'}: {step} could not be reproduced exactly; {reason}"
 
 
 class _Recorder:
-    """Keeps ticks with what was true when their sensors were read.
+    """Keeps ticks together with the true state at the reading of their sensors.
 
     Attributes:
         step: Number of the step that is being executed.
@@ -178,40 +178,40 @@ class _Recorder:
         self._truth: tuple[float, ...] = ()
         self._rows: list[tuple[float, ...]] = []
 
-    def look(self) -> None:
-        """The sensors were read."""
+    def on_read(self) -> None:
+        """Called after the sensors were read."""
         if self._count % self._every == 0:
             self._truth = _truth(self._twin)
 
-    def keep(self, tick: Tick) -> None:
-        """The tick is over."""
+    def on_tick(self, tick: Tick) -> None:
+        """Called at the end of a tick."""
         if self._count % self._every == 0:
             self._rows.append((*tick.row(), self.step, *self._truth))
         self._count += 1
 
     def drain(self) -> Array:
-        """The rows since the last call; shape (k, columns)."""
+        """Returns and forgets the rows since the last call; shape (k, columns)."""
         rows, self._rows = self._rows, []
         return np.array(rows, float).reshape(len(rows), len(REPLAY_UNITS))
 
 
 def _truth(twin: Twin) -> tuple[float, ...]:
-    """The last columns of a row."""
+    """The true state, for the last columns of a row."""
     true = twin.true_state()
     front, rear = true.leg
     return (*true.hip, *true.boom, (front + rear) / 2, (front - rear) / 2, *true.foot, true.ground_height)
 
 
-class _Watched(Rig):
-    """A rig that reports every read.
+class _ObservedRig(Rig):
+    """A rig that reports every reading.
 
     Args:
-        rig: What moves.
-        look: Is called after every read.
+        rig: The rig.
+        on_read: Called after every reading.
     """
 
-    def __init__(self, rig: Rig, look: Callable[[], None]):
-        self._rig, self._look = rig, look
+    def __init__(self, rig: Rig, on_read: Callable[[], None]):
+        self._rig, self._on_read = rig, on_read
 
     @property
     def sensor_model(self) -> SensorModel:
@@ -230,7 +230,7 @@ class _Watched(Rig):
 
     def read(self) -> Reading:
         reading = self._rig.read()
-        self._look()
+        self._on_read()
         return reading
 
     def write(self, torques: Torques) -> Torques:

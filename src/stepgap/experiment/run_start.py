@@ -1,4 +1,4 @@
-"""What `stepgap run` makes sure of before the first hop: a folder of its own, and settings that can work."""
+"""Checks of `stepgap run` before the first hop: a new folder, and a reference that the model can track."""
 
 import fcntl
 import os
@@ -15,25 +15,23 @@ from stepgap.learning.step_log import StepLog
 from stepgap.step import StepFailed, StepMap
 
 ALSO_WRITTEN = ("reference.csv", "warm_start.csv", "report.html", "figures", "replay", "ticks")
-"""What else a run may write into its folder."""
+"""Other files and folders that a run may write into its folder."""
 
 
 def dated_folder() -> Path:
-    """Where a run goes that was given no folder."""
+    """Default folder of a run, named after date and time."""
     return Path("runs") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
 
 
 def start_folder(folder: Path, settings: Experiment, reference: Reference, known: StepLog) -> None:
-    """Makes the run's folder with its resolved settings; never takes one that holds a run."""
+    """Creates the run's folder with its resolved settings; refuses a folder that already holds a run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder):
             if any((folder / name).exists() for name in ("experiment.toml", "steps.csv", "summary.json", "models")):
-                raise InputError(f"{folder}: holds a run already; go on with it by --resume, or choose another --out")
+                raise InputError(f"{folder}: already holds a run; continue it by --resume, or choose another --out")
             if there := [name for name in ALSO_WRITTEN if (folder / name).exists()]:
-                raise InputError(
-                    f"{folder}: {there[0]} is there already and would be written over; choose another --out"
-                )
+                raise InputError(f"{folder}: {there[0]} already exists and would be overwritten; choose another --out")
             write_experiment(folder, settings, reference, known)
     except OSError as error:
         raise InputError(
@@ -41,14 +39,14 @@ def start_folder(folder: Path, settings: Experiment, reference: Reference, known
         ) from None
     latest = folder.parent / "latest"
     if folder.parent.name == "runs" and (latest.is_symlink() or not latest.exists()):
-        with suppress(OSError):  # only for convenience
+        with suppress(OSError):  # the link is only a convenience
             latest.unlink(missing_ok=True)
             latest.symlink_to(folder.name)
 
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Keeps other processes from starting a run in the folder at the same moment."""
+    """Prevents other processes from starting a run in the folder at the same time."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):  # a file system without locks
@@ -59,18 +57,20 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def folder_to_resume(experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]]) -> Path:
-    """The folder of a run that was broken off."""
+    """Folder of an interrupted run, after a check of the other arguments."""
     if out is None:
-        raise InputError("--resume: say which run by --out RUN")
+        raise InputError("--resume: give the run by --out RUN")
     if experiment or changes:
-        raise InputError("--resume: the run goes on with the settings it has; give no others")
+        raise InputError("--resume: the run continues with its own settings; give no others")
     if not (out / "experiment.toml").is_file():
-        raise InputError(f"{out}: no experiment.toml there, so there is no run to resume; start one without --resume")
+        raise InputError(
+            f"{out}: contains no experiment.toml, so there is no run to resume; omit --resume to start one"
+        )
     return out
 
 
 def check_reach(nominal: StepMap, reference: Reference, name: str) -> None:
-    """Raises InputError where the nominal map cannot hold a target."""
+    """Raises InputError if the nominal map cannot hold one of the targets."""
     for step in [0, *reference.changes]:
         target = reference.targets[step]
         try:
@@ -82,5 +82,5 @@ def check_reach(nominal: StepMap, reference: Reference, name: str) -> None:
             wanted = ", ".join(f"{q.name} {value:g} {q.unit}" for q, value in zip(state, target, strict=True))
             raise InputError(
                 f"reference {name}, step {step + 1}: {wanted} is out of reach: the model cannot hold it within the "
-                f"command bounds; `stepgap gait` shows what it can"
+                f"command bounds; `stepgap gait` shows its range"
             )

@@ -1,4 +1,4 @@
-"""Every setting of an experiment: read strictly from TOML and the command line, written back resolved."""
+"""Settings of an experiment: read with strict checks from TOML and the command line, written with all values."""
 
 import csv
 from collections.abc import Callable, Iterable, Mapping
@@ -34,13 +34,13 @@ PAPER = "paper"
 """Name of the built-in reference."""
 
 TWIN, EMULATED_RING = "twin", "emulated-ring"
-"""Plants that are simulated; all others are rigs by their name."""
+"""Simulated plants; all others are names of rigs."""
 
 WARM_START = "warm_start.csv"
-"""In a run's folder, the steps that were known before its first deployment."""
+"""File in a run's folder with the steps that were known before its first deployment."""
 
 PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": RealityGap.none}
-"""What `[gap] preset` may name; a preset sets every difference before single keys change some."""
+"""Values of `[gap] preset`; a preset sets all differences before single keys change some of them."""
 
 SHORT_OPTIONS = {
     "learning.iterations": "iterations",
@@ -48,25 +48,25 @@ SHORT_OPTIONS = {
     "learning.online": "online",
     "warm_start": "warm-start",
 }
-"""Options of the command line whose name is not that of the setting."""
+"""Names of the options that differ from the names of their settings."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """All settings; the names are those of the TOML file.
+    """All settings of an experiment; the names are those of the TOML file.
 
     Attributes:
-        seed: Of all randomness.
+        seed: Random seed.
         reference: `paper`, or a CSV file of targets, relative to the experiment's file.
         plant: `twin`, `emulated-ring` (the twin on an EtherCAT bus in software), or the name of a rig.
         rig: File that describes that rig, relative to the experiment's file.
         warm_start: Folder of a run whose steps are known before the first deployment, or a `steps.csv`, relative to the
             experiment's file; empty: nothing is known.
-        robot: The robot as the physics model takes it.
-        gains: Joint controller.
+        robot: Robot of the physics model.
+        gains: Gains of the joint controller.
         command: Bounds of the step command.
-        learning: How often is learnt, and what.
-        gap: How the twin differs from the model.
+        learning: Settings of learning.
+        gap: Differences of the twin from the model.
     """
 
     seed: int = 0
@@ -85,14 +85,14 @@ class Experiment:
 
 
 def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()) -> Experiment:
-    """The experiment of a file with single settings overridden.
+    """Reads the experiment of a file, with single settings overridden.
 
     Args:
         path: TOML file; None for the defaults.
         overrides: Dotted name and value as TOML, such as ("gains.stiffness", "2400").
 
     Raises:
-        InputError: Naming file, key and what would be right.
+        InputError: A setting is wrong; the message names file, key and rule.
     """
     experiment = Experiment()
     if path is not None:
@@ -110,10 +110,10 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
 
 
 def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
-    """The targets to track.
+    """Reads the reference to track.
 
     Raises:
-        InputError: The file is missing or is not a reference.
+        InputError: The file does not exist or is not a reference.
     """
     if experiment.reference == PAPER:
         return paper_reference()
@@ -131,10 +131,10 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
 
 
 def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
-    """The steps known before the first deployment: those of the run to start from, after those it started from itself.
+    """Reads the steps known before the first deployment: those of the run to start from, and those it started from.
 
     Raises:
-        InputError: It is no run, one of another state and command, or one without a step.
+        InputError: It is not a run, has another state or command, or has no step.
     """
     if not experiment.warm_start:
         return StepLog(space)
@@ -153,10 +153,10 @@ def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
 
 
 def write_experiment(folder: Path, experiment: Experiment, reference: Reference, known: StepLog | None = None) -> None:
-    """Writes every setting to `experiment.toml`, so that the file reruns the experiment.
+    """Writes all settings to `experiment.toml`, with which the experiment can be repeated.
 
-    A reference from a file, and steps known before, are copied into the folder, so that the folder is complete. A rig's
-    file is not: it belongs to the machine on which it was checked.
+    A reference from a file and earlier steps are copied into the folder, so that the folder is complete. The file of a
+    rig is not copied: it belongs to the machine on which it was checked.
     """
     if experiment.rig:
         experiment = replace(experiment, rig=str(Path(experiment.rig).resolve()))
@@ -171,7 +171,7 @@ def write_experiment(folder: Path, experiment: Experiment, reference: Reference,
 
 
 def _parse_value(text: str) -> Any:
-    """The TOML value that `text` spells; a bare word is a string."""
+    """The TOML value that `text` represents; a word without quotes is a string."""
     try:
         table = parse_toml(f"value = {text}")
     except ValueError:
@@ -180,7 +180,7 @@ def _parse_value(text: str) -> Any:
 
 
 def _set(table: dict[str, Any], keys: list[str], value: Any) -> None:
-    """Sets the entry of nested tables that dotted keys lead to."""
+    """Sets the entry of nested tables at the given keys."""
     for key in keys[:-1]:
         inner = table.get(key)
         table[key] = inner if isinstance(inner, dict) else {}
@@ -189,7 +189,7 @@ def _set(table: dict[str, Any], keys: list[str], value: Any) -> None:
 
 
 def _changed(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -> Experiment:
-    """The experiment with the values of a TOML table; InputError if it is none then."""
+    """The experiment with the values of a TOML table; InputError if the result is not valid."""
     experiment = merge(*_with_preset(experiment, table, locate), locate, more=("gap.preset",))
     try:
         experiment.gains.check(experiment.robot)
@@ -201,7 +201,7 @@ def _changed(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -
 def _with_preset(
     experiment: Experiment, table: Mapping[str, Any], locate: Locate
 ) -> tuple[Experiment, Mapping[str, Any]]:
-    """The experiment with the gap that `[gap] preset` names, and the table without that key."""
+    """The experiment with the gap named by `[gap] preset`, and the table without that key."""
     gap = table.get("gap")
     if not isinstance(gap, Mapping) or "preset" not in gap:
         return experiment, table

@@ -1,4 +1,4 @@
-"""Ticks during a run: to which hop each belongs, and those that the report will show."""
+"""Recording of ticks during a run: the hop to which each tick belongs, and the ticks that the report will show."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,13 +25,13 @@ class HopCount:
         self.iteration, self.hop, self._phase = 0, 0, Phase.DESCENT
 
     def on_tick(self, tick: Tick) -> None:
-        """The tick is over; no step is recorded of the first hop, which ends with the first apex."""
+        """Called at the end of a tick; the first hop, which ends with the first apex, is not a recorded step."""
         if self.hop == 0 and tick.phase == Phase.DESCENT != self._phase:
             self.hop = 1
         self._phase = tick.phase
 
     def observing(self, observer: Observer) -> Observer:
-        """An observer that first calls this one, then counts the step or deployment."""
+        """Observer that first calls the given one, then counts the step or deployment."""
 
         def on_step(logged: LoggedStep) -> None:
             observer.on_step(logged)
@@ -45,10 +45,10 @@ class HopCount:
 
 
 class TickRecorder:
-    """Keeps ticks of deployment 0 and of the latest one, as far as they were executed since it was made.
+    """Keeps the ticks of deployment 0 and of the latest one, as far as they were executed since its creation.
 
     Args:
-        every: Every how many ticks one is kept.
+        every: Interval of the kept ticks; 1 keeps every tick.
     """
 
     def __init__(self, every: int):
@@ -58,18 +58,18 @@ class TickRecorder:
 
     @property
     def kept(self) -> Mapping[int, TickTable]:
-        """By the number of the deployment: the fields of a tick, and `step`, the number of the step it belongs to."""
+        """Kept ticks by number of the deployment: the fields of a tick, and `step`, the number of its step."""
         return self._kept
 
     def on_tick(self, tick: Tick) -> None:
-        """A tick is over."""
+        """Called at the end of a tick."""
         if self._count % self._every == 0:
             self._rows.append((*tick.row(), self._hops.hop))
         self._count += 1
         self._hops.on_tick(tick)
 
     def observing(self, observer: Observer) -> Observer:
-        """An observer that calls this one and counts steps and deployments here."""
+        """Observer that calls the given one and counts steps and deployments."""
 
         def on_step(logged: LoggedStep) -> None:
             self._before = logged.step - self._hops.hop
@@ -82,7 +82,7 @@ class TickRecorder:
         return self._hops.observing(replace(observer, on_step=on_step, on_deployment=on_deployment))
 
     def _keep(self, iteration: int) -> None:
-        """Takes over the ticks of a deployment, if there are any: one that was recorded earlier has none."""
+        """Keeps the ticks of a deployment, if there are any; a deployment that was recorded earlier has none."""
         rows, self._rows, self._count = np.array(self._rows), [], 0
         if not len(rows):
             return

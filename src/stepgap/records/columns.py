@@ -1,4 +1,4 @@
-"""Which columns of a CSV file hold what of a step."""
+"""The meaning of a CSV file's columns: which of them hold the state, the command and the other parts of a step."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -12,30 +12,32 @@ from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
 from stepgap.step import Array, Quantity, StepSpace
 
 LARGEST_VALUE = 1e12
-"""Numbers beyond are no measurements."""
+"""Largest magnitude of a number that is accepted as a measurement."""
 
 ROLES = ("state", "next", "command", "target", "predicted")
-"""What the columns of a step hold, coordinate by coordinate."""
+"""Parts of a step that have one column per coordinate."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns of a CSV file hold what; a row is a step.
+    """The meaning of a CSV file's columns; a row is a step.
 
     A column is given by its name, or as NAME=COLUMN to call its coordinate NAME. If only one of `state` and `next` is
-    given, rows chain: the state after a step is the state before the one in the following row.
+    given, rows are chained: the state after a step is the state before the step of the following row.
 
     Attributes:
         state: State before the step.
-        next: State after it.
-        command: Command of the step. Without it `target` stands for it: a controller without memory makes the
-            command of state and target.
-        target: State wanted after the step.
-        predicted: Next state as the nominal map predicted it.
-        deployment: Column that tells deployments apart, within which rows chain; empty for one deployment.
-        step: Column that numbers the steps; rows chain only where it goes up by one. Empty if there is none.
-        units: Units of columns, after their factors.
-        factors: What to multiply columns by.
+        next: State after the step.
+        command: Command of the step. Without it `target` is used instead, because a controller without memory
+            computes the command from state and target.
+        target: Target state of the step.
+        predicted: Next state as predicted by the nominal map.
+        deployment: Column with the name or number of the deployment; rows are chained only within a deployment. Empty
+            for a single deployment.
+        step: Column with the number of the step; rows are chained only where it increases by one. Empty if there is
+            none.
+        units: Units of columns, after multiplication by their factors.
+        factors: Factors by which columns are multiplied.
     """
 
     state: tuple[str, ...] = ()
@@ -50,9 +52,9 @@ class Columns:
 
     def __post_init__(self) -> None:
         if not (self.state or self.next):
-            raise ValueError("state: no column; name those of the state before the step, or as next those after it")
+            raise ValueError("state: no column; name the columns of the state before the step, or as next after it")
         if not (self.command or self.target):
-            raise ValueError("command: no column; name those of the command, or of the target that stands for it")
+            raise ValueError("command: no column; name the columns of the command, or of the target used instead")
         for role in ROLES:
             count, wanted = len(getattr(self, role)), len(self.state or self.next)
             if role != "command" and count not in (0, wanted):
@@ -66,24 +68,24 @@ class Columns:
                     raise ValueError(f"{table}: {unknown_column(column, numbers)}")
         for column, factor in self.factors.items():
             if not 1 / LARGEST_VALUE <= abs(factor) <= LARGEST_VALUE:
-                raise ValueError(f"factors: {column} = {factor}, but it must be a number of ordinary size, not zero")
+                raise ValueError(f"factors: {column} = {factor}, but its magnitude must lie between 1e-12 and 1e12")
         names = [name_of(entry) for entry in (*self.inputs[0], *self.inputs[1])]
         if len(set(names)) < len(names):
-            raise ValueError(f"state and command: {','.join(names)}; give each a name of its own, as NAME=COLUMN")
+            raise ValueError(f"state and command: {','.join(names)}; give each a different name, as NAME=COLUMN")
 
     @property
     def inputs(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """What gives the state and the command their names."""
+        """Entries that name the coordinates of the state and of the command."""
         return self.state or self.next, self.command or self.target
 
     @property
     def numbers(self) -> dict[str, str]:
-        """The columns of numbers, each with what it is read for."""
+        """Numeric columns, each with the part of a step that it holds."""
         named = {column_of(entry): role for role in ROLES for entry in getattr(self, role)}
         return named | ({self.step: "step"} if self.step else {})
 
     def space(self, state: Array, command: Array) -> StepSpace:
-        """Names and units, with the ranges of these data; shapes (N, n) and (N, m)."""
+        """Step space with the names, the units and the ranges of these data; shapes (N, n) and (N, m)."""
         quantities = [
             tuple(
                 _quantity(name_of(entry), self.units.get(column_of(entry), ""), values)
@@ -95,31 +97,31 @@ class Columns:
 
 
 def read_columns(file: Path | None, options: Mapping[str, str]) -> Columns | None:
-    """What a TOML file with the attributes of `Columns` says, overridden by options; None if nothing is said.
+    """Reads `Columns` from a TOML file and from options, which override the file; None if neither gives any.
 
     Args:
         file: The file.
         options: Names of columns, separated by commas, by attribute.
 
     Raises:
-        RecordError: Naming file and key, or option, and what would be right.
+        RecordError: An entry is wrong; the message names file and key, or option, and the rule.
     """
-    said = _read_table(file) if file else {}
+    entries = _read_table(file) if file else {}
     for key, text in options.items():
         names = tuple(name.strip() for name in text.split(",")) if key in ROLES else (text.strip(),)
         if not all(names):
             raise RecordError(f"--{key} {text!r:.60}: a name is empty; give names of columns, separated by commas")
-        said[key] = names if key in ROLES else names[0]
-    if not said:
+        entries[key] = names if key in ROLES else names[0]
+    if not entries:
         return None
     try:
-        return Columns(**said)
+        return Columns(**entries)
     except ValueError as error:
         raise RecordError(f"{f'{file}: ' if file else '--'}{error}") from None
 
 
 def _read_table(file: Path) -> dict[str, Any]:
-    """The table of a TOML file, checked for names and types."""
+    """Reads the table of a TOML file and checks its names and types."""
     try:
         table = read_toml(file, "a file of columns")
     except InputError as error:
@@ -128,14 +130,14 @@ def _read_table(file: Path) -> dict[str, Any]:
 
 
 def _checked(key: str, value: Any, file: Path) -> Any:
-    """A value of the file, if it has the type of the attribute."""
+    """Checks that a value of the file has the type of the attribute, and returns it."""
     known = [entry.name for entry in fields(Columns)]
     if key in ROLES:
         fits, right = isinstance(value, list) and all(map(_is_name, value)), "a list of names of columns"
     elif key in ("deployment", "step"):
         fits, right = _is_name(value), "the name of a column"
     elif key == "units":
-        fits, right = _is_table(value, str), "a table of texts, by column"
+        fits, right = _is_table(value, str), "a table of strings, by column"
     elif key == "factors":
         fits, right = _is_table(value, int | float), "a table of numbers, by column"
     else:
@@ -158,23 +160,23 @@ def _is_table(value: object, wanted: Any) -> bool:
 
 
 def _quantity(name: str, unit: str, values: Array) -> Quantity:
-    """A coordinate with the range of its values, or one around them where they are all alike."""
+    """Coordinate with the range of its values, or with a range around them where they are all equal."""
     lower, upper = float(values.min()), float(values.max())
     margin = 0.0 if lower < upper else max(abs(lower), 1.0)
     return Quantity(name, unit, lower - margin, upper + margin)
 
 
 def unknown_column(name: str, known: Sequence[str]) -> str:
-    """Says which column was probably meant."""
+    """Message about an unknown column, with the name that was probably meant."""
     close = get_close_matches(name, known, n=1, cutoff=0.5)
     return f"no column {name!r}; " + (f"did you mean {close[0]!r}?" if close else f"there is {', '.join(known):.300}")
 
 
 def column_of(entry: str) -> str:
-    """The column of COLUMN or NAME=COLUMN."""
+    """The column in COLUMN or NAME=COLUMN."""
     return entry.partition("=")[2] or entry
 
 
 def name_of(entry: str) -> str:
-    """What the coordinate of COLUMN or NAME=COLUMN is called."""
+    """The name of the coordinate in COLUMN or NAME=COLUMN."""
     return entry.partition("=")[0] or entry

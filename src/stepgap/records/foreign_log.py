@@ -1,4 +1,4 @@
-"""Steps from any CSV file, once it is said which of its columns hold what."""
+"""Steps from any CSV file whose columns are described by `Columns`."""
 
 import csv
 from collections import Counter
@@ -18,16 +18,16 @@ LARGEST_LOG = 64 * 2**20
 """Largest log that is read [bytes]."""
 
 MISSING = {"", "na", "n/a", "nan", "null", "none", "inf", "-inf"}
-"""Cells, in lower case, in which a number is missing."""
+"""Contents of a cell, in lower case, that mean a missing number."""
 
 
 def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
-    """The steps of CSV files that have the same columns; each file begins a new deployment.
+    """Reads the steps of CSV files that have the same columns; each file begins a new deployment.
 
-    Rows in which a number is missing are left out, and so are ends of chains.
+    Rows in which a number is missing are left out, and so are the ends of chained rows.
 
     Raises:
-        RecordError: A file cannot be read, or is not such a file; the message names file, line and column.
+        RecordError: A file cannot be read, or does not fit; the message names file, line and column.
     """
     parts, deployments, left_out, found = [], [], Counter[str](), 0
     for path in paths:
@@ -39,7 +39,7 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
     table = {role: np.concatenate([part[role] for part in parts]) for role in parts[0]}
     command = table["command" if columns.command else "target"]
     if not len(command):
-        raise RecordError(f"{paths[0]}: no row is a whole step ({describe_left_out(left_out)})")
+        raise RecordError(f"{paths[0]}: no row holds a complete step ({describe_left_out(left_out)})")
     return StepTable(
         space=columns.space(table["state"], command),
         state=table["state"],
@@ -53,7 +53,7 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
 
 
 def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
-    """Arrays of the whole steps by role, their deployments, and how many rows are left out."""
+    """Arrays of the complete steps by role, their deployments, and the numbers of rows that are left out."""
     table = {
         role: np.stack([rows.numbers[column_of(entry)] for entry in getattr(columns, role)], axis=-1)
         for role in ROLES
@@ -69,14 +69,14 @@ def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels
         later = {role: values[1:][follows] for role, values in table.items()}
         table = earlier | {"next": later["state"]} if columns.state else later | {"state": earlier["next"]}
         deployment = deployment[1:][follows]
-    whole = np.all([np.isfinite(values).all(axis=1) for values in table.values()], axis=0)
-    left_out = {"with a number missing": int((~whole).sum()), "at the end of a chain": ends}
-    return {role: values[whole] for role, values in table.items()}, deployment[whole], left_out
+    complete = np.all([np.isfinite(values).all(axis=1) for values in table.values()], axis=0)
+    left_out = {"with a number missing": int((~complete).sum()), "at the end of a chain": ends}
+    return {role: values[complete] for role, values in table.items()}, deployment[complete], left_out
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """What is used of a file's R rows.
+    """The needed columns of a file's R rows.
 
     Attributes:
         numbers: Columns of numbers by name, NaN where one is missing; each of shape (R,).
@@ -88,7 +88,7 @@ class _Rows:
 
 
 def _read(path: Path, columns: Columns) -> _Rows:
-    """The columns of a file that are named."""
+    """Reads the needed columns of a file."""
     lines = _cells(path)
     _, header = next(lines, (1, []))
     if not header:
@@ -109,7 +109,7 @@ def _read(path: Path, columns: Columns) -> _Rows:
 
 
 def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """The rows that are not empty, with their line numbers, separated by what the first line has most of."""
+    """Yields the rows that are not empty, with line numbers; the separator is the commonest one in the first line."""
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_LOG + 1)
@@ -119,7 +119,7 @@ def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
     except OSError as error:
         raise RecordError(f"{path}: {error.strerror}; give an existing CSV file, or the folder of a run") from None
     except UnicodeDecodeError:
-        raise RecordError(f"{path}: this is not text; a log is a CSV file in UTF-8") from None
+        raise RecordError(f"{path}: not a text file; a log is a CSV file in UTF-8") from None
     first = text.partition("\n")[0]
     rows = csv.reader(StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True)
     try:
@@ -131,7 +131,7 @@ def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _index(header: Sequence[str], column: str, role: str, path: Path) -> int:
-    """Index of a column."""
+    """Index of a column in the header."""
     if header.count(column) != 1:
         found = "more than one such column" if column in header else unknown_column(column, header)
         raise RecordError(f"{path}, line 1: {role} {column!r}: {found}")

@@ -1,14 +1,14 @@
-"""What stands for a thing that is not there."""
+"""A value that stands for something that a record does not contain."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Missing:
-    """Stands for a thing that a record does not give, and says why.
+    """Marks something that a record does not contain, with the reason.
 
     Attributes:
-        reason: A clause that begins in lower case, without a full stop; whoever shows it builds the sentence.
+        reason: A clause in lower case without a full stop, for use within a sentence.
     """
 
     reason: str

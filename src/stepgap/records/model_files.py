@@ -1,4 +1,4 @@
-"""`models/iteration_K.json`: the residual with which a deployment of a run began."""
+"""Model files `models/iteration_K.json`: the residual with which a deployment of a run began."""
 
 import json
 from pathlib import Path
@@ -13,11 +13,11 @@ from stepgap.records.summary import read_text
 from stepgap.step import StepSpace
 
 LARGEST_MODEL: Final = 2**28
-"""Largest file of a model that is read [bytes]."""
+"""Largest model file that is read [bytes]."""
 
 
 def model_path(folder: Path, iteration: int) -> Path:
-    """File of the model with which a deployment of a run began."""
+    """Path of the model with which a deployment of a run began."""
     return folder / "models" / f"iteration_{iteration}.json"
 
 
@@ -27,7 +27,7 @@ def write_model(folder: Path, iteration: int, residual: Residual) -> None:
 
 
 def read_model(folder: Path, iteration: int, space: StepSpace) -> Residual | None:
-    """The residual with which a deployment began; None if no model was saved, as before one with the nominal map.
+    """Reads the residual with which a deployment began; None if no model was saved, as for the nominal map.
 
     Args:
         folder: The run folder.
@@ -49,5 +49,7 @@ def read_model(folder: Path, iteration: int, space: StepSpace) -> Residual | Non
         raise ValueError(f"{path}: not a residual ({short}); it must be the file that the run wrote") from None
     wanted = (len(space.state), len(space.command))
     if residual.sizes != wanted:
-        raise ValueError(f"{path}: of (state, command) sizes {residual.sizes}, in steps.csv {wanted}; not of one run")
+        raise ValueError(
+            f"{path}: (state, command) sizes are {residual.sizes}, in steps.csv {wanted}; both must be of the same run"
+        )
     return residual

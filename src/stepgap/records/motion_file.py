@@ -1,4 +1,4 @@
-"""`replay/deployment_K.npz`: how the robot moved in a deployment, as named channels."""
+"""Motion files `replay/deployment_K.npz`: the robot's motion in a deployment, as named channels."""
 
 import zipfile
 import zlib
@@ -13,24 +13,24 @@ from stepgap.base.files import write_whole
 from stepgap.step import Array
 
 LARGEST_MOTION: Final = 2**27
-"""Largest file of a motion that is read [bytes]."""
+"""Largest motion file that is read [bytes]."""
 
 ORIGIN: Final = "origin"
-"""Entry that identifies what a motion was made from."""
+"""Entry that identifies the data from which a motion was computed."""
 
 
 def motion_path(folder: Path, iteration: int) -> Path:
-    """File of the motion of a deployment."""
+    """Path of the motion of a deployment."""
     return folder / "replay" / f"deployment_{iteration}.npz"
 
 
 def check_channels(channels: Mapping[str, Array]) -> None:
-    """Raises ValueError unless the channels are equally long rows of finite numbers, of one frame at least."""
+    """Raises ValueError unless the channels are rows of finite numbers of equal length, with at least one frame."""
     sizes = {values.shape for values in channels.values()}
     if len(sizes) != 1 or len(next(iter(sizes))) != 1 or sizes == {(0,)}:
-        raise ValueError(f"the channels of a motion must be equally long rows, not of the shapes {sorted(sizes)}")
+        raise ValueError(f"the channels of a motion must be rows of equal length, not of shapes {sorted(sizes)}")
     if not all(np.isfinite(values).all() for values in channels.values()):
-        raise ValueError("a motion must be finite numbers")
+        raise ValueError("the channels of a motion must be finite numbers")
 
 
 def write_motion(path: Path, channels: Mapping[str, Array], origin: str) -> None:
@@ -39,7 +39,7 @@ def write_motion(path: Path, channels: Mapping[str, Array], origin: str) -> None
     Args:
         path: The file; replaced if it exists.
         channels: Arrays of shape (F,) by name.
-        origin: Identifies what the motion was made from.
+        origin: Identifies the data from which the motion was computed.
     """
     stream = BytesIO()
     single = {name: values.astype(np.float32) for name, values in channels.items()}
@@ -48,12 +48,12 @@ def write_motion(path: Path, channels: Mapping[str, Array], origin: str) -> None
 
 
 def read_motion(path: Path, names: Collection[str], origin: str) -> dict[str, Array] | None:
-    """The channels of a motion; None if there is no file, it is damaged, or it was made from something else.
+    """Reads the channels of a motion; None if there is no file, it is damaged, or it has another origin.
 
     Args:
         path: The file.
         names: Names of the channels.
-        origin: What the motion must have been made from.
+        origin: Identifies the data from which the motion must have been computed.
     """
     try:
         if path.stat().st_size > LARGEST_MOTION:
@@ -65,4 +65,4 @@ def read_motion(path: Path, names: Collection[str], origin: str) -> dict[str, Ar
         check_channels(channels)
         return channels
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError):
-        return None  # RuntimeError: a damaged header may call an entry encrypted, or compressed in an unknown way
+        return None  # RuntimeError: a damaged header may mark an entry as encrypted or give an unknown compression

@@ -1,4 +1,4 @@
-"""The numbers of the paper's hardware run (Krause, Alaeddini, Bhounsule, IDETC 2023), to be shown beside a run's own.
+"""Results of the paper's hardware run (Krause, Alaeddini, Bhounsule, IDETC 2023), for comparison with a run.
 
 Read off the plots of its Figs. 4 and 5, 227 steps per deployment; iteration 0 is its controller without a Gaussian
 process. Errors are next state − target, speed in m/s and height in m.
@@ -48,16 +48,16 @@ redeployment made the speed worse.
 """
 
 LARGEST_STD: Final[Mapping[str, tuple[float, float]]] = {"speed": (0.03, 0.02), "height": (0.015, 0.01)}
-"""About the largest standard deviation of the learnt map at iterations 1 and 4 (Sec. 6, of Figs. 6b and 7b)."""
+"""Approximate largest standard deviation of the learned map at iterations 1 and 4 (Sec. 6, Figs. 6b and 7b)."""
 
 
 def paper_error(measure: str, name: str, iteration: int) -> float | None:
-    """One error of the paper's hardware run; None where the paper does not show it.
+    """Error of the paper's hardware run; None where the paper does not give it.
 
     Args:
         measure: `rmse`, `mae`, `bias`, `steady_rmse` or `transient_rmse`.
         name: `speed` or `height`.
-        iteration: From 0, the controller without a GP.
+        iteration: Number of the iteration; 0 is the controller without a GP.
     """
     if measure == "mae" and 0 <= iteration <= LAST_ITERATION:
         return MAE_BY_ITERATION[name][iteration]

@@ -1,4 +1,4 @@
-"""Recovers the intact part of truncated or damaged files: `steps.csv`, and logs of ticks."""
+"""Recovery of the intact part of truncated or damaged files: `steps.csv` and tick logs."""
 
 from pathlib import Path
 
@@ -14,13 +14,13 @@ def recover_file(path: Path, out: Path) -> list[str]:
     """Writes the intact part of a file into a new one; the file itself is not changed.
 
     Returns:
-        Messages: what is wrong with the file, and how much was recovered.
+        Messages that describe the faults of the file and the number of recovered items.
 
     Raises:
         InputError: Nothing can be recovered, or `out` exists or cannot be written.
     """
     if path.exists() and not path.is_file():
-        raise InputError(f"{path}: this is no file; give a steps.csv or an .mcap file")
+        raise InputError(f"{path}: not a file; give a steps.csv or an .mcap file")
     try:
         return _recover_ticks(path, out) if _is_tick_log(path) else _recover_steps(path, out)
     except FileExistsError:
@@ -44,13 +44,11 @@ def _recover_ticks(path: Path, out: Path) -> list[str]:
 def _recover_steps(path: Path, out: Path) -> list[str]:
     steps, fault = recover_steps(path, space_of_header(path))
     if not len(steps):
-        raise InputError(f"{path}: no whole step in it")
+        raise InputError(f"{path}: it contains no complete step")
     with naming(out), out.open("x", encoding="utf-8") as file:
         file.write(text_of(steps))
     return [*([fault] if fault else []), _counted(len(steps), "step", bool(fault))]
 
 
-def _counted(count: int, what: str, broken: bool) -> str:
-    return (
-        f"{count} {what}{'' if count == 1 else 's'} {'recovered' if broken else 'copied: nothing is wrong with them'}"
-    )
+def _counted(count: int, noun: str, broken: bool) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'} {'recovered' if broken else 'copied: the file has no fault'}"

@@ -1,6 +1,6 @@
-"""A run folder, read strictly: the steps executed, how well they tracked, and with which settings.
+"""A run folder, read with strict checks: the executed steps, their tracking errors, and the settings.
 
-The folder may still be growing: `steps.csv` may hold steps of a deployment that `summary.json` does not know yet.
+The run may still be in progress: `steps.csv` may hold steps of a deployment that is not yet in `summary.json`.
 """
 
 from collections.abc import Mapping
@@ -22,11 +22,11 @@ from stepgap.step import Array, StepSpace
 
 @dataclass(frozen=True)
 class SettingsFile:
-    """An `experiment.toml`, whether or not its settings are known here.
+    """Content of an `experiment.toml`, which may have settings that this version does not know.
 
     Attributes:
-        text: Its text.
-        table: Its content as TOML.
+        text: Text of the file.
+        table: Content of the file as a TOML table.
     """
 
     text: str
@@ -38,12 +38,12 @@ class RunRecord:
     """The content of a run folder.
 
     Attributes:
-        folder: Where it was read.
-        space: Names and units of state and command; a unit may be empty, the bounds mean nothing.
-        steps: Every step recorded; at least one.
-        summary: Errors of the deployments that are finished.
-        settings: `experiment.toml`; None if there is none.
-        cut_off: Whether the last row of `steps.csv` was cut off in the middle of writing; it is not in `steps`.
+        folder: The run folder.
+        space: Names and units of state and command; a unit may be empty, and the bounds have no meaning.
+        steps: All recorded steps, at least one.
+        summary: Errors of the finished deployments.
+        settings: Content of `experiment.toml`; None if there is none.
+        cut_off: Whether the last row of `steps.csv` was not completely written; it is not in `steps`.
     """
 
     folder: Path
@@ -55,36 +55,38 @@ class RunRecord:
 
     @property
     def deployments(self) -> tuple[Deployment, ...]:
-        """The finished ones, rising."""
+        """Finished deployments in ascending order."""
         return self.summary.deployments
 
     @property
     def noise_floor(self) -> Array:
-        """Standard deviation of the next state at equal state and command, NaN where unknown; shape (n,)."""
-        spread = self.summary.repeatability
-        return np.full(len(self.space.state), np.nan) if spread is None else spread
+        """Noise floor, the standard deviation of repeated steps, NaN where unknown; shape (n,)."""
+        known = self.summary.noise_floor
+        return np.full(len(self.space.state), np.nan) if known is None else known
 
     @property
     def shown_iterations(self) -> list[int]:
-        """Iterations that figures show: the finished ones, or while there are none, those with steps."""
+        """Deployments that figures show: the finished ones or, while there are none, those with steps."""
         return [deployment.iteration for deployment in self.deployments] or self.steps.iterations
 
     @property
     def like_paper(self) -> bool:
-        """Whether it tracked the paper's state along the paper's reference, so that the paper's errors compare."""
+        """Whether the run has the paper's state and reference, so that its errors can be compared with the paper's."""
         if self.space.state_names != STATE_NAMES:
             return False
-        wanted, fell = paper_reference().targets, {each.iteration for each in self.deployments if each.falls}
+        reference, fell = paper_reference().targets, {each.iteration for each in self.deployments if each.falls}
         for number in self.steps.iterations:
             targets = self.steps.of_iteration(number).tracking().target
-            broken_off = number in fell or number in self.unfinished
-            if not np.array_equal(targets, wanted[: len(targets)]) or not (broken_off or len(targets) == len(wanted)):
+            incomplete = number in fell or number in self.unfinished
+            if not np.array_equal(targets, reference[: len(targets)]):
+                return False
+            if len(targets) != len(reference) and not incomplete:
                 return False
         return True
 
     @property
     def unfinished(self) -> dict[int, int]:
-        """Number of steps recorded of each deployment that is not in `summary.json`."""
+        """Number of recorded steps of each deployment that is not in `summary.json`."""
         finished = {deployment.iteration for deployment in self.deployments}
         return {
             number: len(self.steps.of_iteration(number)) for number in self.steps.iterations if number not in finished
@@ -92,21 +94,21 @@ class RunRecord:
 
 
 def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
-    """Reads `steps.csv`, and where they are there, `summary.json` and `experiment.toml`.
+    """Reads `steps.csv` and, where they exist, `summary.json` and `experiment.toml`.
 
     Args:
         folder: The run folder.
         space: Names and units of state and command; by default those of the header of `steps.csv`.
 
     Raises:
-        ValueError: A file is not what it must be; the message names it and says what would be right.
+        ValueError: The content of a file is wrong; the message names the file and the rule.
         OSError: The folder or a file cannot be read.
     """
     path = folder / "steps.csv"
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; {folder} must be the folder of a run, which holds it")
     space = space or space_of_header(path)
-    summary = read_summary(folder / "summary.json", space.state_names)  # before the steps, which only grow meanwhile
+    summary = read_summary(folder / "summary.json", space.state_names)  # read first, because steps may be added
     steps = _read_steps(path, space)
     _check_same_run(summary, steps, folder / "summary.json")
     settings = _read_settings(folder / "experiment.toml")
@@ -114,30 +116,30 @@ def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
 
 
 def _read_steps(path: Path, space: StepSpace) -> StepLog:
-    """The steps, checked to be of a size that can be drawn."""
+    """Reads the steps and checks that their values can be plotted."""
     steps = read_step_log(path, space)
     if not len(steps):
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
     columns = np.hstack([steps.state, steps.target, steps.next_state, steps.predicted, steps.std])
     if (np.abs(columns[np.isfinite(columns)]) > LARGEST_NUMBER).any() or (steps.std < 0).any():
         raise ValueError(
-            f"{path}: a state is beyond ±{LARGEST_NUMBER:g} or an std_… negative; both must be in SI units"
+            f"{path}: a state is larger than ±{LARGEST_NUMBER:g} or an std_… negative; both must be in SI units"
         )
     return steps
 
 
 def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
-    """Raises ValueError unless the summary is of these steps, or of the first of them."""
+    """Raises ValueError unless the summary describes these steps, or the first of them."""
     for deployment in summary.deployments:
         rows = steps.of_iteration(deployment.iteration)
         if (len(rows), rows.falls) != (deployment.steps, deployment.falls):
             raise ValueError(
                 f"{path}: deployment {deployment.iteration} has {deployment.steps} steps and {deployment.falls} falls, "
-                f"in steps.csv {len(rows)} and {rows.falls}; both must be of one run"
+                f"in steps.csv {len(rows)} and {rows.falls}; both must be of the same run"
             )
     count = sum(deployment.steps for deployment in summary.deployments)
     if summary.steps_sha256 and summary.steps_sha256 != digest(StepLog(steps.space, islice(steps, count))):
-        raise ValueError(f"{path}: steps.csv was changed after it was written; both must be of one run")
+        raise ValueError(f"{path}: steps.csv was changed after it was written; both must be of the same run")
 
 
 def _read_settings(path: Path) -> SettingsFile | None:

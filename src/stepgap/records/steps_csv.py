@@ -1,4 +1,4 @@
-"""`steps.csv`: every executed step of a run, a row at a time, each on disk before the next step starts."""
+"""The step log `steps.csv`: one row per executed step of a run, on disk before the next step starts."""
 
 import errno
 import fcntl
@@ -22,11 +22,11 @@ LONGEST_HEADER = 2**14
 """Longest first line of `steps.csv` [bytes]."""
 
 MOST_COORDINATES = 12
-"""State coordinates at most; each has a figure of its own."""
+"""Largest number of state coordinates; each has its own figure."""
 
 
 class RecordError(InputError):
-    """A step log cannot be used; the message is one line that names the file and what is wrong with it."""
+    """A step log cannot be used; the message is one line that names the file and its fault."""
 
 
 def column_names(space: StepSpace) -> list[str]:
@@ -51,7 +51,7 @@ def values_of(logged: LoggedStep, space: StepSpace) -> dict[str, int | float | s
 
 
 def row_of(logged: LoggedStep) -> str:
-    """The line of `steps.csv`, without its end; every number is written so that it is read back to the last bit."""
+    """The line of `steps.csv` without its end; every number can be read back without loss."""
     return ",".join(map(str, _values(logged)))
 
 
@@ -64,7 +64,7 @@ def _values(logged: LoggedStep) -> list[int | float | str]:
 
 
 def _step_of(row: str, space: StepSpace) -> LoggedStep:
-    """The step that a line holds; ValueError if it holds none."""
+    """The step in a line; ValueError if the line does not hold a step."""
     names, cells = column_names(space), row.split(",")
     if len(cells) != len(names):
         raise ValueError(f"{len(cells)} columns instead of {len(names)}")
@@ -85,7 +85,7 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
 
 
 def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
-    """Raises ValueError unless a step can follow the one before it."""
+    """Raises ValueError unless a step can follow the previous one."""
     here = (logged.iteration, logged.step)
     first = (0, min(1, logged.step))
     following = [first] if last is None else [(last.iteration, last.step + 1), (last.iteration + 1, 1)]
@@ -97,10 +97,10 @@ def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
 
 
 def space_of_header(path: Path) -> StepSpace:
-    """Names of state and command as the header of `steps.csv` gives them.
+    """Step space with the names of state and command in the header of `steps.csv`.
 
-    The file does not know bounds, so that they are −1 and 1, nor units, so that they are the paper's for the
-    coordinates that it has, and empty for others.
+    The file contains no bounds, so they are −1 and 1, and no units, so they are the paper's for its coordinates, and
+    empty for others.
 
     Raises:
         ValueError: The first line is not a header of a step log.
@@ -129,7 +129,7 @@ def _coordinate(name: str) -> Quantity:
 
 
 def check_not_older(header: Sequence[str], path: Path) -> None:
-    """Raises RecordError if a header names a column as only earlier versions of StepGap did."""
+    """Raises RecordError if a header has a column name of an earlier version of StepGap."""
     if "place_after" in header:
         raise RecordError(
             f"{path}, line 1: recorded by an older version of StepGap, in which the column yaw_after was called "
@@ -138,18 +138,18 @@ def check_not_older(header: Sequence[str], path: Path) -> None:
 
 
 def text_of(log: StepLog) -> str:
-    """The content of the `steps.csv` that holds these steps."""
+    """Content of the `steps.csv` with these steps."""
     lines = [",".join(column_names(log.space)), *map(row_of, log)]
     return "".join(f"{line}\n" for line in lines)
 
 
 def digest(log: StepLog) -> str:
-    """SHA-256 of the `steps.csv` that holds these steps."""
+    """SHA-256 of the `steps.csv` with these steps."""
     return hashlib.sha256(text_of(log).encode()).hexdigest()
 
 
 def read_step_log(path: Path, space: StepSpace) -> StepLog:
-    """Reads `steps.csv`; a last line cut off in the middle of writing is left out.
+    """Reads `steps.csv`; a last line that was not completely written is left out.
 
     Raises:
         RecordError: The file is not a step log of this space; the message names file and line.
@@ -159,7 +159,7 @@ def read_step_log(path: Path, space: StepSpace) -> StepLog:
 
 
 def ends_with_whole_row(path: Path) -> bool:
-    """Whether the last row of a file was written to its end.
+    """Whether the last row of a file was written completely.
 
     Raises:
         OSError: The file cannot be read.
@@ -170,10 +170,13 @@ def ends_with_whole_row(path: Path) -> bool:
 
 
 def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
-    """The steps of a broken `steps.csv` up to the first that is not whole, and what is wrong there; empty: nothing.
+    """Reads a damaged `steps.csv` up to the first row that is not intact.
+
+    Returns:
+        The steps, and a message about the fault; empty if there is none.
 
     Raises:
-        RecordError: It is not a step log of this space at all.
+        RecordError: The file is not a step log of this space at all.
         OSError: The file cannot be read.
     """
     content, steps = _read_content(path), []
@@ -186,19 +189,19 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
             raise
         return StepLog(space, steps), str(error)
     if readable < len(content):
-        return StepLog(space, steps), f"{path}: no text from byte {readable} on"
+        return StepLog(space, steps), f"{path}: not text from byte {readable} on"
     cut = content[content.rfind(b"\n") + 1 :]
-    return StepLog(space, steps), f"{path}: the last line breaks off after {len(cut)} bytes" if cut else ""
+    return StepLog(space, steps), f"{path}: the last line is cut off after {len(cut)} bytes" if cut else ""
 
 
 def _read_content(path: Path) -> bytes:
-    """The bytes of a file, and one more than allowed of one that is too large."""
+    """Reads the bytes of a file; of a file that is too large, one byte more than allowed."""
     with path.open("rb") as file:
         return file.read(LARGEST_STEPS_FILE + 1)
 
 
 def _readable(content: bytes) -> int:
-    """Number of bytes that are text."""
+    """Number of bytes at the start that are text."""
     try:
         content.decode()
     except UnicodeDecodeError as error:
@@ -207,12 +210,12 @@ def _readable(content: bytes) -> int:
 
 
 def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedStep]:
-    """The steps of the whole lines, up to the first that holds none, which raises RecordError."""
+    """Yields the steps of the complete lines; raises RecordError at the first line that does not hold a step."""
     if len(content) > LARGEST_STEPS_FILE:
         raise RecordError(f"{path}: larger than {LARGEST_STEPS_FILE} bytes, so it is not read")
     header = ",".join(column_names(space))
     if header.encode().startswith(content):
-        return  # broken off before the first line was whole
+        return  # cut off before the first line was complete
     try:
         lines = content[: content.rfind(b"\n") + 1].decode().replace("\r\n", "\n").split("\n")[:-1]
     except UnicodeDecodeError as error:
@@ -232,17 +235,17 @@ def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedSt
 
 
 class StepWriter:
-    """Writes steps to a file, each on disk before the next one starts; one writer at a time has the file.
+    """Writes steps to a file, each on disk before the next one starts; only one writer at a time can open the file.
 
     Args:
-        path: The file; made if there is none. Nothing in it is changed before the first step is added.
+        path: The file; created if there is none. It is not changed before the first step is added.
         space: Names of state and command.
 
     Attributes:
-        recorded: Steps that were in the file.
+        recorded: Steps that were already in the file.
 
     Raises:
-        RecordError: Another process has the file, or it is not a step log of this space.
+        RecordError: Another process is writing the file, or it is not a step log of this space.
         OSError: The file cannot be read or written.
     """
 
@@ -260,7 +263,7 @@ class StepWriter:
         self._whole = content.rfind(b"\n") + 1
 
     def _lock(self, path: Path) -> None:
-        """Takes the file for this process; the kernel frees it whatever happens to the process."""
+        """Locks the file for this process; the kernel releases the lock when the process ends for any reason."""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -270,7 +273,7 @@ class StepWriter:
                 raise
 
     def append(self, logged: LoggedStep) -> None:
-        """Writes one row, after the last whole one, and waits until the disk has it.
+        """Writes one row after the last complete one, and waits until it is on disk.
 
         Raises:
             OSError: The row cannot be written; the rows before it stay as they are.

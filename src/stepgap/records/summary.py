@@ -1,4 +1,4 @@
-"""`summary.json` of a run folder: how well each deployment tracked, written whole and read strictly."""
+"""The file `summary.json` of a run folder: tracking errors of each deployment, written whole and read strictly."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ SUMMARY_SCHEMA = 1
 """Version of `summary.json`."""
 
 MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
-"""Tracking errors in `summary.json`, each one number per state coordinate."""
+"""Tracking errors in `summary.json`, each with one number per state coordinate."""
 
 LARGEST_SUMMARY = 2**24
 """Largest `summary.json` that is read [bytes]."""
@@ -24,7 +24,7 @@ LONGEST_RESIDUAL_NAME = 100
 """Longest name of a residual model [characters]."""
 
 LARGEST_NUMBER = 1e9
-"""Largest number that is taken for a measurement [SI units]."""
+"""Largest magnitude of a number that is accepted as a measurement [SI units]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +34,10 @@ class Deployment:
     An error is NaN where there are no such steps.
 
     Attributes:
-        iteration: Its number, from 0.
+        iteration: Number of the deployment, from 0.
         residual: Name of the residual model that the controller used.
-        steps: Number of steps executed; it includes those before step 1, whose errors do not count.
-        falls: Steps that ended without an apex; at most one, because the deployment ends with it.
+        steps: Number of executed steps, including those before step 1, which do not count in the errors.
+        falls: Number of steps that ended without an apex; at most one, because it ends the deployment.
         rmse: Root-mean-square error; shape (n,).
         mae: Mean absolute error; shape (n,).
         bias: Mean error; shape (n,).
@@ -57,17 +57,17 @@ class Deployment:
 
     @property
     def errors(self) -> Mapping[str, Array]:
-        """The error of every state coordinate (n,), by the name of the measure."""
+        """Errors of the state coordinates (n,), by the name of the measure."""
         return {measure: getattr(self, measure) for measure in MEASURES}
 
 
 @dataclass(frozen=True)
 class WarmStart:
-    """Which steps were known before a run.
+    """The steps that were known before a run.
 
     Attributes:
-        steps: How many.
-        steps_sha256: Their digest.
+        steps: Number of these steps.
+        steps_sha256: Digest of these steps.
     """
 
     steps: int
@@ -76,22 +76,22 @@ class WarmStart:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """The content of `summary.json`; without arguments, that of a run of which no deployment is finished.
+    """The content of `summary.json`; without arguments, that of a run without a finished deployment.
 
     Attributes:
         seed: Random seed of the run.
-        deployments: Those that are finished, in rising order.
-        repeatability: Spread of the next state at equal state and command, NaN where unknown; shape (n,).
-        measured: Whether the repeatability was measured by repeating steps, not estimated from steady ones.
-        versions: Of the software, as far as recorded.
-        steps_sha256: Digest of the steps that the deployments are made of; empty if not recorded.
+        deployments: Finished deployments in ascending order.
+        noise_floor: Standard deviation of repeated steps, NaN where unknown; shape (n,). Key `repeatability`.
+        noise_floor_measured: Whether the noise floor was measured by repeating steps, not estimated from steady steps.
+        versions: Versions of the software, as far as recorded.
+        steps_sha256: Digest of the steps of the deployments; empty if not recorded.
         warm_start: The steps known before the run; None if there were none.
     """
 
     seed: int | None = None
     deployments: tuple[Deployment, ...] = ()
-    repeatability: Array | None = None
-    measured: bool = False
+    noise_floor: Array | None = None
+    noise_floor_measured: bool = False
     versions: tuple[tuple[str, str], ...] = ()
     steps_sha256: str = ""
     warm_start: WarmStart | None = None
@@ -102,16 +102,16 @@ def write_summary(path: Path, summary: Summary, names: Sequence[str]) -> None:
 
     Args:
         path: The file.
-        summary: Its content, with at least one deployment and the repeatability.
+        summary: Content of the file, with at least one deployment and the noise floor.
         names: State coordinates of the run.
     """
-    known = np.full(len(names), np.nan) if summary.repeatability is None else summary.repeatability
+    noise_floor = np.full(len(names), np.nan) if summary.noise_floor is None else summary.noise_floor
     content = {
         "schema": SUMMARY_SCHEMA,
         "seed": summary.seed,
         "iterations": [deployment_entry(deployment, names) for deployment in summary.deployments],
-        "repeatability": _by_name(names, known),
-        "repeatability_measured": summary.measured,
+        "repeatability": _by_name(names, noise_floor),
+        "repeatability_measured": summary.noise_floor_measured,
         "steps_sha256": summary.steps_sha256,
         **({"warm_start": asdict(summary.warm_start)} if summary.warm_start else {}),
         "versions": dict(summary.versions),
@@ -120,7 +120,7 @@ def write_summary(path: Path, summary: Summary, names: Sequence[str]) -> None:
 
 
 def deployment_entry(deployment: Deployment, names: Sequence[str]) -> dict[str, Any]:
-    """What `summary.json` says of a deployment; `names` are those of the state coordinates. NaN becomes null."""
+    """Entry of a deployment in `summary.json`; `names` are the state coordinates. NaN becomes null."""
     return {
         "iteration": deployment.iteration,
         "residual": deployment.residual,
@@ -135,15 +135,15 @@ def _by_name(names: Sequence[str], values: Array) -> dict[str, float | None]:
 
 
 def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json") -> Summary:
-    """The content of `summary.json`.
+    """Parses the content of `summary.json`.
 
     Args:
         text: The file's text.
         names: State coordinates of the run.
-        source: What to call the text in messages, usually its file name.
+        source: Name of the text in messages, usually its file name.
 
     Raises:
-        ValueError: Naming the source, the key, and what would be right.
+        ValueError: The content is wrong; the message names source, key and rule.
     """
     try:
         content = json.loads(text, parse_constant=_no_constant)
@@ -152,7 +152,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
     fields = _fields(content, "it", source)
     if (schema := fields.get("schema")) != SUMMARY_SCHEMA or isinstance(schema, bool):
         raise ValueError(
-            f"{source}: schema is {_short(schema)}, but it must be {SUMMARY_SCHEMA}, the one this StepGap knows"
+            f"{source}: schema is {_short(schema)}, but it must be {SUMMARY_SCHEMA}, which this version reads"
         )
     entries = fields.get("iterations")
     if not isinstance(entries, list) or not entries:
@@ -160,10 +160,10 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
     deployments = [_deployment(entry, names, f"iterations[{row}]", source) for row, entry in enumerate(entries)]
     numbers = [deployment.iteration for deployment in deployments]
     if numbers != sorted(set(numbers)):
-        raise ValueError(f"{source}: iterations are numbered {_short(numbers)}, but their numbers must rise")
+        raise ValueError(f"{source}: iterations are numbered {_short(numbers)}, but their numbers must increase")
     versions = _fields(fields.get("versions", {}), "versions", source)
     return Summary(
-        _whole(fields, "seed", 0, source),
+        _integer(fields, "seed", 0, source),
         tuple(deployments),
         _errors(fields, "repeatability", names, source),
         fields.get("repeatability_measured") is True,
@@ -185,10 +185,10 @@ def read_summary(path: Path, names: tuple[str, ...]) -> Summary:
 
 
 def read_text(path: Path, largest: int) -> str | None:
-    """Text of a regular file; None if there is nothing of that name.
+    """Text of a regular file; None if it does not exist.
 
     Raises:
-        ValueError: It is larger than `largest` bytes, or no text.
+        ValueError: It is larger than `largest` bytes, or not text.
         OSError: It cannot be read.
     """
     if not path.exists():
@@ -197,24 +197,24 @@ def read_text(path: Path, largest: int) -> str | None:
         raise ValueError(f"{path}: not a file; it must be a text file that the run wrote")
     if path.stat().st_size > largest:
         raise ValueError(
-            f"{path}: larger than {largest} bytes, so it is not read; it must be the one that the run wrote"
+            f"{path}: larger than {largest} bytes, so it is not read; it must be the file that the run wrote"
         )
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: not a text file ({error.reason}); it must be the one that the run wrote") from None
+        raise ValueError(f"{path}: not a text file ({error.reason}); it must be the file that the run wrote") from None
 
 
 def _deployment(entry: Any, names: tuple[str, ...], key: str, source: str) -> Deployment:
     fields, source = _fields(entry, key, source), f"{source}: {key}"
     residual = fields.get("residual")
     if not isinstance(residual, str) or len(residual) > LONGEST_RESIDUAL_NAME:
-        raise ValueError(f"{source}: residual is {_short(residual)}, but it must be a short text such as 'gp'")
+        raise ValueError(f"{source}: residual is {_short(residual)}, but it must be a short string such as 'gp'")
     return Deployment(
-        iteration=_whole(fields, "iteration", 0, source),
+        iteration=_integer(fields, "iteration", 0, source),
         residual=residual,
-        steps=_whole(fields, "steps", 1, source),
-        falls=_whole(fields, "falls", 0, source),
+        steps=_integer(fields, "steps", 1, source),
+        falls=_integer(fields, "falls", 0, source),
         **{measure: _errors(fields, measure, names, source) for measure in MEASURES},
     )
 
@@ -223,7 +223,7 @@ def _warm_start(entry: Any, source: str) -> WarmStart | None:
     if entry is None:
         return None
     fields = _fields(entry, "warm_start", source)
-    return WarmStart(_whole(fields, "steps", 1, f"{source}: warm_start"), str(fields.get("steps_sha256", "")))
+    return WarmStart(_integer(fields, "steps", 1, f"{source}: warm_start"), str(fields.get("steps_sha256", "")))
 
 
 def _fields(value: Any, what: str, source: str) -> dict[str, Any]:
@@ -232,7 +232,7 @@ def _fields(value: Any, what: str, source: str) -> dict[str, Any]:
     return value
 
 
-def _whole(fields: Mapping[str, Any], key: str, least: int, source: str) -> int:
+def _integer(fields: Mapping[str, Any], key: str, least: int, source: str) -> int:
     value = fields.get(key)
     if type(value) is not int or not least <= value < 2**63:
         raise ValueError(f"{source}: {key} is {_short(value)}, but it must be an integer from {least}")
@@ -240,11 +240,11 @@ def _whole(fields: Mapping[str, Any], key: str, least: int, source: str) -> int:
 
 
 def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source: str) -> Array:
-    """One number or null for every state coordinate; shape (n,)."""
+    """Errors of the state coordinates, each a number or null; shape (n,)."""
     values = _fields(fields.get(key), key, source)
     if set(values) != set(names):
         wanted = ", ".join(names)
-        raise ValueError(f"{source}: {key} is of {_short(list(values))}, but it must be of {wanted}, as in steps.csv")
+        raise ValueError(f"{source}: {key} has {_short(list(values))}, but it must have {wanted}, as in steps.csv")
     for name, value in values.items():
         known = isinstance(value, (int, float)) and not isinstance(value, bool)
         if value is not None and not (known and abs(value) <= LARGEST_NUMBER):
@@ -253,10 +253,10 @@ def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source:
 
 
 def _short(value: Any) -> str:
-    """The value in one short line."""
+    """Text of a value, shortened to one short line."""
     text = "missing" if value is None else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
 def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no JSON number")
+    raise ValueError(f"{name} is not a JSON number")

@@ -1,4 +1,4 @@
-"""Two bands: the error of the paper's robot, which a run may reach, and the 95 % interval of a prediction."""
+"""Two bands: the error of the paper's robot, for comparison with a run, and the 95 % interval of predictions."""
 
 from typing import Final
 
@@ -13,19 +13,23 @@ PAPER_BAND: Final = np.array([WITH_GP["rmse"]["speed"], WITH_GP["rmse"]["height"
 """Error of the paper's robot after four redeployments, speed [m/s] and height [m]."""
 
 WINDOW: Final = 20
-"""Steps over which an error is compared with it."""
+"""Number of consecutive steps over which an error is compared with the band."""
 
 
 def tracking_errors(steps: StepLog) -> Array:
-    """Next state − target of the steps that tracked and ended with an apex; shape (k, n)."""
-    whole = steps.tracking().completed()
-    return whole.next_state - whole.target
+    """Next state − target of the tracking steps that ended with an apex; shape (k, n)."""
+    completed = steps.tracking().completed()
+    return completed.next_state - completed.target
 
 
 def hops_to_band(errors: Array) -> int | None:
-    """After how many of N steps with tracking errors (N, 2) the error of the last 20 is in the paper's band for good.
+    """Number of steps after which the RMSE of 20 consecutive steps stays in the paper's band.
 
-    None where it never is, or where there are fewer than 20 steps.
+    Args:
+        errors: Tracking errors; shape (N, 2).
+
+    Returns:
+        None if the error does not stay in the band, or if there are fewer than 20 steps.
     """
     if len(errors) < WINDOW:
         return None
@@ -36,13 +40,13 @@ def hops_to_band(errors: Array) -> int | None:
 
 
 def window_errors(errors: Array) -> Array:
-    """Root-mean-square error of every 20 steps in a row; (N, n) to (N − 19, n)."""
+    """Root-mean-square error of all sequences of 20 consecutive steps; (N, n) to (N − 19, n)."""
     squares = np.cumsum(np.vstack([np.zeros(errors.shape[1]), errors**2]), axis=0)
     return np.sqrt(np.maximum(squares[WINDOW:] - squares[:-WINDOW], 0) / WINDOW)
 
 
 def interval_coverage(steps: StepLog, index: int) -> tuple[int, int]:
-    """How many next states lie within the 95 % interval of their prediction, and of how many with an interval."""
+    """Number of next states within the 95 % interval of their prediction, and number of those with an interval."""
     known = steps.completed()
     error, std = np.abs(known.next_state - known.predicted)[:, index], known.std[:, index]
     banded = np.isfinite(error) & (std > 0)

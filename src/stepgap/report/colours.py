@@ -1,4 +1,4 @@
-"""Colours of figures and charts, after Okabe and Ito: colour-blind readers distinguish them."""
+"""Colours of figures and charts, after Okabe and Ito; colour-blind readers can distinguish them."""
 
 from typing import Final
 

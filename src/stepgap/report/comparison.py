@@ -1,4 +1,4 @@
-"""Several runs on one page: their errors side by side, one figure, and which settings differ."""
+"""Comparison of several runs on one page: their errors side by side, one figure, and the settings that differ."""
 
 import os
 from collections.abc import Sequence
@@ -15,34 +15,34 @@ from stepgap.report.sentences import decimal, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
 
 MOST_RUNS: Final = 12
-"""Runs on one page, so that they can be distinguished."""
+"""Largest number of runs on one page, so that their curves can be distinguished."""
 
 COMPARED: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse": "transient RMSE"}
-"""Errors that are compared."""
+"""Compared errors, with their labels."""
 
 CAPTION: Final = (
-    "Root-mean-square tracking error of each run by deployment, on a logarithmic axis. A deployment that fell is "
-    "counted up to its fall."
+    "Root-mean-square tracking error of each run by deployment, on a logarithmic axis. A deployment with a fall is "
+    "counted up to the fall."
 )
 
 
 def comparison_html(records: Sequence[RunRecord]) -> str:
-    """The whole page.
+    """HTML of the comparison page.
 
     Args:
         records: At least two runs.
 
     Raises:
-        ValueError: They are too many, or not of the same state.
+        ValueError: There are too few or too many runs, or their states differ.
     """
     if not 2 <= len(records) <= MOST_RUNS:
-        raise ValueError(f"{len(records)} runs to compare; it must be 2 to {MOST_RUNS}")
+        raise ValueError(f"{len(records)} runs to compare, but there must be 2 to {MOST_RUNS}")
     space = records[0].space
     for record in records:
         if record.space.state_names != space.state_names:
             raise ValueError(
-                f"{record.folder}: its state is {', '.join(record.space.state_names)}, that of {records[0].folder} "
-                f"{', '.join(space.state_names)}; only runs of the same state can be compared"
+                f"{record.folder}: its state is {', '.join(record.space.state_names)}, but that of "
+                f"{records[0].folder} is {', '.join(space.state_names)}; only runs of the same state can be compared"
             )
     names = run_names([record.folder for record in records])
 
@@ -73,7 +73,7 @@ def _side_by_side(tables: Sequence[str]) -> str:
 
 
 def run_names(folders: Sequence[Path]) -> list[str]:
-    """A short name for each folder: what comes after the path they share."""
+    """Short names of folders: their paths without the common part."""
     paths = [folder.resolve() for folder in folders]
     shared = os.path.commonpath([path.parent for path in paths])
     names = [str(path.relative_to(shared)) for path in paths]
@@ -81,7 +81,7 @@ def run_names(folders: Sequence[Path]) -> list[str]:
 
 
 def _references(records: Sequence[RunRecord]) -> str:
-    """Whether the errors can be compared at all."""
+    """Sentence on whether the runs have the same reference, so that their errors can be compared."""
     targets = [record.steps.of_iteration(record.shown_iterations[0]).tracking().target for record in records]
     shortest = min(map(len, targets))
     if all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets):
@@ -93,7 +93,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     numbers = sorted({entry.iteration for record in records for entry in record.deployments})
     entries = [{entry.iteration: entry for entry in record.deployments} for record in records]
     found = []
-    for measure, words in COMPARED.items():
+    for measure, label in COMPARED.items():
         for index, quantity in enumerate(records[0].space.state):
             rows = [
                 [
@@ -102,7 +102,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
                 ]
                 for number in numbers
             ]
-            found.append(table(f"{words} of {with_unit(quantity)}", ["deployment", *names], rows))
+            found.append(table(f"{label} of {with_unit(quantity)}", ["deployment", *names], rows))
     rows = [
         [
             str(number),
@@ -114,7 +114,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     if all(record.like_paper for record in records):
         found.append(
             table(
-                "Hops from the first on until the error stays in the paper's band",
+                "Number of hops until the error stays in the paper's band",
                 ["", *names],
                 [["hops", *map(_to_band, records)]],
             )

@@ -1,4 +1,4 @@
-"""Figures as files and as parts of a page."""
+"""Drawing of figures for files and for the page."""
 
 from collections.abc import Callable, Mapping
 from io import BytesIO
@@ -17,39 +17,38 @@ LOOK: Final[dict[Any, Any]] = {
     "axes.linewidth": 0.7,
     "pdf.fonttype": 42,
 }
-"""Settings of matplotlib while drawing: letters of 8 points; TrueType in PDF files, since journals refuse Type 3."""
+"""Settings of matplotlib: a font of 8 points; TrueType in PDF files, since journals refuse Type 3 fonts."""
 
 UNDATED: Final[Mapping[str, Mapping[str, None]]] = {
     "svg": dict.fromkeys(("Creator", "Date", "Format", "Type")),
     "pdf": dict.fromkeys(("Creator", "Producer", "CreationDate")),
 }
-"""Metadata that files do not get, so that the same run gives the same bytes."""
+"""Metadata left out of the files, so that the same run gives the same bytes."""
 
-HOW_TO_MEND: Final = (
-    "figures need a sound matplotlib, pip install --force-reinstall matplotlib, and no unknown backend in the "
+_REMEDY: Final = (
+    "figures need a working matplotlib (pip install --force-reinstall matplotlib) and no unknown backend in the "
     "environment variable MPLBACKEND"
 )
-"""What to do where drawing fails."""
 
 
 LONGEST_ERROR: Final = 120
-"""Characters of an error that are quoted at most."""
+"""Largest number of quoted characters of an error."""
 
 
 class Drawing(NamedTuple):
-    """A figure in the formats in which it is kept."""
+    """A figure in the formats of its files."""
 
     svg: str
     png: bytes
     pdf: bytes
 
 
-def draw_figure(make: Callable[[], Any], what: str) -> Drawing | Missing:
-    """The figure that `make` gives, or why it cannot be drawn.
+def draw_figure(make: Callable[[], Any], subject: str) -> Drawing | Missing:
+    """Draws the figure made by `make`, or returns the reason why it cannot be drawn.
 
     Args:
-        make: Gives a `matplotlib.figure.Figure`; it may import what it needs.
-        what: Subject of the figure, for the reason.
+        make: Returns a `matplotlib.figure.Figure`; it may import other modules.
+        subject: Subject of the figure, for the message.
     """
     try:
         from matplotlib import rc_context
@@ -61,7 +60,7 @@ def draw_figure(make: Callable[[], Any], what: str) -> Drawing | Missing:
             return Drawing(_saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf"))
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         short = " ".join(str(error).split())[:LONGEST_ERROR]
-        return Missing(f"no figure of {what} could be drawn ({type(error).__name__}: {short}); {HOW_TO_MEND}")
+        return Missing(f"no figure of {subject} could be drawn ({type(error).__name__}: {short}); {_REMEDY}")
 
 
 def _saved(figure: Any, file_format: str) -> bytes:

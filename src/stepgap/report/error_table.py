@@ -1,4 +1,4 @@
-"""Tracking errors of a run as tables: by deployment beside the paper's, and after how many hops they were as small."""
+"""Tables of tracking errors: by deployment next to the paper's, and the number of hops until they are as small."""
 
 from collections.abc import Iterable, Sequence
 
@@ -14,7 +14,7 @@ from stepgap.step import Array
 
 
 def error_table(record: RunRecord, row: int, plant: str) -> str:
-    """Errors of one state coordinate by deployment, the paper's beside them where the reference is the paper's."""
+    """Errors of one state coordinate by deployment, next to the paper's where the reference is the paper's."""
     quantity, hardware = record.space.state[row], record.like_paper
     entries = {deployment.iteration: deployment for deployment in record.deployments}
     decimals, lines = _decimals([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
@@ -34,25 +34,25 @@ def error_table(record: RunRecord, row: int, plant: str) -> str:
 
 
 def _heads(plant: str, hardware: bool) -> str:
-    """The two rows above the numbers: whose they are, and which."""
-    whose = f'<th colspan="4"></th><th colspan="{len(MEASURES)}" scope="colgroup">this run: {safe(plant)}</th>'
+    """The two header rows: the source of the numbers, and the names of the columns."""
+    sources = f'<th colspan="4"></th><th colspan="{len(MEASURES)}" scope="colgroup">this run: {safe(plant)}</th>'
     measures = [measure.replace("_", " ").replace("rmse", "RMSE").replace("mae", "MAE") for measure in MEASURES]
-    which = "".join(f'<th scope="col">{head}</th>' for head in ("deployment", "residual", "hops", "falls", *measures))
+    columns = "".join(f'<th scope="col">{head}</th>' for head in ("deployment", "residual", "hops", "falls", *measures))
     if hardware:
-        whose += f'<th colspan="{len(MEASURES)}" scope="colgroup" class="paper">the paper: hardware</th>'
-        which += "".join(f'<th scope="col" class="paper">{measure}</th>' for measure in measures)
-    return f"<tr>{whose}</tr>\n<tr>{which}</tr>"
+        sources += f'<th colspan="{len(MEASURES)}" scope="colgroup" class="paper">the paper: hardware</th>'
+        columns += "".join(f'<th scope="col" class="paper">{measure}</th>' for measure in measures)
+    return f"<tr>{sources}</tr>\n<tr>{columns}</tr>"
 
 
 def _decimals(errors: Sequence[float]) -> int | None:
-    """Number of decimals that gives the median error three digits; None where that would be more than seven."""
+    """Number of decimals with which the median error has three digits; None if it is larger than seven."""
     sizes = [abs(error) for error in errors if np.isfinite(error) and error]
     decimals = 2 - int(np.floor(np.log10(np.median(sizes)))) if sizes else 0
     return decimals if 0 <= decimals <= 7 else None
 
 
 def _cells(values: Iterable[float | None], kind: str, decimals: int | None = None) -> str:
-    """Table cells, all with the same decimals if given; the exact number stands in each `<data>`."""
+    """Table cells, with equal decimals if given; each `<data>` element holds the exact number."""
     cells = []
     for value in values:
         if value is None or not np.isfinite(value):
@@ -65,12 +65,12 @@ def _cells(values: Iterable[float | None], kind: str, decimals: int | None = Non
 
 
 def band_table(record: RunRecord) -> str:
-    """After how many hops the error stayed as small as that of the paper's robot; nothing along another reference."""
+    """Number of hops until the error stays as small as that of the paper's robot; empty for other references."""
     if not record.like_paper or not record.deployments:
         return ""
     limits = [f"{limit:g} {quantity.unit}" for limit, quantity in zip(PAPER_BAND, record.space.state, strict=True)]
     caption = (
-        f"Hops to the paper's band: until the RMSE of {WINDOW} hops in a row stays at or below {limits[0]} in speed "
+        f"Hops to the paper's band: until the RMSE of {WINDOW} consecutive hops stays at or below {limits[0]} in speed "
         f"and {limits[1]} in height, the paper's errors after four redeployments"
     )
     heads = ["deployment", "hops", "to the band", f"best {WINDOW} hops: speed [m/s]", "height [m]"]
@@ -92,7 +92,7 @@ def _to_band(errors: Array, falls: int) -> str:
 
 
 def _best(errors: Array) -> list[str]:
-    """The least error of 20 hops in a row, coordinate by coordinate."""
+    """Smallest error of 20 consecutive hops, coordinate by coordinate."""
     if len(errors) < WINDOW:
         return ["–"] * errors.shape[1]
     return [decimal(error) for error in window_errors(errors).min(axis=0)]

@@ -1,6 +1,6 @@
-"""The figures of a run, each like one of the paper's Figs. 4 to 7.
+"""Figures of a run, in the style of the paper's Figs. 4 to 7.
 
-They are drawn without `pyplot`, so that none stays open. They can be read without colour: by line style and marker.
+They are made without `pyplot`, so that no figure stays open. Line styles and markers make them readable without colour.
 """
 
 from collections.abc import Sequence
@@ -20,19 +20,19 @@ from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
 from stepgap.step import Array, Quantity, StepStatus
 
 WIDTH: Final = 7.16
-"""Of every figure [inches]: both columns of a journal's page, so that letters are printed as large as drawn."""
+"""Width of every figure [inches]: both columns of a journal's page, so that fonts are printed in their size."""
 
 MOST_VECTORS: Final = 2000
-"""Steps beyond which curves are drawn as pixels inside the vector graphic, so that it stays small."""
+"""Number of steps above which curves are drawn as pixels inside the vector graphic, so that its file stays small."""
 
 LEAST_FLOOR: Final = 1e-2
-"""Share of the least error below which the noise floor is not drawn: it would leave no room for the errors."""
+"""Fraction of the smallest error below which the noise floor is not drawn, because it would squeeze the errors."""
 
 MOST_CHANGES: Final = 60
-"""Changes of the target up to which each is marked."""
+"""Number of changes of the target up to which each change is marked."""
 
 LONGEST_LABEL: Final = 26
-"""Characters of a name that are drawn at most."""
+"""Largest number of drawn characters of a name."""
 
 RUN_COLOURS: Final = (BLUE, VERMILLION, BLACK, "#009E73", "#CC79A7")
 RUN_MARKERS: Final = ("o", "s", "^", "D", "v", "x", "P")
@@ -42,7 +42,7 @@ LAST_LOOK: Final[dict[str, Any]] = {"color": BLUE, "linestyle": "-", "linewidth"
 
 
 def tracking_figure(record: RunRecord) -> Figure:
-    """Every state coordinate against the step number, first and last deployment, with the reference (Fig. 4)."""
+    """State coordinates against the step number, in the first and last deployment, with the reference (Fig. 4)."""
     first, last = record.shown_iterations[0], record.shown_iterations[-1]
     figure, panels = _panels(len(record.space.state))
     longest = max((record.steps.of_iteration(number) for number in record.steps.iterations), key=len)
@@ -61,7 +61,7 @@ def tracking_figure(record: RunRecord) -> Figure:
 
 
 def error_figure(record: RunRecord) -> Figure:
-    """RMSE and MAE of every state coordinate by deployment; along the paper's reference its hardware's too (Fig. 5)."""
+    """RMSE and MAE of the state coordinates by deployment, with the paper's for the same reference (Fig. 5)."""
     figure, panels = _panels(len(record.space.state))
     numbers = [deployment.iteration for deployment in record.deployments]
     hardware = record.like_paper
@@ -81,13 +81,13 @@ def error_figure(record: RunRecord) -> Figure:
         panel.set_ylabel(f"Error of\n{axis_label(quantity, capital=False)}")
         _log_scale(panel)
         if not panel.lines:
-            _note(panel, "No error is known yet.")
+            _note(panel, "There is no error yet.")
     _finish(figure, panels, "Deployment (0: nominal map; later ones: corrected map)")
     return figure
 
 
 def comparison_figure(records: Sequence[RunRecord], names: Sequence[str]) -> Figure:
-    """RMSE of every state coordinate by deployment, a curve for each run."""
+    """RMSE of the state coordinates by deployment, with a curve for each run."""
     state = records[0].space.state
     figure, panels = _panels(len(state))
     for row, (record, name) in enumerate(zip(records, names, strict=True)):
@@ -104,17 +104,17 @@ def comparison_figure(records: Sequence[RunRecord], names: Sequence[str]) -> Fig
         panel.set_ylabel(f"RMSE of\n{axis_label(quantity, capital=False)}")
         _log_scale(panel)
         if not panel.lines:
-            _note(panel, "No error is known yet.")
+            _note(panel, "There is no error yet.")
     _finish(figure, panels, "Deployment")
     return figure
 
 
 def map_figure(record: RunRecord, index: int) -> Figure:
-    """Next state as the map predicted it and as it was, and how sure the map was (Figs. 6 and 7).
+    """Predicted and measured next state, and the standard deviation of the prediction (Figs. 6 and 7).
 
     Args:
         record: The run.
-        index: Which state coordinate.
+        index: Index of the state coordinate.
     """
     figure, (upper, lower) = _panels(2)
     quantity = record.space.state[index]
@@ -122,14 +122,14 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     _draw_prediction(upper, last, index)
     upper.set_ylabel(axis_label(quantity))
     upper.set_title(f"(a) {_name(record, record.shown_iterations[-1])}", loc="left", fontsize="medium")
-    learnt = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, index].any()]
-    redeployed = list(dict.fromkeys(learnt[:1] + learnt[-1:]))
-    shown = [record.steps.of_iteration(number) for number in redeployed]
-    upper.set_xlim(0, 1.02 * max(map(len, [last, *shown])) + 1)
-    for number, steps, style in zip(redeployed, shown, (FIRST_LOOK, LAST_LOOK)[-len(shown) :], strict=False):
+    learned = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, index].any()]
+    redeployed = list(dict.fromkeys(learned[:1] + learned[-1:]))
+    drawn = [record.steps.of_iteration(number) for number in redeployed]
+    upper.set_xlim(0, 1.02 * max(map(len, [last, *drawn])) + 1)
+    for number, steps, style in zip(redeployed, drawn, (FIRST_LOOK, LAST_LOOK)[-len(drawn) :], strict=False):
         lower.plot(_numbers(steps), steps.std[:, index], label=_name(record, number), **style, **_pixels(steps))
-    if learnt:
-        lower.set_ylim(0, 1.08 * max(float(np.max(steps.std[:, index])) for steps in shown))
+    if learned:
+        lower.set_ylim(0, 1.08 * max(float(np.max(steps.std[:, index])) for steps in drawn))
         _mark_changes(lower, last)
     else:
         _note(lower, "These maps give no standard deviation.")
@@ -140,28 +140,28 @@ def map_figure(record: RunRecord, index: int) -> Figure:
 
 
 def axis_label(quantity: Quantity, capital: bool = True) -> str:
-    """Name of a coordinate with its unit, if that is known."""
+    """Name of a coordinate with its unit, if the unit is known."""
     name = plain(quantity.name.replace("_", " "))
     return f"{name[:1].upper() + name[1:] if capital else name}{unit_label(quantity)}"
 
 
 def plain(text: str) -> str:
-    """The text as the figures' font can show it: one short line of Latin, Greek or Cyrillic, with no formulae."""
-    shown = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
-    return (shown if len(shown) <= LONGEST_LABEL else f"{shown[: LONGEST_LABEL - 1]}…").replace("$", r"\$")
+    """Text that the figures' font contains: one short line of Latin, Greek or Cyrillic letters, without formulae."""
+    known = "".join(letter if letter.isprintable() and ord(letter) < 0x500 else "?" for letter in text)
+    return (known if len(known) <= LONGEST_LABEL else f"{known[: LONGEST_LABEL - 1]}…").replace("$", r"\$")
 
 
 def unit_label(quantity: Quantity) -> str:
-    """The unit in brackets after a blank; nothing where it is not known."""
+    """The unit in brackets after a space; empty where it is not known."""
     return f" [{plain(quantity.unit)}]" if quantity.unit else ""
 
 
 def _name(record: RunRecord, iteration: int) -> str:
-    """What legends call a deployment."""
+    """Name of a deployment in legends."""
     kind = next((entry.residual for entry in record.deployments if entry.iteration == iteration), None)
     kind = "none" if iteration == 0 and kind is None else kind
-    words = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "unfinished"}
-    return f"deployment {iteration}, {words.get(kind) or 'residual: ' + plain(str(kind))}"
+    labels = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "unfinished"}
+    return f"deployment {iteration}, {labels.get(kind) or 'residual: ' + plain(str(kind))}"
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
@@ -180,8 +180,8 @@ def _pixels(steps: StepLog) -> dict[str, Any]:
 
 def _reached(steps: StepLog, index: int) -> Array:
     """One coordinate of the next states, NaN where there was no apex; shape (N,)."""
-    whole = np.array([logged.record.status == StepStatus.OK for logged in steps])
-    return np.where(whole, steps.next_state[:, index], np.nan)
+    completed = np.array([logged.record.status == StepStatus.OK for logged in steps])
+    return np.where(completed, steps.next_state[:, index], np.nan)
 
 
 def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: dict[str, Any]) -> None:
@@ -210,21 +210,21 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
 
 
 def _note(panel: Axes, text: str) -> None:
-    """Writes into an empty panel why it is empty."""
+    """Writes a text into an empty panel."""
     panel.set_yticks([])
     panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", color=GREY)
 
 
 def _mark_changes(panel: Axes, steps: StepLog) -> None:
-    """A light line at every step whose target differs from the one before."""
+    """Draws a light line at every step whose target differs from the previous one."""
     changes = np.flatnonzero((np.diff(steps.target, axis=0) != 0).any(axis=1)) + 1
     if len(changes) <= MOST_CHANGES:
         for order, step in enumerate(_numbers(steps)[changes]):
-            panel.axvline(step, color="#cccccc", lw=0.8, zorder=0, label="" if order else "the target changes")
+            panel.axvline(step, color="#cccccc", lw=0.8, zorder=0, label="" if order else "change of the target")
 
 
 def _log_scale(panel: Axes) -> None:
-    """A logarithmic axis with plain numbers, if there is anything positive to show."""
+    """Sets a logarithmic axis with plain numbers, if there are positive values."""
     values = np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
     if not (values > 0).any():
         return
@@ -236,7 +236,7 @@ def _log_scale(panel: Axes) -> None:
 
 
 def _finish(figure: Figure, panels: list[Axes], step_label: str, own_legends: bool = False) -> None:
-    """Labels, grid, and legends outside the data: one above all panels, or one above each."""
+    """Adds labels, grid, and legends outside the data: one above all panels, or one above each."""
     for panel in panels:
         panel.grid(True, axis="y", color="#dddddd", linewidth=0.6)
         panel.set_axisbelow(True)

@@ -1,4 +1,4 @@
-"""The picture of `stepgap fit`: what residuals predicted of steps held out, against what happened."""
+"""The figure of `stepgap fit`: predicted against actual errors of the nominal map in held-out steps."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -19,25 +19,25 @@ LOOKS: tuple[dict[str, Any], ...] = (
     {"color": VERMILLION, "marker": "x", "linestyle": "", "markersize": 4},
     {"color": BLUE, "marker": "o", "linestyle": "", "markersize": 3, "markerfacecolor": "none"},
 )
-"""Look of each residual; they differ by marker, too."""
+"""Colours and markers of the residuals."""
 
 PICTURE_FORMATS = ("pdf", "png", "svg")
-"""File formats of pictures."""
+"""File formats of the figure."""
 
 
 def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) -> bytes:
-    """Predicted against actual error of the nominal map, a panel for each state coordinate.
+    """Draws predicted against actual errors of the nominal map, with a panel for each state coordinate.
 
-    Drawn are the constant and the best of the residuals that go beyond it.
+    The figure shows the constant and the best of the more complex residuals.
 
     Args:
-        state: Its coordinates.
-        validation: What residuals predicted of steps held out.
-        form: One of `PICTURE_FORMATS`.
+        state: State coordinates.
+        validation: Predictions of held-out steps by all residuals.
+        form: File format, one of `PICTURE_FORMATS`.
     """
     everything = range(len(state))
-    beyond: list[str] = [kind for kind in validation.held_out if kind not in ("none", "constant")]
-    best = max(beyond, key=lambda kind: validation.reduction(kind, "none", everything).value)
+    complex_kinds: list[str] = [kind for kind in validation.held_out if kind not in ("none", "constant")]
+    best = max(complex_kinds, key=lambda kind: validation.reduction(kind, "none", everything).value)
     drawn = [validation.held_out["constant"], validation.held_out[best]]
     figure = Figure(figsize=(PANEL * len(state), PANEL + 0.5), layout="constrained")
     FigureCanvasAgg(figure)

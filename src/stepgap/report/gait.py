@@ -1,4 +1,4 @@
-"""Limit cycles and what one step can reach: in words and as pictures."""
+"""Limit cycles and one-step reachable sets, as text and as figures."""
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -13,22 +13,23 @@ from stepgap.step import Array, StepSpace, StepStatus
 
 
 def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) -> str:
-    """A few lines for the terminal."""
+    """A few lines on a limit cycle and its reachable set, for the terminal."""
     lines = [
-        f"state X0      {_named(space.state_names, point.state, [q.unit for q in space.state])}",
-        f"command U0    {_named(space.command_names, point.command, [q.unit for q in space.command])}",
+        f"state X0             {_named(space.state_names, point.state, [q.unit for q in space.state])}",
+        f"command U0           {_named(space.command_names, point.command, [q.unit for q in space.command])}",
     ]
     if point.held:
         sizes = ", ".join(f"{abs(multiplier):.3f}" for multiplier in point.floquet_multipliers)
-        lines.append(f"multipliers   |λ| = {sizes}: {'stable' if point.stable else 'not stable'} at a constant command")
+        verdict = "stable" if point.stable else "not stable"
+        lines.append(f"Floquet multipliers  |λ| = {sizes}: {verdict} at a constant command")
     else:
         lines.append(
-            "not held      within the command bounds; the nearest next state is "
+            "not held             within the command bounds; the closest next state is "
             + _named(space.state_names, point.next_state, [q.unit for q in space.state])
         )
     failed = reachable.statuses != StepStatus.OK
     if failed.all():
-        lines.append("reachable     nothing: every command fails from this state")
+        lines.append("reachable            no state: every command fails from this state")
     else:
         low = np.nanmin(reachable.next_states, axis=tuple(range(len(space.command))))
         high = np.nanmax(reachable.next_states, axis=tuple(range(len(space.command))))
@@ -36,29 +37,29 @@ def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) 
             f"{q.name} {a:.3f} … {b:.3f} {q.unit}" for q, a, b in zip(space.state, low, high, strict=True)
         )
         lines.append(
-            f"reachable     in one step: {ranges}"
+            f"reachable            in one step: {ranges}"
             + (f"; {failed.mean():.0%} of the commands fail" if failed.any() else "")
         )
     return "\n".join(lines)
 
 
 def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) -> Figure:
-    """The reachable set in the plane of the first two state coordinates, and the multipliers in theirs."""
+    """Draws the reachable set of the first two state coordinates, and the Floquet multipliers in the complex plane."""
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     plane, circle = figure.subplots(1, 2, width_ratios=[1.5, 1])
     states = reachable.next_states.reshape(-1, len(space.state))
     border = reachable.boundary
     plane.fill(border[:, 0], border[:, 1], color="0.92", zorder=0)
-    plane.plot(*np.vstack([border, border[:1]]).T[:2], color="0.4", lw=1.2, label="border of the command bounds")
+    plane.plot(*np.vstack([border, border[:1]]).T[:2], color="0.4", lw=1.2, label="commands on their bounds")
     plane.plot(states[:, 0], states[:, 1], ".", ms=2, color="0.6", label="one step, commands on a grid")
     plane.plot(*point.state[:2], "o", ms=8, color="#0072B2", label="state $X_0$")
     if not point.held:
-        plane.plot(*point.next_state[:2], "x", ms=9, mew=2, color="#D55E00", label="nearest next state")
+        plane.plot(*point.next_state[:2], "x", ms=9, mew=2, color="#D55E00", label="closest next state")
     first, second = space.state[:2]
     plane.set(
         xlabel=f"next {first.name} [{first.unit}]",
         ylabel=f"next {second.name} [{second.unit}]",
-        title="What one step can reach",
+        title="One-step reachable set",
     )
     figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     angle = np.linspace(0, 2 * np.pi, 200)
@@ -67,14 +68,14 @@ def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) ->
     circle.axvline(0, color="0.85", lw=0.8, zorder=0)
     circle.plot(point.floquet_multipliers.real, point.floquet_multipliers.imag, "s", ms=7, color="#0072B2")
     verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
-    circle.set(aspect="equal", xlabel="real part", ylabel="imaginary part", title=f"Multipliers ({verdict})")
+    circle.set(aspect="equal", xlabel="real part", ylabel="imaginary part", title=f"Floquet multipliers ({verdict})")
     return figure
 
 
 def reference_gait_figure(gait: ReferenceGait) -> Figure:
-    """What one step reaches from the middle of the targets, and the multipliers at all of them, map by map.
+    """Draws the reachable set from the middle of the targets, and the Floquet multipliers at all targets, map by map.
 
-    For two state coordinates and two commands.
+    There must be two state coordinates and two commands.
     """
     figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
     FigureCanvasAgg(figure)
@@ -87,7 +88,7 @@ def reference_gait_figure(gait: ReferenceGait) -> Figure:
             *np.vstack([border, border[:1]]).T,
             **line,
             linewidth=1.3,
-            label=f"border of what the {each.name} map reaches",
+            label=f"boundary of the reachable set, {each.name} map",
         )
         found = [
             (row, abs(value))
@@ -96,16 +97,16 @@ def reference_gait_figure(gait: ReferenceGait) -> Figure:
             for value in point.floquet_multipliers
         ]
         mark = {"color": look["color"], "marker": look["marker"], "markerfacecolor": "none", "linestyle": ""}
-        sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"multipliers, {each.name} map")
+        sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"Floquet multipliers, {each.name} map")
     plane.plot(*gait.targets.T, ".", color=BLACK, label="targets")
-    plane.plot(*gait.centre, "s", markersize=7, markerfacecolor="none", color=BLACK, label="where the step starts")
+    plane.plot(*gait.centre, "s", markersize=7, markerfacecolor="none", color=BLACK, label="start of the step")
     first, second = gait.space.state
     plane.set(xlabel=f"Next {axis_label(first, capital=False)}", ylabel=f"Next {axis_label(second, capital=False)}")
-    plane.set_title("(a) What one step can reach", loc="left", fontsize="medium")
-    sizes.set(xlabel="Target, in the order of the reference", ylabel="Size of the multipliers |λ|")
+    plane.set_title("(a) One-step reachable set", loc="left", fontsize="medium")
+    sizes.set(xlabel="Target, in the order of the reference", ylabel="Magnitude of the multipliers |λ|")
     sizes.set_ylim(bottom=0)
     sizes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    sizes.set_title("(b) Stable below 1", loc="left", fontsize="medium")
+    sizes.set_title("(b) Floquet multipliers: stable below 1", loc="left", fontsize="medium")
     for panel in (plane, sizes):
         panel.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside lower center", ncols=2, frameon=False)

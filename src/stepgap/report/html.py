@@ -1,7 +1,7 @@
-"""Elements of the pages: each a file to mail, which fetches nothing; figures are inline vector graphics.
+"""HTML elements of the pages: a page is a single file that loads nothing; figures are inline vector graphics.
 
-Whatever comes from a file is untrusted and passes `safe`; a content security policy forbids fetching, and every script
-but the page's own.
+All text from files is untrusted and passes through `safe`; a content security policy forbids loading, and all scripts
+except the page's own.
 """
 
 import re
@@ -17,24 +17,24 @@ from stepgap.report.drawing import Drawing
 from stepgap.step import Quantity
 
 STYLE: Final = files("stepgap.report").joinpath("page.css").read_text(encoding="utf-8")
-"""Of every page."""
+"""Style sheet of every page."""
 
 
 POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:;"
-"""What a page may fetch and run: nothing but its own styles, and images within it."""
+"""Content security policy of a page: only its own styles, and images within it."""
 
 
 def page(title: str, sections: Sequence[str], script: str = "") -> str:
-    """A whole page.
+    """HTML of a complete page.
 
     Args:
-        title: Its title, a plain text.
-        sections: HTML.
-        script: JavaScript of ours, which runs when the page is there.
+        title: Title, as plain text.
+        sections: HTML of the sections.
+        script: JavaScript of the page itself, which runs after the page is loaded.
     """
-    may_run = f" script-src 'sha256-{b64encode(sha256(script.encode()).digest()).decode()}';" if script else ""
+    script_source = f" script-src 'sha256-{b64encode(sha256(script.encode()).digest()).decode()}';" if script else ""
     head = (
-        f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}{may_run}">'
+        f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}{script_source}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{safe(title)}</title><style>{STYLE}</style>"
     )
@@ -44,7 +44,7 @@ def page(title: str, sections: Sequence[str], script: str = "") -> str:
 
 
 def section(name: str, title: str, *parts: str) -> str:
-    """A part of a page with a heading; `name` is what links lead to."""
+    """Section of a page with a heading; `name` is its anchor."""
     body = "\n".join(part for part in parts if part)
     return f'<section id="{name}">\n<h2>{safe(title)}</h2>\n{body}\n</section>'
 
@@ -58,11 +58,11 @@ def safe(text: str) -> str:
 
 
 def inline_svg(drawing: Drawing, prefix: str) -> str:
-    """The figure as an `<svg>` element to be put into a page.
+    """The figure as an `<svg>` element for a page.
 
     Args:
         drawing: The figure.
-        prefix: Begins every identifier, so that they are unique in the page and the same at every writing.
+        prefix: Prefix of all identifiers, so that they are unique in the page and always the same.
     """
     svg = re.sub(r"<!--.*?-->\n?", "", drawing.svg[drawing.svg.index("<svg") :], flags=re.DOTALL)
     names: dict[str, str] = {}
@@ -75,34 +75,34 @@ def inline_svg(drawing: Drawing, prefix: str) -> str:
 
 
 def picture(drawn: Drawing | Missing, prefix: str, caption: str) -> str:
-    """A figure with its caption, or a sentence with the reason why there is none."""
+    """Figure with its caption, or a sentence with the reason why there is none."""
     if isinstance(drawn, Missing):
         return paragraph(f"{drawn.reason[:1].upper()}{drawn.reason[1:]}.")
     return f"<figure>{inline_svg(drawn, prefix)}<figcaption>{safe(caption)}</figcaption></figure>"
 
 
 def with_unit(quantity: Quantity) -> str:
-    """Name and unit of a coordinate, as tables have it."""
+    """Name and unit of a coordinate, as in tables."""
     return f"{quantity.name} [{quantity.unit}]" if quantity.unit else quantity.name
 
 
 def paragraph(text: str) -> str:
-    """One paragraph."""
+    """HTML paragraph."""
     return f"<p>{safe(text)}</p>"
 
 
 def absence(part: str, missing: Missing) -> str:
-    """One paragraph that says why a part is not there."""
+    """HTML paragraph with the reason why a part is missing."""
     return paragraph(f"There is no {part}: {missing.reason}.")
 
 
 def bullets(lines: Sequence[str]) -> str:
-    """A list; nothing for none."""
+    """HTML list; empty for no lines."""
     return f"<ul>{''.join(f'<li>{safe(line)}</li>' for line in lines)}</ul>" if lines else ""
 
 
 def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of texts; the first cell of each row is its head."""
+    """HTML table; the first cell of each row is its header."""
     top = "".join(f'<th scope="col">{safe(head)}</th>' for head in heads)
     lines = [
         f'<tr><th scope="row">{safe(first)}</th>{"".join(f"<td>{safe(cell)}</td>" for cell in cells)}</tr>'

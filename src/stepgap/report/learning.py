@@ -1,4 +1,4 @@
-"""What `stepgap bench learning` found: measures of each method over all twins and seeds, table and picture."""
+"""Results of `stepgap bench learning`: measures of each method over all twins and seeds, table and figure."""
 
 import math
 from collections.abc import Sequence
@@ -13,22 +13,22 @@ from stepgap.report.bands import PAPER_BAND, WINDOW
 from stepgap.report.colours import BLUE, GREY
 
 DeploymentRow = dict[str, Any]
-"""Measures of one deployment, plain data for JSON; those of a deployment without a step are missing."""
+"""Measures of one deployment as plain data for JSON; a deployment without a step has none."""
 
 Key = tuple[int, int]
 """Twin and seed."""
 
 UNCORRECTED = "none"
-"""Name of deployment 0, which the others learn from."""
+"""Name of deployment 0, from which the other methods learn."""
 
 BEYOND_NOISE = 2.0
-"""Standard deviations of the difference between two uncorrected deployments that count as more than chance."""
+"""Number of standard deviations of the difference between uncorrected deployments that counts as significant."""
 
 
 def summarise_learning(rows: Sequence[DeploymentRow]) -> dict[str, Any]:
-    """Measures of each method over all twins and seeds; plain data for JSON.
+    """Measures of each method over all twins and seeds, as plain data for JSON.
 
-    A deployment that ended by a fall has an infinite error.
+    A deployment that ended with a fall has an infinite error.
     """
     table: dict[str, dict[Key, DeploymentRow]] = {}
     for row in rows:
@@ -54,18 +54,19 @@ def tracking_error_of(row: DeploymentRow) -> float:
 
 def _noise(first: dict[Key, DeploymentRow]) -> float | None:
     """Standard deviation of log(error) − log(error) of two uncorrected deployments of one twin; None if unknown."""
-    squares, freedom = 0.0, 0
+    squares, degrees_of_freedom = 0.0, 0
     for twin in {twin for twin, _ in first}:
         errors = np.log(
             [tracking_error_of(row) for (owner, _), row in first.items() if owner == twin and not row["falls"]]
         )
         if len(errors) > 1:
-            squares, freedom = squares + float(np.sum((errors - errors.mean()) ** 2)), freedom + len(errors) - 1
-    return math.sqrt(2 * squares / freedom) if freedom else None
+            squares += float(np.sum((errors - errors.mean()) ** 2))
+            degrees_of_freedom += len(errors) - 1
+    return math.sqrt(2 * squares / degrees_of_freedom) if degrees_of_freedom else None
 
 
 def _measures(rows: dict[Key, DeploymentRow], first: dict[Key, DeploymentRow], noise: float | None) -> dict[str, Any]:
-    """Those of one method's deployment."""
+    """Measures of one method over its deployments."""
     ratio = np.array([_ratio(tracking_error_of(row), tracking_error_of(first[key])) for key, row in rows.items()])
     counted = sum(row.get("counted", 0) for row in rows.values())
     covered = np.sum([row["covered"] for row in rows.values() if "covered" in row], axis=0)
@@ -83,14 +84,14 @@ def _measures(rows: dict[Key, DeploymentRow], first: dict[Key, DeploymentRow], n
 
 
 def _better(rows: dict[Key, DeploymentRow], others: dict[Key, DeploymentRow]) -> int | None:
-    """On how many twins and seeds the error is smaller than that of another method; None if that was not measured."""
+    """Number of twins and seeds with a smaller error than another method; None if that was not measured."""
     if not others:
         return None
     return sum(tracking_error_of(row) < tracking_error_of(others[key]) for key, row in rows.items())
 
 
 def _ratio(error: float, uncorrected: float) -> float:
-    """1 where both fell."""
+    """Ratio of two errors; 1 where both deployments fell."""
     return 1.0 if error == uncorrected == math.inf else error / uncorrected
 
 
@@ -113,7 +114,7 @@ HEADER = (
 
 
 def describe_learning(summary: dict[str, Any]) -> str:
-    """The summary as a table, also in Markdown."""
+    """The summary as a Markdown table, which is also readable as plain text."""
     table = [HEADER, *map(_cells, summary["methods"])]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = [
@@ -123,21 +124,21 @@ def describe_learning(summary: dict[str, Any]) -> str:
     lines += [
         "",
         f"Speed and height: RMSE, median over {summary['pairs']} twins and seeds; a fall counts as an infinite error.",
-        "ratio: error of both coordinates together, to that of deployment 0.",
-        f"hops: from the first of all on, until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s "
-        f"and {1e3 * PAPER_BAND[1]:.1f} mm; in band: how many get there.",
-        "beats gp: how many have a smaller error. in: share of steps within the 95 % interval.",
+        "ratio: error of both coordinates together, relative to that of deployment 0.",
+        f"hops: number of hops until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s and "
+        f"{1e3 * PAPER_BAND[1]:.1f} mm; in band: number of twins and seeds that reach this.",
+        "beats gp: number with a smaller error than gp. in: fraction of steps within the 95 % interval.",
     ]
     if summary["noise"] is not None:
         lines.append(
-            f"worse: how many have more than {math.exp(BEYOND_NOISE * summary['noise']):.2f} times the error of "
-            "deployment 0, beyond what chance makes of it in one of 40."
+            f"worse: number with more than {math.exp(BEYOND_NOISE * summary['noise']):.2f} times the error of "
+            "deployment 0, which chance alone causes in one case of 40."
         )
     return "\n".join(lines)
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    """One line of the table."""
+    """Cells of one line of the table."""
     errors = [row[name][i] for i in (0, 1) for name in ("rmse", "transient_rmse", "steady_rmse")]
     return [
         row["method"],
@@ -154,7 +155,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 
 def learning_picture(rows: Sequence[DeploymentRow], form: str) -> bytes:
-    """Error of each method relative to that of `gp` on the same twin and seed, or of none without it."""
+    """Draws the error of each method relative to that of `gp` (or of `none`) on the same twin and seed."""
     base = "gp" if any(row["method"] == "gp" for row in rows) else UNCORRECTED
     errors = {(row["twin"], row["seed"]): tracking_error_of(row) for row in rows if row["method"] == base}
     ratios: dict[str, list[float]] = {}

@@ -1,38 +1,38 @@
-"""Which parts a report does without, and why."""
+"""The missing parts of a report, with reasons."""
 
 from collections.abc import Mapping
 
 from stepgap.records.missing import Missing
 from stepgap.records.model_files import model_path
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.learnt import Learnt
+from stepgap.report.learned import LearnedResidual
 from stepgap.report.reference_gait import ReferenceGait
 from stepgap.report.run_context import RunContext
 
 
 def missing_parts(
-    record: RunRecord, context: RunContext, learnt: Learnt | None, gait: ReferenceGait | Missing
+    record: RunRecord, context: RunContext, learned: LearnedResidual | None, gait: ReferenceGait | Missing
 ) -> list[str]:
-    """The parts that are not in the report of a run, each with the reason in brackets.
+    """Lists the parts that are missing in the report of a run, each with the reason in brackets.
 
     Args:
         record: The run.
-        context: What is known of it besides its files.
-        learnt: The last residual, if there is one.
-        gait: Limit cycles at the targets, or why they are not known.
+        context: Information that is not in the files of the run.
+        learned: The last residual, if there is one.
+        gait: Limit cycles at the targets, or the reason why they are not known.
     """
     found, last = [], record.shown_iterations[-1]
     if record.cut_off:
         found.append("the last line of steps.csv (it is cut off)")
     if not record.deployments:
         found.append("errors (no deployment is finished according to summary.json)")
-    if last > 0 and learnt is None:
-        found.append(f"what was learnt (no {model_path(record.folder, last).relative_to(record.folder)})")
+    if last > 0 and learned is None:
+        found.append(f"the learned model (no {model_path(record.folder, last).relative_to(record.folder)})")
     return [*found, *_by_reason({"settings": context.defaults, "gait": gait, "replay": context.replay})]
 
 
 def _by_reason(parts: Mapping[str, object]) -> list[str]:
-    """The parts that are missing; those with one reason together."""
+    """Missing parts; parts with the same reason are listed together."""
     reasons = {name: part.reason for name, part in parts.items() if isinstance(part, Missing)}
     lines = []
     for reason in dict.fromkeys(reasons.values()):

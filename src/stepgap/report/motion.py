@@ -1,4 +1,4 @@
-"""How the robot moved in a deployment, at the frame rate of the replay."""
+"""The robot's motion in a deployment, at the frame rate of the replay."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -22,7 +22,7 @@ RATE: Final = 100
 
 @dataclass(frozen=True, eq=False)
 class DeploymentMotion:
-    """A hopper on its boom, frame by frame; arrays have shape (F,).
+    """Motion of the hopper on its boom, frame by frame; arrays have shape (F,).
 
     Attributes:
         step: Number of the step that is being executed.
@@ -33,7 +33,7 @@ class DeploymentMotion:
         force: Vertical ground force on the foot [N].
 
     Raises:
-        ValueError: The arrays are not equally long, empty, or not finite.
+        ValueError: The arrays differ in length, are empty, or are not finite.
     """
 
     step: Array
@@ -54,10 +54,10 @@ class DeploymentMotion:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Motions of one robot.
+    """Motions of a robot in several deployments.
 
     Attributes:
-        motions: By the number of their deployments.
+        motions: Motions by number of the deployment.
         robot: Lengths of its links and boom.
         pivot_height: Height of the boom's pivot above the ground [m].
     """
@@ -68,14 +68,14 @@ class Replay:
 
 
 def sensed_motion(ticks: TickTable, sensors: HopperSensorModel) -> DeploymentMotion:
-    """The motion as the sensors measured it.
+    """Motion as measured by the sensors.
 
     Args:
-        ticks: With a column `step`, `RATE` of them a second.
-        sensors: How to read their counts.
+        ticks: Ticks with a column `step`, `RATE` per second.
+        sensors: Sensor model of the rig.
 
     Raises:
-        ValueError: There is no tick, or one whose sensors were not read.
+        ValueError: There is no tick, or the sensors were not read at one of them.
     """
     yaw = ticks["boom_horizontal"] * tau / sensors.boom_counts_horizontal
     pitch = ticks["boom_vertical"] * tau / sensors.boom_counts_vertical
@@ -87,17 +87,17 @@ def sensed_motion(ticks: TickTable, sensors: HopperSensorModel) -> DeploymentMot
         "alpha_2": ticks["alpha_2"],
         "force": ticks["contact_force"],
     }
-    # rounded as in the file, so that the page does not depend on whether the motion was read or made
+    # rounded as in the file, so that the page is the same for a motion from a file and a new one
     return DeploymentMotion(**{name: values.astype(np.float32).astype(float) for name, values in channels.items()})
 
 
 def kept_motion(record: RunRecord, iteration: int, make: Callable[[int], DeploymentMotion]) -> DeploymentMotion:
-    """The motion of a deployment as the run folder keeps it, or else a new one, which is then kept.
+    """Reads the motion of a deployment from the run folder, or makes it and writes it there.
 
     Args:
         record: The run.
         iteration: Number of the deployment.
-        make: Gives the motion of a deployment if the folder has none that was made from these steps and settings.
+        make: Computes the motion of a deployment if the folder does not contain the one of these steps and settings.
     """
     path, names = motion_path(record.folder, iteration), [field.name for field in fields(DeploymentMotion)]
     steps, settings = digest(record.steps.of_iteration(iteration)), record.settings and record.settings.text

@@ -1,4 +1,4 @@
-"""The limit cycles at the targets of a run, and what one step can reach: on the nominal and on the corrected map."""
+"""Limit cycles at the targets of a run and one-step reachable sets, on the nominal and on the corrected map."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,21 +10,21 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import next_history
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.html import table, with_unit
-from stepgap.report.learnt import Learnt
+from stepgap.report.learned import LearnedResidual
 from stepgap.step import Array, StepFailed, StepMap, StepSpace
 
 MOST_GAITS: Final = 40
-"""Targets of which limit cycles are sought."""
+"""Largest number of targets whose limit cycles are computed."""
 
 
 @dataclass(frozen=True, eq=False)
 class MapGait:
-    """What one map says of the targets.
+    """Limit cycles and reachable set of one map.
 
     Attributes:
-        name: Of the map.
-        points: The limit cycle at each target, or what comes closest; None where no command makes a step.
-        reachable: What one step from `ReferenceGait.centre` can reach.
+        name: Name of the map.
+        points: Limit cycle at each target, or the closest point; None where no command makes a step.
+        reachable: One-step reachable set from `ReferenceGait.centre`.
     """
 
     name: str
@@ -37,11 +37,11 @@ class ReferenceGait:
     """Limit cycles at the targets of a run.
 
     Attributes:
-        space: Of the maps.
-        targets: Each different target once, in the order of the reference; shape (k, n).
-        more: How many different targets are left out.
-        centre: The target in the middle of them, where reachable sets begin; shape (n,).
-        maps: The nominal map, and the corrected one if something was learnt.
+        space: State and command of the maps.
+        targets: Distinct targets in the order of the reference; shape (k, n).
+        more: Number of distinct targets that are left out.
+        centre: Target in the middle of all, from which the reachable sets start; shape (n,).
+        maps: Nominal map and, if there is a learned residual, corrected map.
     """
 
     space: StepSpace
@@ -51,29 +51,29 @@ class ReferenceGait:
     maps: tuple[MapGait, ...]
 
 
-def reference_gait(record: RunRecord, nominal: StepMap, learnt: Learnt | None) -> ReferenceGait:
-    """Limit cycles at the targets of the last deployment shown.
+def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual | None) -> ReferenceGait:
+    """Computes the limit cycles at the targets of the last deployment.
 
     Args:
         record: The run.
         nominal: Map of the physics model.
-        learnt: What is added to it.
+        learned: Learned residual, which is added to the nominal map.
 
     Raises:
-        ValueError: The map is of another state or command than the run.
+        ValueError: The map has another state or command than the run.
     """
     names = (nominal.space.state_names, nominal.space.command_names)
     if names != (record.space.state_names, record.space.command_names):
-        raise ValueError(f"{record.folder}: the nominal map is of {names}, which is not the state and command of it")
+        raise ValueError(f"{record.folder}: the nominal map has {names}, which differ from the run's state and command")
     steps = record.steps.of_iteration(record.shown_iterations[-1]).tracking()
     distinct = list(dict.fromkeys(tuple(logged.target.tolist()) for logged in steps))
     targets = np.array(distinct[:MOST_GAITS])
     away = (targets - (targets.min(axis=0) + targets.max(axis=0)) / 2) / nominal.space.state_scale
     centre = targets[np.argmin(np.sum(away**2, axis=1))]
     maps = {"nominal": nominal}
-    if learnt is not None:
-        before = next_history(record.steps, nominal, learnt.iteration)
-        maps["corrected"] = CorrectedMap(nominal, learnt.residual.conditioned_on(before))
+    if learned is not None:
+        before = next_history(record.steps, nominal, learned.iteration)
+        maps["corrected"] = CorrectedMap(nominal, learned.residual.conditioned_on(before))
     gaits = [_gait(name, step_map, targets, centre) for name, step_map in maps.items()]
     return ReferenceGait(nominal.space, targets, len(distinct) - len(targets), centre, tuple(gaits))
 
@@ -90,7 +90,7 @@ def _gait(name: str, step_map: StepMap, targets: Array, centre: Array) -> MapGai
 
 
 def gait_table(gait: ReferenceGait) -> str:
-    """Command and multipliers of the limit cycle at each target, map by map."""
+    """Table of command and Floquet multipliers of the limit cycle at each target, map by map."""
     state, command = [[with_unit(each) for each in part] for part in (gait.space.state, gait.space.command)]
     heads = [*state, *(f"{each.name} {word}" for each in gait.maps for word in [*command, "λ", "gait"])]
     size, rows = len(command), []
@@ -98,14 +98,15 @@ def gait_table(gait: ReferenceGait) -> str:
         cells = [cell for each in gait.maps for cell in _cells(each.points[row], size)]
         rows.append([*(f"{value:.4g}" for value in target), *cells])
     return table(
-        "Limit cycle at each target: the constant command that holds it, and the sizes |λ| of its multipliers",
+        "Limit cycle at each target: the constant command that holds it, and the magnitudes |λ| of its Floquet "
+        "multipliers",
         heads,
         rows,
     )
 
 
 def gait_sentences(gait: ReferenceGait) -> list[str]:
-    """Which targets are held, and whether they are stable."""
+    """Sentences on which targets are held and which limit cycles are stable."""
     found = []
     for each in gait.maps:
         held = [point for point in each.points if point is not None and point.held]
@@ -120,9 +121,9 @@ def gait_sentences(gait: ReferenceGait) -> list[str]:
 
 
 def _cells(point: FixedPoint | None, size: int) -> list[str]:
-    """Command, multipliers and a word."""
+    """Cells with command, multipliers and verdict."""
     if point is None:
         return [*["–"] * (size + 1), "no step"]
     multipliers = ", ".join(f"{abs(value):.3f}" for value in point.floquet_multipliers)
-    word = ("stable" if point.stable else "not stable") if point.held else "not held"
-    return [*(f"{value:.2f}".replace("-", "−") for value in point.command), multipliers, word]
+    verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
+    return [*(f"{value:.2f}".replace("-", "−") for value in point.command), multipliers, verdict]

@@ -1,4 +1,4 @@
-"""The replay on the page: a drawing in three dimensions that can be played, scrubbed and turned, with no library."""
+"""The replay on the page: a 3-D drawing that can be played, scrubbed and rotated, without a library."""
 
 import json
 from base64 import b64encode
@@ -15,13 +15,13 @@ from stepgap.report.motion import RATE, DeploymentMotion, Replay
 from stepgap.step import Array
 
 REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(encoding="utf-8")
-"""What draws it; it finds its data in the page."""
+"""Script that draws the replay; its data are in the page."""
 
 LEVELS: Final = 65535
-"""Steps into which the range of a channel is divided."""
+"""Number of levels into which the range of a channel is divided."""
 
 MOST_FRAMES: Final = 60_000
-"""Frames of one motion on the page at most; a longer one is thinned."""
+"""Largest number of frames of a motion on the page; a longer motion is thinned."""
 
 CONTROLS: Final = """<div id="replay-view">
 <canvas id="replay-canvas" tabindex="0" role="img" aria-label="The hopper on its boom; drag to turn the view"></canvas>
@@ -37,7 +37,7 @@ CONTROLS: Final = """<div id="replay-view">
 
 
 def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
-    """Canvas, controls and data, or why there are none."""
+    """Canvas, controls and data of the replay, or the reason why there are none."""
     if isinstance(replay, Missing):
         return absence("replay", replay)
     robot = replay.robot
@@ -55,15 +55,15 @@ def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
 
 def _legend() -> str:
     return (
-        "Drag to turn; the keys ← and → move by one frame. The leg is drawn as the closed chain it is; the foot is "
-        "full while it bears load. Dashed: the height wanted at the next apex. Circles: apexes reached; bars: their "
-        "targets. The motion is what the sensors of boom and motors measured; what they do not measure, such as "
-        f"the boom's bending, is not in it. There are {RATE} frames per second."
+        "Drag to rotate; the keys ← and → move by one frame. The leg is drawn as a closed chain; the foot is filled "
+        "while it bears load. Dashed: target height of the next apex. Circles: measured apexes; bars: their targets. "
+        "The motion was measured by the sensors of boom and motors; motion that they cannot measure, such as the "
+        f"boom's bending, is not shown. There are {RATE} frames per second."
     )
 
 
 def _motion(number: int, motion: DeploymentMotion, log: StepLog) -> dict[str, Any]:
-    """A motion as JSON: its channels as integers of two bytes, one after the other, and its steps."""
+    """JSON data of a motion: its channels as consecutive 16-bit integers, and its steps."""
     every = -(-len(motion.step) // MOST_FRAMES)
     channels = [channel[::every] for channel in motion.channels.values()]
     ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
@@ -84,7 +84,7 @@ def _motion(number: int, motion: DeploymentMotion, log: StepLog) -> dict[str, An
 
 
 def _levels(channel: Array) -> Array:
-    """The channel from 0 at its least to `LEVELS` at its largest value."""
+    """The channel scaled from 0 at its smallest to `LEVELS` at its largest value."""
     span = float(np.ptp(channel))
     return np.round((channel - channel.min()) / span * LEVELS) if span > 0 else np.zeros(len(channel))
 

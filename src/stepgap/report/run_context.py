@@ -1,4 +1,4 @@
-"""What a report shows besides the files of a run; the caller, who knows the robot, gives it."""
+"""Information for a report that is not in the files of a run; it is given by the caller, who knows the robot."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from stepgap.step import StepMap
 
 @dataclass(frozen=True, eq=False)
 class RunContext:
-    """What is known of a run besides its files; by default nothing.
+    """Information on a run that is not in its files; by default there is none.
 
     Attributes:
-        plant: Name of what executed the steps.
+        plant: Name of the plant that executed the steps.
         defaults: Default value of every setting, in nested tables like those of `experiment.toml`.
         nominal: Map of the physics model.
-        replay: Motion of the first and of the last deployment.
+        replay: Motions of the first and of the last deployment.
     """
 
     plant: str = "simulated twin"
@@ -27,4 +27,4 @@ class RunContext:
 
 
 NO_CONTEXT = RunContext()
-"""Nothing but the files of the run is known."""
+"""Context of a run of which only the files are known."""

@@ -1,4 +1,4 @@
-"""The results of a run in plain sentences."""
+"""The results of a run in sentences."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from stepgap.step import Array, Quantity, StepStatus
 
 
 def headline(record: RunRecord) -> str:
-    """Did it track?"""
+    """Sentence on whether the run tracked its reference."""
     if not record.deployments:
         return "No deployment is finished yet."
     first, last = record.deployments[0], record.deployments[-1]
@@ -28,18 +28,18 @@ def headline(record: RunRecord) -> str:
 
 
 def sentences(record: RunRecord, plant: str) -> list[str]:
-    """Errors, hops and falls, what is still open, and the paper's result where its reference was tracked.
+    """Sentences on errors, hops, falls and unfinished deployments, and the paper's result for the same reference.
 
     Args:
         record: The run.
-        plant: What executed the steps, in words.
+        plant: Name of the plant that executed the steps.
     """
     found = []
     if len(record.deployments) > 1:
         first, last = record.deployments[0], record.deployments[-1]
         found += [_change(first, last, row, quantity) for row, quantity in enumerate(record.space.state)]
     found += [
-        f"{_title(_ended(record, deployment))}; its errors are of the steps before only."
+        f"{_title(_ended(record, deployment))}; its errors include only the steps before."
         for deployment in record.deployments
         if deployment.falls
     ]
@@ -50,7 +50,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
     )
     found += [
         f"Deployment {iteration} is running or was interrupted: "
-        f"its {_count(steps, 'step')} so far are in none of the errors."
+        f"its {_count(steps, 'step')} so far are not included in the errors."
         for iteration, steps in record.unfinished.items()
     ]
     if record.like_paper:
@@ -59,13 +59,13 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
 
 
 def improvement(first: Deployment, last: Deployment, measure: str) -> Array:
-    """By what factor an error fell, NaN where unknown; shape (n,)."""
+    """Factor by which an error decreased, NaN where unknown; shape (n,)."""
     before, after = first.errors[measure], last.errors[measure]
     return np.divide(before, after, out=np.full(len(before), np.nan), where=(before > 0) & (after > 0))
 
 
 def decimal(value: float, digits: int = 3) -> str:
-    """A few significant digits, with no exponent where that is short; a dash for NaN."""
+    """Number with a few significant digits, without exponent where possible; a dash for NaN."""
     if not np.isfinite(value):
         return "–"
     if value == 0:
@@ -95,24 +95,24 @@ def _times(factor: float) -> str:
 
 
 def _floor(record: RunRecord) -> list[str]:
-    """The noise floor of the plant, and how far the last errors are above it."""
-    known = [row for row, spread in enumerate(record.noise_floor) if spread > 0]
+    """Sentence on the noise floor of the plant, and on the ratio of the last errors to it."""
+    known = [row for row, value in enumerate(record.noise_floor) if value > 0]
     if not known:
         return []
-    state, spread = record.space.state, record.noise_floor
-    spreads = ", ".join(f"{state[row].name} {decimal(spread[row])}{_unit(state[row])}" for row in known)
+    state, floor = record.space.state, record.noise_floor
+    values = ", ".join(f"{state[row].name} {decimal(floor[row])}{_unit(state[row])}" for row in known)
     errors = record.deployments[-1].errors["steady_rmse"]
-    ratios = ", ".join(f"{decimal(errors[row] / spread[row], 2)} times that in {state[row].name}" for row in known)
+    ratios = ", ".join(f"{decimal(errors[row] / floor[row], 2)} times that in {state[row].name}" for row in known)
     how = (
-        f"is {spreads} (measured by repeating steps with equal command and equal motion at the apex, at other yaw "
-        "angles and with other noise). A controller that knows neither cannot do better on average; one that estimates "
-        "the yaw-dependent disturbance (learning.drift) can"
-        if record.summary.measured
-        else f"is at most about {spreads} (the residual error of a linear fit to the steady steps of the last "
-        "deployment; the true one may be smaller)"
+        f"is {values}, measured with the same command and the same motion at the apex, but at other yaw angles and "
+        "with other noise. A controller that knows neither noise nor yaw cannot be better on average; one that "
+        "estimates the yaw-dependent disturbance (learning.drift) can"
+        if record.summary.noise_floor_measured
+        else f"is at most about {values}, the residual standard error of a linear fit to the steady steps of the last "
+        "deployment; the true noise floor may be smaller"
     )
     compared = f" The last steady RMSE is {ratios}." if np.isfinite([errors[row] for row in known]).all() else ""
-    return [f"The noise floor, the standard deviation of the next state at equal state and command, {how}.{compared}"]
+    return [f"The noise floor (standard deviation of repeated steps) {how}.{compared}"]
 
 
 def _paper_result() -> str:
@@ -130,7 +130,7 @@ def _count(number: int, noun: str) -> str:
 
 
 def _ended(record: RunRecord, deployment: Deployment) -> str:
-    """How a deployment was aborted."""
+    """Phrase on how a deployment was aborted."""
     status = list(record.steps.of_iteration(deployment.iteration))[-1].record.status
     how = "fell" if status == StepStatus.FELL else f"ended without an apex ({status.label})"
     return f"deployment {deployment.iteration} {how} at step {deployment.steps}"

@@ -1,4 +1,4 @@
-"""Settings that differ: from their defaults, or from run to run."""
+"""Tables of settings that differ: from their defaults, or between runs."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,11 +6,11 @@ from typing import Any
 from stepgap.report.html import paragraph, table
 
 DASH = "–"
-"""Stands in a table for a value that is not there."""
+"""Mark of a missing value in a table."""
 
 
 def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Each value of nested tables, as a short text, by its dotted name."""
+    """Values of nested tables as short texts, by their dotted names."""
     flat: dict[str, str] = {}
     for name, value in settings.items():
         if isinstance(value, Mapping):
@@ -21,14 +21,14 @@ def flat_settings(settings: Mapping[str, Any], prefix: str = "") -> dict[str, st
 
 
 def differing(columns: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Name and values of each setting that is not the same in all columns, in the order of the first."""
+    """Names and values of the settings that are not equal in all columns, in the order of their first occurrence."""
     names = list(dict.fromkeys(name for column in columns for name in column))
     rows = [[name, *(column.get(name, DASH) for column in columns)] for name in names]
     return [row for row in rows if len(set(row[1:])) > 1]
 
 
 def changed_settings(settings: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
-    """A table of the settings of a run that differ from their defaults."""
+    """HTML table of the settings of a run that differ from their defaults."""
     rows = differing([flat_settings(settings), flat_settings(defaults)])
     if not rows:
         return paragraph("All settings are the defaults.")

@@ -1,1 +1,1 @@
-"""Which machine: one folder per robot."""
+"""Robots, one folder each: physics model, joint control, sensors, limits and simulated twin."""

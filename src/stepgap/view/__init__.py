@@ -1,6 +1,6 @@
-"""A run as a page in the browser.
+"""The page that shows a run in the browser.
 
-`geometry` gives the position of every joint, `motion` how the robot moved in a hop, `source` all data of a run;
-`player` decides which moment is drawn, `robot_scene`, `plots` and `page` show it. `watch` serves the page, `live` feeds
-it from a run that is being executed, in a process of its own: no fault of the page disturbs a run.
+`geometry` gives the positions of the joints, `motion` the robot's motion in a hop, `source` all data of a run; `player`
+chooses the moment that is drawn; `robot_scene`, `plots` and `page` draw it. `watch` serves the page. For a run in
+progress, `live` serves it in a separate process, so that no fault of the page disturbs the run.
 """

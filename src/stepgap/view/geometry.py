@@ -1,7 +1,7 @@
-"""Where the joints of boom and leg are: the closed chain of Fig. 1 in MuJoCo's frame of the twin.
+"""Positions of the joints of boom and leg: the closed chain of Fig. 1 in MuJoCo's frame of the twin.
 
 x points forward at yaw 0, y to the boom's pivot side, z up from the floor; the pivot stands over the origin. The leg
-swings in the plane of the boom's tip: `forward` along the circle, `up` across the boom, which leans with its pitch.
+swings in the plane of the boom's tip: `forward` along the circle, `up` perpendicular to the boom, tilted by its pitch.
 """
 
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ from stepgap.step import Array
 
 
 class HopperPose(NamedTuple):
-    """How boom and leg stand.
+    """Pose of boom and leg.
 
     Attributes:
         yaw: Horizontal boom angle [rad].
         pitch: Vertical boom angle, upward positive [rad].
         alpha_1: Leg angle α₁ [rad].
         alpha_2: Half the angle between the top links α₂ [rad].
-        deflection_forward: Of an elastic boom's tip [m].
-        deflection_up: Of an elastic boom's tip [m].
+        deflection_forward: Forward deflection of an elastic boom's tip [m].
+        deflection_up: Upward deflection of an elastic boom's tip [m].
     """
 
     yaw: float
@@ -40,11 +40,11 @@ class Joints:
     """Positions of the joints, each of shape (3,) [m].
 
     Attributes:
-        pivot: Of the boom.
-        hip: At the boom's tip.
-        front_knee: Of the link that motor 1 turns, at α₁ + α₂.
-        rear_knee: Of the link that motor 2 turns, at α₁ − α₂.
-        ankle: Where both bottom links meet.
+        pivot: Pivot of the boom.
+        hip: Hip at the boom's tip.
+        front_knee: Knee of the link that motor 1 drives, at α₁ + α₂.
+        rear_knee: Knee of the link that motor 2 drives, at α₁ − α₂.
+        ankle: Common joint of the bottom links.
         foot: End of the rear knee's bottom link.
     """
 
@@ -57,7 +57,7 @@ class Joints:
 
     @property
     def links(self) -> dict[str, tuple[Array, Array]]:
-        """Ends of each rigid part by its name."""
+        """Ends of the rigid parts by their names."""
         return {
             "boom": (self.pivot, self.hip),
             "front_top": (self.hip, self.front_knee),
@@ -68,7 +68,7 @@ class Joints:
 
 
 def joints_at(robot: RobotParameters, pivot_height: float, pose: HopperPose) -> Joints:
-    """The joints of a pose, with the boom's pivot at a height [m]."""
+    """Positions of the joints in a pose, with the boom's pivot at a height [m]."""
     bar = four_bar(leg_of(robot), pose.alpha_2)
     beta = np.arctan2(bar.sin_beta, bar.cos_beta)
     outward, forward, up = _tip_axes(pose)
@@ -93,7 +93,7 @@ def joints_at(robot: RobotParameters, pivot_height: float, pose: HopperPose) -> 
 
 
 def _tip_axes(pose: HopperPose) -> tuple[Array, Array, Array]:
-    """Unit vectors along the boom, along the circle and across both."""
+    """Unit vectors along the boom, along the circle and perpendicular to both."""
     sin_yaw, cos_yaw = np.sin(pose.yaw), np.cos(pose.yaw)
     inward = np.array([-sin_yaw, cos_yaw, 0.0])
     vertical = np.array([0.0, 0.0, 1.0])
@@ -103,7 +103,7 @@ def _tip_axes(pose: HopperPose) -> tuple[Array, Array, Array]:
 
 
 def turned_to(direction: Array) -> Array:
-    """Quaternion (w, x, y, z) of the shortest turn from +z to a direction; shape (4,)."""
+    """Quaternion (w, x, y, z) of the shortest rotation from +z to a direction; shape (4,)."""
     x, y, z = direction / np.linalg.norm(direction)
     if z < -1 + 1e-12:
         return np.array([0.0, 1.0, 0.0, 0.0])

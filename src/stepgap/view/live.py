@@ -1,4 +1,4 @@
-"""Feeds the page of a run while it is being executed, in another process, without ever waiting for it."""
+"""The page of a run in progress: it runs in another process, for which the run never waits."""
 
 import subprocess
 import sys
@@ -12,19 +12,19 @@ from stepgap.robots.hopper.tick import TICK_UNITS, Tick
 from stepgap.view.motion import TICK_STRIDE
 
 ROWS = 2**16
-"""Ticks that the ring keeps for the page: nine minutes of hopping."""
+"""Number of ticks that the ring keeps for the page: nine minutes of hopping."""
 
 
 class LiveView:
-    """A page that shows a run from a process of its own.
+    """A page that shows a run from a separate process.
 
-    The run pushes some of its ticks into shared memory, which never waits; steps and models the page reads from the
-    run folder. Whatever becomes of the page, the run goes on.
+    The run writes some of its ticks into shared memory, without waiting; the page reads steps and models from the run
+    folder. If the page fails, the run continues.
 
     Args:
-        folder: Of the run, with its settings in it when the context is entered.
-        host: Whom the page is open to.
-        port: Of the page; None: the first that is free.
+        folder: Folder of the run, which contains the settings when the context is entered.
+        host: Host name or address at which the page is served.
+        port: Port of the page; None for the first free one.
     """
 
     def __init__(self, folder: Path, host: str, port: int | None):
@@ -32,18 +32,18 @@ class LiveView:
         self._hops, self._count = HopCount(), 0
 
     def on_tick(self, tick: Tick) -> None:
-        """Passes every `TICK_STRIDE`-th tick on."""
+        """Passes every `TICK_STRIDE`-th tick to the page."""
         if self._count % TICK_STRIDE == 0:
             self._ring.push((self._hops.iteration, self._hops.hop, *tick.row()))
         self._count += 1
         self._hops.on_tick(tick)
 
     def observing(self, observer: Observer) -> Observer:
-        """The observer, which now also counts steps and deployments for the ticks."""
+        """Observer that also counts steps and deployments for the ticks."""
         return self._hops.observing(observer)
 
     def stay(self) -> None:
-        """Waits, when the run is over, until somebody ends the page."""
+        """Waits, at the end of the run, until the page is ended."""
         self._process.wait()
 
     def __enter__(self) -> Self:
@@ -54,7 +54,7 @@ class LiveView:
             [sys.executable, "-c", program, "view", str(self._folder), "--ring", self._ring.name, *options],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the run, which ends the page
+            start_new_session=True,  # Ctrl-C reaches only the run, which ends the page
         )
         return self
 

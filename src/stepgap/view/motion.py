@@ -1,4 +1,4 @@
-"""How the robot moved in one hop, from any kind of record."""
+"""The robot's motion in one hop, from any kind of record."""
 
 from dataclasses import dataclass
 from math import asin, tau
@@ -13,10 +13,10 @@ from stepgap.step import Array
 from stepgap.view.geometry import HopperPose
 
 TICK_STRIDE = 8
-"""Every how many ticks a pose is drawn."""
+"""Interval of drawn poses, in ticks."""
 
 STILL = 0.75
-"""Duration of a hop whose motion is not known [s]: about that of a real one."""
+"""Displayed duration of a hop with unknown motion [s], about that of a real hop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +24,8 @@ class HopMotion:
     """The motion from just after an apex to just after the next one.
 
     Attributes:
-        time: Since the hop began, rising; shape (k,) [s].
-        poses: A pose a row, in the order of `HopperPose`; shape (k, 6).
+        time: Increasing times since the start of the hop; shape (k,) [s].
+        poses: One pose per row, in the order of `HopperPose`; shape (k, 6).
         ground: Height of the ground under the foot; shape (k,) [m].
     """
 
@@ -35,17 +35,17 @@ class HopMotion:
 
     @property
     def duration(self) -> float:
-        """How long it takes [s]."""
+        """Duration of the hop [s]."""
         return float(self.time[-1])
 
     def at(self, share: float) -> tuple[HopperPose, float]:
-        """HopperPose, and height of the ground [m], when a share (0…1) of the time is over."""
+        """Pose, and height of the ground [m], after a fraction (0…1) of the duration."""
         row = min(int(np.searchsorted(self.time, share * self.duration)), len(self.time) - 1)
         return HopperPose(*self.poses[row].tolist()), float(self.ground[row])
 
 
 def true_hop(table: TickTable, sensors: HopperSensorModel) -> HopMotion | None:
-    """A hop of the twin, simulated again, as it really was; None without a tick."""
+    """True motion of a hop of the twin, simulated again; None without a tick."""
     if not len(table):
         return None
     yaw, pitch = table["boom_yaw"], table["boom_pitch"]
@@ -57,7 +57,7 @@ def true_hop(table: TickTable, sensors: HopperSensorModel) -> HopMotion | None:
 
 
 def sensed_hop(table: TickTable, sensors: HopperSensorModel) -> HopMotion | None:
-    """A hop as the sensors saw it, on level ground; None without a tick whose sensors were read."""
+    """Measured motion of a hop, on level ground; None without a tick whose sensors were read."""
     table = TickTable(table.units, table.rows[np.isfinite(table.rows).all(axis=1)])
     if not len(table):
         return None
@@ -69,7 +69,7 @@ def sensed_hop(table: TickTable, sensors: HopperSensorModel) -> HopMotion | None
 
 
 def still_hop(robot: RobotParameters, gains: Gains, pivot_height: float, state: Array) -> HopMotion:
-    """A hop of which only the apex is known: the robot stands still there, its leg in the landing posture."""
+    """Motion of a hop of which only the apex is known: the robot rests there with its leg in the landing posture."""
     speed, height = state
     pitch = asin(np.clip((height - pivot_height) / robot.boom_length, -1, 1))
     alpha_1 = gains.speed_gain * (speed - gains.speed_setpoint)

@@ -1,4 +1,4 @@
-"""The page: 3-D, buttons, charts. It only displays; nothing here acts on the run."""
+"""The page: 3-D scene, buttons and charts. It only displays a run and never acts on it."""
 
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
@@ -13,34 +13,34 @@ from stepgap.learning.step_log import LoggedStep
 from stepgap.report.colours import BLUE, VERMILLION
 from stepgap.step import StepStatus
 from stepgap.view.geometry import HopperPose
-from stepgap.view.learnt import curve_along
+from stepgap.view.learned import curve_along
 from stepgap.view.player import Player
-from stepgap.view.plots import BAND, INK, LearntPlot, TrackingPlot, add_legend, named
+from stepgap.view.plots import BAND, INK, LearnedPlot, TrackingPlot, add_legend, named
 from stepgap.view.robot_scene import Ground, RobotScene
 from stepgap.view.source import Source
 
 NO_OVERLAY = "nothing"
 SPEEDS = {"¼": 0.25, "½": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "16": 16.0}
-"""Times real time."""
+"""Selectable speeds, relative to real time."""
 
 CAMERA, LOOK_AT = (0.62, -0.8, 0.14), (0.04, 0.1, -0.13)
-"""Position of the camera and what it looks at, from 0.45 m above the floor where the robot hops [m]."""
+"""Position of the camera and its target, relative to a point on the circle 0.45 m above the floor [m]."""
 
 
 class Page:
-    """Shows a source on a server's page.
+    """Shows the data of a run on a server's page.
 
-    What people press is done at the next `update`, in the thread that calls it.
+    Actions of users are executed at the next `update`, in the thread that calls it.
 
     Args:
-        server: Serves the page.
-        source: What to show.
-        iteration: Deployment shown first; without one, the last.
-        live: Whether the run is being executed, so that the newest hop is drawn.
+        server: Server of the page.
+        source: Data of the run.
+        iteration: Deployment that is shown first; None for the last.
+        live: Whether the run is in progress, so that the newest hop is shown.
     """
 
     def __init__(self, server: ViserServer, source: Source, iteration: int | None = None, live: bool = False):
-        self._server, self._source, self._pressed = server, source, SimpleQueue[Callable[[], None]]()
+        self._server, self._source, self._actions = server, source, SimpleQueue[Callable[[], None]]()
         self.player = Player(follow=live)
         self.iteration, self.overlaid = 0, None
         self._drawn: tuple[object, ...] = ()
@@ -62,14 +62,14 @@ class Page:
         self._deployment.value = self._label(iteration)
 
     def overlay(self, iteration: int | None) -> None:
-        """Shows another deployment as a ghost beside the chosen one; None: nothing."""
+        """Shows another deployment as a ghost next to the chosen one; None for no ghost."""
         self.overlaid = iteration
         if iteration is not None:
             self._source.want(iteration)
         self._overlay.value = NO_OVERLAY if iteration is None else self._label(iteration)
 
     def toggle(self) -> None:
-        """Stops time, or lets it run."""
+        """Pauses or resumes the motion."""
         self.player.toggle()
 
     def one_step(self) -> None:
@@ -77,7 +77,7 @@ class Page:
         self.player.one_step(self._source.hop_count(self.iteration))
 
     def follow(self) -> None:
-        """Shows the newest hop of the newest deployment, and the next ones as they come."""
+        """Shows the newest hop of the newest deployment, and follows new hops."""
         newest = max(self._source.iterations, default=0)
         if newest != self.iteration:
             self.choose(newest)
@@ -85,10 +85,10 @@ class Page:
         self.player.playing = self.player.follow = True
 
     def update(self, elapsed: float) -> None:
-        """Does what was pressed, takes in what is new, and shows the moment after some time [s]."""
+        """Executes the users' actions, reads new data, and advances the displayed time [s]."""
         while True:
             try:
-                self._pressed.get_nowait()()
+                self._actions.get_nowait()()
             except Empty:
                 break
         source, player = self._source, self.player
@@ -138,35 +138,35 @@ class Page:
         gui.set_panel_label(f"StepGap – {self._source.folder.resolve().name}")
         self._status = gui.add_markdown("")
         self._deployment = gui.add_dropdown("Deployment", [self._label(0)])
-        self._overlay = gui.add_dropdown("Overlay", [NO_OVERLAY], hint="A deployment shown beside it, step for step")
+        self._overlay = gui.add_dropdown("Overlay", [NO_OVERLAY], hint="A deployment shown next to it, step by step")
         self._step = gui.add_slider("Step", 0, 1, 1, 0, hint="0: the hop after the release")
         self._buttons = gui.add_button_group("Play", ("Pause / play", "One step", "Newest"))
         self._speed = gui.add_dropdown("Speed", list(SPEEDS), initial_value="1", hint="Times real time")
-        self._ride = gui.add_checkbox("Ride along", True, hint="The robot stays in view, the floor turns under it")
-        does = {"Pause / play": self.toggle, "One step": self.one_step, "Newest": self.follow}
-        self._buttons.on_click(lambda event: self._pressed.put(does[event.target.value]))
+        self._ride = gui.add_checkbox("Ride along", True, hint="The robot stays in view, and the floor turns under it")
+        actions = {"Pause / play": self.toggle, "One step": self.one_step, "Newest": self.follow}
+        self._buttons.on_click(lambda event: self._actions.put(actions[event.target.value]))
         self._when_changed(self._deployment, lambda label: self.choose(_number(label)))
         self._when_changed(self._overlay, lambda label: self.overlay(None if label == NO_OVERLAY else _number(label)))
         self._when_changed(self._step, self._show_from)
         self._when_changed(self._speed, self.set_speed)
 
     def _show_from(self, number: int) -> None:
-        """Shows a hop from its start; the slider is set again, since a move of time may have crossed with its own."""
+        """Shows a hop from its start; sets the slider again, because an automatic move may have come in between."""
         self.player.show(number)
         self._step.value = number + 1 if number < self._step.max else number - 1
         self._drawn = ()
 
     def set_speed(self, label: str) -> None:
-        """Sets how fast time goes, one of `SPEEDS`."""
+        """Sets the speed to one of `SPEEDS`."""
         self.player.speed = SPEEDS[label]
 
     def _when_changed(self, control: Any, act: Callable[[Any], None]) -> None:
-        """Acts when a person, not this program, has changed a control."""
+        """Calls `act` when a user, not this program, changes a control."""
 
         def changed(event: Any) -> None:
             if event.client is not None:
                 value = control.value
-                self._pressed.put(lambda: act(value))
+                self._actions.put(lambda: act(value))
 
         control.on_update(changed)
 
@@ -176,14 +176,14 @@ class Page:
         with tabs.add_tab("Tracking"):
             add_legend(gui, [("┅", INK, "target"), ("━", BLUE, "apex"), ("┉", VERMILLION, "apex overlaid")])
             self._tracking = [TrackingPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
-        with tabs.add_tab("What was learnt"):
+        with tabs.add_tab("What was learned"):
             names = [*space.state_names, *space.command_names]
             self._along: GuiDropdownHandle[str] = gui.add_dropdown(
-                "Along", names, initial_value=names[0], hint="The other inputs are those of the step shown"
+                "Along", names, initial_value=names[0], hint="The other inputs are those of the displayed step"
             )
             self._model_note = gui.add_markdown("")
             add_legend(gui, [("━", BLUE, "mean"), ("▇", BAND, "95 % of steps"), ("●", VERMILLION, "this step")])
-            self._learnt = [LearntPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
+            self._learned = [LearnedPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
 
     def _find_deployments(self) -> None:
         labels = [self._label(number) for number in self._source.iterations] or [self._label(0)]
@@ -210,7 +210,7 @@ class Page:
         self._show_ghost(hop.poses[0, 0])
 
     def _show_ghost(self, start: float) -> None:
-        """Draws the overlaid deployment in the same step, begun at the same yaw."""
+        """Draws the overlaid deployment in the same step, starting at the same yaw."""
         number, other, hop = self.player.hop, self.overlaid, None
         if other is not None and other != self.iteration and number < self._source.hop_count(other):
             hop = self._source.hop(other, number)
@@ -230,25 +230,26 @@ class Page:
         self._status.content = self._describe(steps, number)
         for plot in self._tracking:
             plot.show(steps, overlaid, number)
-        self._show_learnt(steps, number)
+        self._show_learned(steps, number)
 
-    def _show_learnt(self, steps: list[LoggedStep], number: int) -> None:
+    def _show_learned(self, steps: list[LoggedStep], number: int) -> None:
         residual = self._source.residual(self.iteration, number)
         if residual is None:
-            self._model_note.content = "Nothing yet: this deployment began with the uncorrected map." * (number > 0)
-            for plot in self._learnt:
+            self._model_note.content = "Nothing: this deployment began with the uncorrected map." * (number > 0)
+            for plot in self._learned:
                 plot.clear()
             return
         space, record = self._source.space, steps[number - 1].record
         index = (*space.state_names, *space.command_names).index(self._along.value)
         curve = curve_along(residual, space, join_points(record.state, record.applied), index)
         error = error_of(record, self._source.nominal)
-        self._model_note.content = f"Actual − nominal, as deployment {self.iteration} began ({residual.name})."
-        for plot in self._learnt:
+        model = f"the model with which deployment {self.iteration} began ({residual.name})"
+        self._model_note.content = f"Actual − nominal by {model}."
+        for plot in self._learned:
             plot.show(curve, named((*space.state, *space.command)[index]), error)
 
     def _describe(self, steps: list[LoggedStep], number: int) -> str:
-        """The step shown, in a table."""
+        """Description of the displayed step, with a table."""
         lines = [] if self.player.playing else ["**Paused.**"]
         if not number:
             lines.append("The robot is released." if self.player.share < 1 else "The robot has been released.")
@@ -266,7 +267,7 @@ def _number(label: str) -> int:
 
 
 def _step_table(logged: LoggedStep, source: Source) -> str:
-    """Target, prediction and apex of a step, with its command, as Markdown."""
+    """Markdown table of target, prediction and apex of a step, with its command."""
     record, space = logged.record, source.space
     head = f"**Step {logged.step}**"
     if record.status != StepStatus.OK:
@@ -275,8 +276,8 @@ def _step_table(logged: LoggedStep, source: Source) -> str:
     for index, quantity in enumerate(space.state):
         values = (logged.target[index], logged.predicted[index], record.next_state[index])
         rows.append(f"| {named(quantity)} | {' | '.join(f'{value:z.3f}' for value in values)} |")
-    asked = ", ".join(
+    command = ", ".join(
         f"{quantity.name} {value:.1f} {quantity.unit}".replace("-", "−")
         for quantity, value in zip(space.command, record.command, strict=True)
     )
-    return "\n".join([head, "", *rows, "", f"Command: {asked}"])
+    return "\n".join([head, "", *rows, "", f"Command: {command}"])

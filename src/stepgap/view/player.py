@@ -1,28 +1,28 @@
-"""The moment of a deployment that is drawn; knows no clock and no page."""
+"""The displayed time of a deployment; independent of the clock and of the page."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 MOST_SPEED = 16.0
-"""Fastest, times real time."""
+"""Highest speed, relative to real time."""
 
 Duration = Callable[[int], float | None]
-"""How long a hop takes [s]; None while it is not known yet."""
+"""Function from the number of a hop to its duration [s]; None while that is not known."""
 
 
 @dataclass
 class Player:
-    """Moves on hop by hop as far as there are hops.
+    """Advances hop by hop to the last existing hop.
 
     Hop 0 is the hop after the release, hop k the k-th recorded step of the deployment.
 
     Attributes:
         hop: Number of the hop that is drawn.
-        share: Share of its duration that is over, 0…1.
-        playing: Whether time is running.
-        speed: Times real time.
-        follow: Whether the newest hop follows each one, whatever lies between.
-        last: Where it stops by itself; None: nowhere.
+        share: Elapsed fraction of its duration, 0…1.
+        playing: Whether the motion is playing.
+        speed: Speed relative to real time.
+        follow: Whether to continue with the newest hop after each one, and skip the hops between.
+        last: Hop after which the player pauses; None to continue.
     """
 
     hop: int = 0
@@ -33,21 +33,21 @@ class Player:
     last: int | None = None
 
     def show(self, hop: int) -> None:
-        """Shows a hop from its start, without following any longer."""
+        """Shows a hop from its start and stops following."""
         self.hop, self.share, self.follow, self.last = max(0, hop), 0.0, False, None
 
     def toggle(self) -> None:
-        """Stops time, or lets it run."""
+        """Pauses or resumes the motion."""
         self.playing, self.last = not self.playing, None
 
     def one_step(self, count: int) -> None:
-        """Plays one hop to its end: the one under way, or the next if it is over."""
+        """Plays one hop to its end: the present one or, if it has ended, the next."""
         if self.share >= 1.0 and self.hop + 1 < count:
             self.hop, self.share = self.hop + 1, 0.0
         self.playing, self.follow, self.last = True, False, self.hop
 
     def advance(self, elapsed: float, count: int, duration: Duration) -> None:
-        """Advances the time [s], as far as the `count` hops are known."""
+        """Advances by a time [s], as far as the `count` hops are known."""
         remaining = elapsed * self.speed if self.playing else 0.0
         while remaining > 0 and self.hop < count and (length := duration(self.hop)) is not None:
             used = min(remaining, (1.0 - self.share) * length)

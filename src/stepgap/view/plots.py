@@ -1,7 +1,7 @@
-"""Charts of the page: targets and apexes hop by hop, and what was learnt.
+"""Charts of the page: targets and apexes hop by hop, and the learned error.
 
-A series that has no number at its left end would spoil the automatic range of its chart. So a series of its own that
-nobody sees spans the range.
+A series without a number at its left end would disturb the automatic range of its chart. Therefore an extra invisible
+series spans the range.
 """
 
 from collections.abc import Sequence
@@ -12,24 +12,24 @@ from viser import GuiApi, GuiUplotHandle, uplot
 from stepgap.learning.step_log import LoggedStep
 from stepgap.report.colours import BLUE, VERMILLION
 from stepgap.step import Array, Quantity
-from stepgap.view.learnt import Curve
+from stepgap.view.learned import Curve
 
 INK, BAND, TRANSPARENT = "#3c3e46", "rgba(0,114,178,0.2)", "rgba(0,0,0,0)"
 HEIGHT = 160
-"""Of a chart [pixels]."""
+"""Height of a chart [pixels]."""
 
 NO_DOTS = uplot.Series_Points(show=False)
 
 
-def named(quantity: Quantity, what: str = "") -> str:
-    """Name and unit as axes have them."""
-    return f"{what}{quantity.name}{f' [{quantity.unit}]' if quantity.unit else ''}"
+def named(quantity: Quantity, prefix: str = "") -> str:
+    """Axis label with name and unit."""
+    return f"{prefix}{quantity.name}{f' [{quantity.unit}]' if quantity.unit else ''}"
 
 
 def add_legend(gui: GuiApi, entries: Sequence[tuple[str, str, str]]) -> None:
-    """A line that says what marks mean: mark, its colour, meaning."""
-    shown = (f'<span style="color:{colour}">{mark}</span>&nbsp;{meaning}' for mark, colour, meaning in entries)
-    gui.add_html(f'<div style="font-size:0.8em;padding:0.2em 1em">{"&emsp;".join(shown)}</div>')
+    """Adds a legend of marks: mark, colour, meaning."""
+    parts = (f'<span style="color:{colour}">{mark}</span>&nbsp;{meaning}' for mark, colour, meaning in entries)
+    gui.add_html(f'<div style="font-size:0.8em;padding:0.2em 1em">{"&emsp;".join(parts)}</div>')
 
 
 def _line(colour: str, width: float, dash: tuple[float, ...] = ()) -> uplot.Series:
@@ -65,7 +65,7 @@ def _blank(columns: int) -> tuple[Array, ...]:
 
 
 def _span(*columns: Array) -> Array:
-    """As long as a column, with the least and the greatest of all numbers in it."""
+    """Series of the length of a column that contains the smallest and the largest of all numbers."""
     numbers = np.concatenate([column[np.isfinite(column)] for column in columns])
     span = np.full(len(columns[0]), numbers.min())
     span[-1] = numbers.max()
@@ -73,15 +73,15 @@ def _span(*columns: Array) -> Array:
 
 
 class TrackingPlot:
-    """Targets and apexes of one state coordinate, growing step by step."""
+    """Chart of targets and apexes of one state coordinate, step by step."""
 
     def __init__(self, gui: GuiApi, quantity: Quantity, index: int):
         self._index = index
         series = _line(INK, 1.2, (5, 3)), _line(VERMILLION, 1.5, (2, 2)), _line(BLUE, 2)
         self._chart = _add_chart(gui, series, "step", named(quantity))
 
-    def show(self, steps: Sequence[LoggedStep], overlaid: Sequence[LoggedStep], shown: int) -> None:
-        """Draws the targets of all steps, and the apexes of the first ones."""
+    def show(self, steps: Sequence[LoggedStep], overlaid: Sequence[LoggedStep], count: int) -> None:
+        """Draws the targets of all steps, and the apexes of the first `count` steps."""
         if not steps:
             self._chart.data = _blank(5)
             return
@@ -89,19 +89,19 @@ class TrackingPlot:
         target = np.array([logged.target[self._index] for logged in steps])
         apex, other = self._apexes(steps, len(steps)), self._apexes(overlaid, len(steps))
         span = _span(target, apex, other)
-        apex[shown:], other[shown:] = np.nan, np.nan
+        apex[count:], other[count:] = np.nan, np.nan
         self._chart.data = (number, span, target, other, apex)
 
     def _apexes(self, steps: Sequence[LoggedStep], count: int) -> Array:
-        """Of the first steps, NaN where there are fewer; shape (count,)."""
+        """Apexes of the first steps, NaN where there are fewer; shape (count,)."""
         apexes = np.full(count, np.nan)
         known = [logged.record.next_state[self._index] for logged in steps[:count]]
         apexes[: len(known)] = known
         return apexes
 
 
-class LearntPlot:
-    """Mean and band of the error of one state coordinate along an input, with the present step's error."""
+class LearnedPlot:
+    """Chart of mean and band of the error of one state coordinate along an input, with the error of the step."""
 
     def __init__(self, gui: GuiApi, quantity: Quantity, index: int):
         self._index, self._y_label, self._x_label = index, named(quantity, "error of "), ""
@@ -111,7 +111,7 @@ class LearntPlot:
         self._chart = _add_chart(gui, series, " ", self._y_label, bands=(uplot.Band(series=(2, 3), fill=BAND),))
 
     def show(self, curve: Curve, label: str, error: Array) -> None:
-        """Draws a curve along the input of that label, and the error of the step; shape (n,), NaN where unknown."""
+        """Draws a curve along the input with this label, and the error of the step; shape (n,), NaN where unknown."""
         mean, margin = curve.mean[:, self._index], curve.margin[:, self._index]
         here = np.full(len(mean), np.nan)
         here[curve.here] = error[self._index]
@@ -121,5 +121,5 @@ class LearntPlot:
             self._chart.axes, self._x_label = _axes(label, self._y_label), label
 
     def clear(self) -> None:
-        """Draws nothing: nothing was learnt."""
+        """Clears the chart, because nothing was learned."""
         self._chart.data = _blank(6)

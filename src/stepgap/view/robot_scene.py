@@ -1,4 +1,4 @@
-"""Boom, leg and ground in three dimensions."""
+"""The 3-D scene of boom, leg and ground."""
 
 from collections.abc import Mapping
 
@@ -25,7 +25,7 @@ RADII: Mapping[str, float] = {
     "front_bottom": 0.007,
     "rear_bottom": 0.007,
 }
-"""Of the links as drawn [m]."""
+"""Radii of the drawn links [m]."""
 
 JOINT_RADII: Mapping[str, float] = {"front_knee": 0.012, "rear_knee": 0.012, "ankle": 0.010, "foot": 0.009}
 BODY_RADIUS, BODY_WIDTH = 0.04, 0.07
@@ -35,14 +35,14 @@ TRACK_WIDTH, MARK_EVERY = 0.16, 0.1
 
 
 class RobotScene:
-    """One robot.
+    """A robot in the scene.
 
     Args:
-        scene: Where it is drawn.
-        name: Of its node.
-        robot: Its lengths.
-        pivot_height: Of the boom [m].
-        ghost: Drawn so that one can look through it.
+        scene: Scene in which the robot is drawn.
+        name: Name of its node.
+        robot: Lengths of the robot.
+        pivot_height: Height of the boom's pivot [m].
+        ghost: Whether it is drawn transparent.
     """
 
     def __init__(self, scene: SceneApi, name: str, robot: RobotParameters, pivot_height: float, ghost: bool = False):
@@ -81,23 +81,23 @@ class RobotScene:
         self._root.visible = True
 
     def hide(self) -> None:
-        """Draws nothing."""
+        """Hides the robot."""
         self._root.visible = False
 
 
 def _across(joints: Joints) -> np.ndarray:
-    """Direction of the motors' axis: along the boom."""
+    """Direction of the motors' axis, along the boom."""
     return joints.hip - joints.pivot
 
 
 class Ground:
-    """The floor under the boom, with marks on the circle, and the pivot's post.
+    """The floor under the boom, with marks on the circle, and the post of the pivot.
 
     Args:
-        scene: Where it is drawn.
-        name: Of its node.
-        radius: Of the circle [m].
-        pivot_height: Of the boom [m].
+        scene: Scene in which the floor is drawn.
+        name: Name of its node.
+        radius: Radius of the circle [m].
+        pivot_height: Height of the boom's pivot [m].
     """
 
     def __init__(self, scene: SceneApi, name: str, radius: float, pivot_height: float):
@@ -107,12 +107,12 @@ class Ground:
         angles = 2 * np.pi * np.arange(count) / count
         outward = np.stack([np.sin(angles), -np.cos(angles), np.zeros(count)], axis=-1)
         circle = np.stack([radius * outward, radius * np.roll(outward, 1, axis=0)], axis=1)
-        reach = np.where(np.arange(count) % 10 == 0, TRACK_WIDTH, TRACK_WIDTH / 3)[:, None] / 2
-        marks = np.stack([(radius - reach) * outward, (radius + reach) * outward], axis=1)
+        half_width = np.where(np.arange(count) % 10 == 0, TRACK_WIDTH, TRACK_WIDTH / 3)[:, None] / 2
+        marks = np.stack([(radius - half_width) * outward, (radius + half_width) * outward], axis=1)
         lines = np.concatenate([circle, marks]) + np.array([0, 0, 0.001])
         scene.add_line_segments(f"{name}/marks", lines.astype(np.float32), (150, 153, 160), thickness=0.004)
         scene.add_cylinder(f"{name}/post", 0.03, pivot_height, DARK_RGB, position=(0, 0, pivot_height / 2))
 
     def show(self, height: float) -> None:
-        """Moves the floor to the height that it has under the foot [m]."""
+        """Moves the floor to its height under the foot [m]."""
         self._root.position = (0.0, 0.0, height)

@@ -1,7 +1,7 @@
-"""All data of a run, finished or being executed: steps, motion, what was learnt.
+"""All data of a run, finished or in progress: steps, motion and models.
 
-Steps and models are read from the run folder. Motion comes from a ring of ticks while the run is being executed, from
-the tick logs of a rig, and else from simulating the deployment again.
+Steps and models are read from the run folder. Motion comes from a ring of ticks while the run is in progress, from the
+tick logs of a rig, or otherwise from a repeated simulation of the deployment.
 """
 
 from collections import defaultdict
@@ -29,30 +29,30 @@ from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.view.motion import TICK_STRIDE, HopMotion, sensed_hop, still_hop, true_hop
 
 RING_FIELDS = 2 + len(TICK_UNITS)
-"""Of a row of the ring: deployment, hop, tick."""
+"""Number of fields of a row of the ring: deployment, hop, tick."""
 
 
 class Source:
-    """A run folder, and the ring of the run that is writing it.
+    """Data of a run folder, and of the ring of a run in progress.
 
     Args:
         folder: The run folder.
-        ring: Ticks as they happen; without one, the motion is found or simulated again.
+        ring: Ticks of a run in progress; without a ring, the motion is read or simulated again.
 
     Attributes:
-        settings: Of the experiment.
-        space: Of its steps.
-        layout: How to read the rig's counts; None where the rig is not known here.
+        settings: Settings of the experiment.
+        space: State and command of its steps.
+        sensor_model: Sensor model of the rig; None where the rig is not available.
 
     Raises:
-        InputError: It is no run folder, a model in it is not valid, or it has no step yet and no run is adding one.
-        RecordError: Its steps cannot be read.
+        InputError: It is not a run folder, a model in it is not valid, or it has no step and no run is adding one.
+        RecordError: The steps cannot be read.
     """
 
     def __init__(self, folder: Path, ring: TickRing | None = None):
         self.folder, self._ring = folder, ring
         if not (folder / "experiment.toml").is_file():
-            raise InputError(f"{folder}: no experiment.toml there; give the folder of a run")
+            raise InputError(f"{folder}: contains no experiment.toml; give the folder of a run")
         self.settings = read_experiment(folder / "experiment.toml")
         self.nominal = ApexMap(self.settings.robot, self.settings.gains, self.settings.command)
         self.space = self.nominal.space
@@ -61,29 +61,29 @@ class Source:
         self._size, self._log = -1, StepLog(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
         self._motion: dict[int, list[HopMotion | None]] = {}
-        self._finders: dict[int, Thread] = {}
+        self._loaders: dict[int, Thread] = {}
         self._closed = Event()
         self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
         self._models: dict[int, Residual | None] = {}
         self.poll()
         if not self._steps and ring is None:
-            raise InputError(f"{folder / 'steps.csv'}: no step yet; look again when there are some")
+            raise InputError(f"{folder / 'steps.csv'}: no step yet; try again when there are some")
         for iteration in self._steps:
             self._model(iteration)
 
     @property
     def pivot_height(self) -> float:
-        """Of the boom [m]."""
+        """Height of the boom's pivot [m]."""
         return self.sensor_model.pivot_height if self.sensor_model else self.settings.gap.boom_pivot_height
 
     @property
     def missing_motion(self) -> Missing | None:
-        """Why some motion cannot be found; None while all can."""
+        """Reason why some motion is not available; None if there is none."""
         return self._missing
 
     @property
     def iterations(self) -> list[int]:
-        """Numbers of the deployments, rising."""
+        """Numbers of the deployments in ascending order."""
         return sorted(self._steps)
 
     def steps(self, iteration: int) -> list[LoggedStep]:
@@ -95,39 +95,39 @@ class Source:
         return 1 + len(self.steps(iteration))
 
     def hop(self, iteration: int, number: int) -> HopMotion | None:
-        """A hop's motion; None while it is still being made. Without known motion, the robot stands at the apex."""
+        """Motion of a hop, None while it is being computed; if it is not available, the robot rests at the apex."""
         hops, steps = self._motion.get(iteration, []), self.steps(iteration)
         if number < len(hops) and (hop := hops[number]):
             return hop
-        if self._is_sought(iteration) or not steps:
+        if self._is_loading(iteration) or not steps:
             return None
         state = steps[min(number, len(steps)) - 1].record.next_state if number else steps[0].record.state
         known = state if np.isfinite(state).all() else steps[min(number, len(steps)) - 1].record.state
         return still_hop(self.settings.robot, self.settings.gains, self.pivot_height, known)
 
     def want(self, iteration: int) -> None:
-        """Begins to find the motion of a deployment, unless it is known, or comes through the ring."""
-        coming = self._ring is not None and iteration >= max(self._steps, default=0)
-        if iteration in self._motion or coming:
+        """Starts to load the motion of a deployment, unless it is known or comes through the ring."""
+        from_ring = self._ring is not None and iteration >= max(self._steps, default=0)
+        if iteration in self._motion or from_ring:
             return
         self._motion[iteration] = []
-        find = self._remake if self.settings.plant in SIMULATED else self._load
-        self._finders[iteration] = Thread(target=self._find, args=(iteration, find), daemon=True)
-        self._finders[iteration].start()
+        load = self._simulate if self.settings.plant in SIMULATED else self._read_log
+        self._loaders[iteration] = Thread(target=self._load, args=(iteration, load), daemon=True)
+        self._loaders[iteration].start()
 
     def await_motion(self, iteration: int) -> None:
-        """Waits until all motion of a deployment that is to be found is."""
-        if iteration in self._finders:
-            self._finders[iteration].join()
+        """Waits until the motion of a deployment is loaded."""
+        if iteration in self._loaders:
+            self._loaders[iteration].join()
 
     def close(self) -> None:
-        """Ends the search for motion; a program that ends in the middle of it would crash."""
+        """Stops loading motion; a program that ends while a thread is loading would crash."""
         self._closed.set()
-        for finder in self._finders.values():
-            finder.join()
+        for loader in self._loaders.values():
+            loader.join()
 
     def residual(self, iteration: int, number: int) -> Residual | None:
-        """What the deployment's controller had learnt before it began, for a step of it; None without a model."""
+        """Residual with which a deployment began, conditioned on the history of a step; None without a model."""
         residual, steps = self._model(iteration), self.steps(iteration)
         if residual is None or not 0 < number <= len(steps):
             return None
@@ -139,7 +139,7 @@ class Source:
         return residual.conditioned_on(next_history(StepLog(self.space, before), self.nominal, iteration))
 
     def poll(self) -> bool:
-        """Reads what is new; gives whether there were new steps."""
+        """Reads new data; returns whether there were new steps."""
         grown = self._read_steps()
         if self._ring:
             self._drain(self._ring)
@@ -179,7 +179,7 @@ class Source:
         return True
 
     def _drain(self, ring: TickRing) -> None:
-        """Takes the ticks out of the ring; a hop is whole when its step is recorded, or a later one has begun."""
+        """Takes the ticks out of the ring; a hop is complete when its step is recorded or a later hop has begun."""
         rows = ring.drain()
         for row in rows:
             self._ticks[int(row[0]), int(row[1])].append(row[2:])
@@ -191,26 +191,26 @@ class Source:
                 hops.extend([None] * (number + 1 - len(hops)))
                 hops[number] = sensed_hop(ticks, self.sensor_model) if self.sensor_model else None
 
-    def _is_sought(self, iteration: int) -> bool:
-        return iteration in self._finders and self._finders[iteration].is_alive()
+    def _is_loading(self, iteration: int) -> bool:
+        return iteration in self._loaders and self._loaders[iteration].is_alive()
 
-    def _find(self, iteration: int, find: Callable[[int, list[HopMotion | None]], None]) -> None:
-        """Fills in the motion, hop by hop; the page shows what goes wrong."""
+    def _load(self, iteration: int, load: Callable[[int, list[HopMotion | None]], None]) -> None:
+        """Loads the motion hop by hop; the page shows errors."""
         try:
-            find(iteration, self._motion[iteration])
+            load(iteration, self._motion[iteration])
         except (ValueError, OSError) as error:
             self._missing = Missing(str(error))
 
-    def _remake(self, iteration: int, hops: list[HopMotion | None]) -> None:
+    def _simulate(self, iteration: int, hops: list[HopMotion | None]) -> None:
         assert self.sensor_model
         for table in replayed_hops(self.folder, iteration, TICK_STRIDE):
             hops.append(true_hop(table, self.sensor_model))
             if self._closed.is_set():
                 return
 
-    def _load(self, iteration: int, hops: list[HopMotion | None]) -> None:
+    def _read_log(self, iteration: int, hops: list[HopMotion | None]) -> None:
         if self.sensor_model is None:
-            raise InputError(f"plant '{self.settings.plant}' is not known here, so its counts cannot be read")
+            raise InputError(f"plant '{self.settings.plant}' is not available, so its counts cannot be read")
         steps = self.steps(iteration)
         ticks = logged_ticks(self.folder, steps)
         for step in range(steps[0].step - 1, steps[-1].step + 1):

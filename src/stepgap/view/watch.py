@@ -1,4 +1,4 @@
-"""Serves the page until somebody ends it."""
+"""The server of the page, which runs until it is ended."""
 
 import errno
 import io
@@ -14,31 +14,31 @@ from stepgap.base.errors import InputError
 from stepgap.view.page import Page
 
 HERE = "127.0.0.1"
-"""The host that only this machine reaches."""
+"""Host address that only this machine can reach."""
 
 FIRST_PORT, PORTS_TRIED = 8080, 100
-"""Where a free port is looked for, and how many are tried."""
+"""First port that is tried, and number of ports that are tried."""
 
 FRAME = 1 / 30
-"""Time between two pictures [s]."""
+"""Time between two frames [s]."""
 
 
 def start_server(host: str, port: int | None) -> ViserServer:
-    """A server that nobody else has the port of.
+    """Starts a server on a free port.
 
     Args:
-        host: Of the network interface.
-        port: None: the first that is free.
+        host: Host name or address of the network interface.
+        port: Port; None for the first free one.
 
     Raises:
-        InputError: Host or port cannot be had.
+        InputError: Host or port cannot be used.
     """
     if port is not None and not 0 < port < 2**16:
         raise InputError(f"--port {port}: it must lie between 1 and 65535")
-    for wanted in [port] if port else range(FIRST_PORT, FIRST_PORT + PORTS_TRIED):
-        if _is_free(host, wanted):
-            with redirect_stdout(io.StringIO()):  # `announce` prints what is needed
-                return ViserServer(host, wanted, label="StepGap", verbose=False)
+    for candidate in [port] if port else range(FIRST_PORT, FIRST_PORT + PORTS_TRIED):
+        if _is_free(host, candidate):
+            with redirect_stdout(io.StringIO()):  # `announce` prints the address
+                return ViserServer(host, candidate, label="StepGap", verbose=False)
     tried = f"--port {port}: it is taken" if port else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS_TRIED - 1} are taken"
     raise InputError(f"{tried}; choose another --port")
 
@@ -50,32 +50,32 @@ def _is_free(host: str, port: int) -> bool:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except (socket.gaierror, UnicodeError):
-        raise InputError(f"--host {host}: no such address; without --host only this machine sees the page") from None
+        raise InputError(f"--host {host}: no such address; without --host the page is local") from None
     except PermissionError:
-        raise InputError(f"--port {port}: not allowed to you; choose one from 1024 on") from None
+        raise InputError(f"--port {port}: no permission; choose a port from 1024 on") from None
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
-            raise InputError(f"--host {host}: not an address of this machine; 0.0.0.0 stands for all of them") from None
+            raise InputError(f"--host {host}: not an address of this machine; 0.0.0.0 means all of them") from None
         return False
     return True
 
 
 def announce(server: ViserServer) -> None:
-    """Prints on stderr where the page is, and who can open it."""
+    """Prints the address of the page on stderr, and a warning if other machines can open it."""
     host, port = server.get_host(), server.get_port()
     name = f"[{host}]" if ":" in host else host
     print(f"stepgap: open http://{name}:{port} in a browser; Ctrl-C ends it", file=sys.stderr)
     if not (host.startswith("127.") or host in ("localhost", "::1")):
         print(
-            f"stepgap: warning: --host {host} opens the page to everyone who reaches this machine, without a password; "
-            "they can see the run and press every button, which the run itself does not feel",
+            f"stepgap: warning: --host {host} opens the page to everyone who can reach this machine, without a "
+            "password; they can see the run and press every button, which does not affect the run itself",
             file=sys.stderr,
         )
     sys.stderr.flush()
 
 
 def watch(server: ViserServer, page: Page, runs: Callable[[], bool] = lambda: True) -> None:
-    """Announces the page and updates it until `runs` is false or Ctrl-C comes; then stops the server."""
+    """Announces the page and updates it until `runs` is false or Ctrl-C is pressed; then stops the server."""
     last = monotonic()
     try:
         announce(server)

@@ -30,7 +30,7 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.ring_rig import emulated_settings
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.twin_machine import hopper_devices
-from tests.cli.command_line import Command, Said, refused
+from tests.cli.command_line import Command, CommandResult, refused
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
@@ -89,40 +89,40 @@ def rig_file(ring: RigSettings, tmp_path: Path) -> Path:
     return path
 
 
-def unless_too_late(said: Said) -> Said:
+def unless_too_late(result: CommandResult) -> CommandResult:
     """Skips the test if this machine was so late that a robot had to be stopped."""
-    if said.code == 1 and "stopped the robot: late" in said.err:
+    if result.code == 1 and "stopped the robot: late" in result.err:
         pytest.skip("this machine is too busy for 100 ticks a second")
-    return said
+    return result
 
 
 def test_table_exit_code_and_file_of_a_check_agree(stepgap: Command, rig_file: Path) -> None:
-    said = stepgap("rig", "check", "rig.toml", "--seconds", 0.3)
+    result = stepgap("rig", "check", "rig.toml", "--seconds", 0.3)
     found = json.loads(Path("rig.check.json").read_text("utf-8"))
-    assert said.out.endswith("\nrig.check.json\n")
-    assert said.code == (0 if found["passed"] else 1)
-    assert ("not passed" in said.out) == (not found["passed"])
+    assert result.out.endswith("\nrig.check.json\n")
+    assert result.code == (0 if found["passed"] else 1)
+    assert ("not passed" in result.out) == (not found["passed"])
     assert found["late_ticks"] == 40
     timing = found["timing"]
     assert timing["ticks"] == 30 or found["fault"]
-    assert f"ticks                 {timing['ticks']}, one every 10000 µs\n" in said.out
-    assert f"at most     {1e6 * timing['worst']:.1f} µs\n" in said.out
-    assert f"frames lost           {found['lost_frames']}\n" in said.out
+    assert f"ticks                 {timing['ticks']}, one every 10000 µs\n" in result.out
+    assert f"at most     {1e6 * timing['worst']:.1f} µs\n" in result.out
+    assert f"frames lost           {found['lost_frames']}\n" in result.out
     with pytest.raises(InputError, match=r"measured 0\.3 s, less than 5" if found["passed"] else "not passed"):
         checked(rig_file)
 
 
 def test_without_a_bus_the_machine_is_measured_and_nothing_written(stepgap: Command) -> None:
-    said = stepgap("rig", "check", "--seconds", 0.3)
-    assert said.code == ("not passed" in said.out)
-    assert said.out.startswith("no rig.toml given: this is the machine alone")
-    assert "frames lost           no bus was measured\n" in said.out
+    result = stepgap("rig", "check", "--seconds", 0.3)
+    assert result.code == ("not passed" in result.out)
+    assert result.out.startswith("no rig.toml given: timing of this machine alone")
+    assert "frames lost           no bus was measured\n" in result.out
     assert not list(Path.cwd().iterdir())
 
 
 def test_a_dry_run_displays_and_logs_the_torques_of_the_control_law(stepgap: Command, rig_file: Path) -> None:
-    said = unless_too_late(stepgap("rig", "dry-run", rig_file, "--seconds", 1.5))
-    assert (said.code, said.out) == (0, "dry-run/ticks-0.mcap\n"), said
+    result = unless_too_late(stepgap("rig", "dry-run", rig_file, "--seconds", 1.5))
+    assert (result.code, result.out) == (0, "dry-run/ticks-0.mcap\n"), result
     units, ticks = read_ticks(Path("dry-run/ticks-0.mcap"))
     column = dict(zip(units, ticks.T, strict=True))
     assert len(ticks) >= 50
@@ -130,7 +130,7 @@ def test_a_dry_run_displays_and_logs_the_torques_of_the_control_law(stepgap: Com
     assert set(column["state"]) <= {RigState.CALIBRATE, RigState.READY, RigState.OFF}
     assert not np.any([column["applied_1"], column["applied_2"]])
     assert column["asked_1"].any()
-    shown = said.err.splitlines()[-1]
+    shown = result.err.splitlines()[-1]
     angle = 360 / 16384 * (2100 - 2050) / 2
     assert f"alpha_1 {angle:+.2f}°" in shown
     assert "contact +1.0 N" in shown
@@ -138,9 +138,9 @@ def test_a_dry_run_displays_and_logs_the_torques_of_the_control_law(stepgap: Com
 
 def test_calibration_corrects_the_pose_and_keeps_comments(stepgap: Command, rig_file: Path, ring: RigSettings) -> None:
     options = ["--leg-length", 0.26, "--height", 0.6, "--alpha-1", 0.05]
-    said = unless_too_late(stepgap("rig", "calibrate", rig_file, *options))
-    assert said.code == 0, said
-    out = Path(said.out.splitlines()[-1])
+    result = unless_too_late(stepgap("rig", "calibrate", rig_file, *options))
+    assert result.code == 0, result
+    out = Path(result.out.splitlines()[-1])
     assert out == rig_file.with_name("rig.calibrated.toml")
     assert out.read_text("utf-8").startswith("# mine\n")
     after = read_rig_settings(out)
@@ -151,7 +151,7 @@ def test_calibration_corrects_the_pose_and_keeps_comments(stepgap: Command, rig_
     height = 0.4 + LAYOUT.boom_length * np.sin(count * (330 - after.boom_vertical.zero))
     assert height == pytest.approx(0.6, abs=LAYOUT.boom_length * count)
     for table in ("motor_1", "motor_2", "boom_vertical"):
-        assert f"{table:16} {0:>12} {getattr(after, table).zero:>12}" in said.out
+        assert f"{table:16} {0:>12} {getattr(after, table).zero:>12}" in result.out
     zeros = {
         name: getattr(after, name) for name in ("motor_1", "motor_2", "boom_vertical", "boom_horizontal", "contact")
     }
@@ -161,10 +161,10 @@ def test_calibration_corrects_the_pose_and_keeps_comments(stepgap: Command, rig_
 
 def test_a_missing_bus_is_reported_in_one_line(stepgap: Command, rig_file: Path) -> None:
     rig_file.write_text(rig_file.read_text("utf-8").replace(INTERFACE, "nowhere"), encoding="utf-8")
-    said = stepgap("rig", "check", rig_file, "--seconds", 0.2)
-    assert (said.code, said.out) == (1, "")
-    assert said.err.startswith("stepgap: interface nowhere cannot be opened")
-    assert said.err.count("\n") == 1
+    result = stepgap("rig", "check", rig_file, "--seconds", 0.2)
+    assert (result.code, result.out) == (1, "")
+    assert result.err.startswith("stepgap: interface nowhere cannot be opened")
+    assert result.err.count("\n") == 1
     assert not Path("rig.check.json").exists()
 
 
@@ -189,7 +189,7 @@ WRONG = [
     (["emulate", "mine.toml", "sh", "-c", "a b"], "type `stepgap rig emulate mine.toml -- sh -c 'a b'`"),
     (["emulate", "mine.toml", "--intreface", "x"], "--intreface: not an option of rig emulate"),
     (["emulate", "--hold", "inf"], "--hold inf: it must lie between"),
-    (["emulate", "--robot.boom_length", "0.05"], "make no twin"),
+    (["emulate", "--robot.boom_length", "0.05"], "no twin can be made"),
     (["emulate", "--settings", "broken.toml"], "broken.toml: exists and describes another rig"),
     (["emulate", "--settings", "none/e.toml"], "cannot be written"),
 ]
@@ -217,10 +217,10 @@ def test_a_command_runs_with_the_ring_and_its_exit_code_is_returned(tmp_path: Pa
     code = f"import socket, sys; socket.if_nametoindex('{INTERFACE}t'); print(sys.argv[1:]); sys.exit(7)"
     arguments = ["--interface", f"{INTERFACE}t", "--gap.boom_pivot_height", "0.41", "--lock-step"]
     command = emulate(*arguments, "--", sys.executable, "-c", code, "--gap.delay", "0")
-    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
-    seen(said.stderr)
-    assert (said.returncode, said.stderr) == (7, "")
-    assert said.stdout == "emulated.toml\n['--gap.delay', '0']\n"
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    seen(result.stderr)
+    assert (result.returncode, result.stderr) == (7, "")
+    assert result.stdout == "emulated.toml\n['--gap.delay', '0']\n"
     settings = read_rig_settings(tmp_path / "emulated.toml")
     layout = replace(LAYOUT, tick=1e-3, pivot_height=0.41)
     assert settings == emulated_settings(layout, RobotParameters(), RingSettings(), f"{INTERFACE}t")
@@ -289,10 +289,10 @@ def test_without_root_the_command_runs_in_a_separate_network(tmp_path: Path) -> 
     assert alone.stderr.startswith("stepgap: only root can make a network interface")
     assert f"rig emulate --interface {INTERFACE}u -- stepgap rig check emulated.toml`" in alone.stderr
     code = "import socket, sys; print([name for _, name in socket.if_nameindex()]); sys.exit(5)"
-    said = run([*start, "--", sys.executable, "-c", code])
-    if "unshare" in said.stderr:
-        pytest.skip(said.stderr)
-    assert (said.returncode, said.stderr) == (5, "")
-    names = said.stdout
+    result = run([*start, "--", sys.executable, "-c", code])
+    if "unshare" in result.stderr:
+        pytest.skip(result.stderr)
+    assert (result.returncode, result.stderr) == (5, "")
+    names = result.stdout
     assert f"{INTERFACE}u" in names
     assert "eth" not in names, "it sees no interface of the machine"

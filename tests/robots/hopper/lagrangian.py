@@ -1,6 +1,6 @@
-"""The hopper derived a second time, by SymPy from positions of the links alone: an oracle for tests.
+"""Independent derivation of the hopper by SymPy from the positions of the links: an oracle for tests.
 
-Nothing here is shared with `stepgap.robots.hopper.dynamics` but the robot's numbers.
+Only the robot's parameters are shared with `stepgap.robots.hopper.dynamics`.
 """
 
 from functools import cache

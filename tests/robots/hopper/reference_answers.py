@@ -1,4 +1,4 @@
-"""Stored answers of `reference_hop`, which takes most of a second for each hop.
+"""Stored results of `reference_hop`, which takes most of a second for each hop.
 
 `./go python -m tests.robots.hopper.reference_answers` computes all of them and writes `reference_answers.json`. That is
 needed after a change of `CASES`, of a default of the robot or of its gains, or of `reference_hop`. `test_apex_map`
@@ -24,26 +24,26 @@ WIDE = np.array([[-3.0, 0.1, -300.0, -300.0], [3.0, 1.5, 300.0, 300.0]])
 
 
 class Case(NamedTuple):
-    """A robot and where it hops; `points` are (speed, height, fx, fy), shape (N, 4)."""
+    """A robot and its hops; `points` are (speed, height, fx, fy), shape (N, 4)."""
 
     robot: RobotParameters
     gains: Gains
     points: Array
 
     def inputs(self) -> dict[str, Any]:
-        """All that the answers depend on, as JSON keeps it."""
+        """All inputs of the answers, as JSON data."""
         return {"robot": asdict(self.robot), "gains": asdict(self.gains), "points": self.points.tolist()}
 
 
 class Answer(NamedTuple):
-    """What the reference says of one hop; the next state is NaN where there is none."""
+    """Result of the reference for one hop; the next state is NaN where there is none."""
 
     status: StepStatus
     next_state: Array
 
 
 def points_of_use(seed: int, count: int) -> Array:
-    """Random (speed, height, fx, fy) in the range of use."""
+    """Random (speed, height, fx, fy) within the ranges."""
     space = CommandBounds().space()
     quantities = (*space.state, *space.command)
     lower, upper = [quantity.lower for quantity in quantities], [quantity.upper for quantity in quantities]
@@ -51,7 +51,7 @@ def points_of_use(seed: int, count: int) -> Array:
 
 
 def wide_points(seed: int, count: int) -> Array:
-    """Random points far beyond the range of use, where most hops fail."""
+    """Random points far outside the ranges, where most hops fail."""
     return np.random.default_rng(seed).uniform(WIDE[0], WIDE[1], (count, 4))
 
 
@@ -73,7 +73,7 @@ CASES = {
 
 
 def compute_answer(case: Case, point: Array) -> Answer:
-    """Asks the reference, at one point (speed, height, fx, fy)."""
+    """Computes the reference at one point (speed, height, fx, fy)."""
     return Answer(*reference_hop(Hopper(case.robot, case.gains), point[:2], point[2:]))
 
 
@@ -90,7 +90,7 @@ def stored_answers(name: str) -> list[Answer]:
 
 
 def _as_json(answers: Iterator[Answer]) -> list[list[Any]]:
-    """A missing number is null."""
+    """Answers as JSON data; a missing number is null."""
     return [[int(status), [float(x) if np.isfinite(x) else None for x in state]] for status, state in answers]
 
 

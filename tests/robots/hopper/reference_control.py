@@ -1,7 +1,7 @@
-"""The hopper's control in plain Python: the slow and independent reference of the compiled tick.
+"""The hopper's control in plain Python: the slow and independent reference for the compiled tick.
 
-It is the code that the compiled tick has replaced: lists of samples, `np.polyfit`, and an object whose methods are
-called one after another in every tick. Only the torque laws and the leg's geometry are those of the package.
+It is the code before the compiled tick: lists of samples, `np.polyfit`, and an object whose methods are called one by
+one in every tick. Only the torque laws and the leg's geometry are those of the package.
 """
 
 from math import inf, isfinite, isnan, nan, sin, tau
@@ -28,10 +28,10 @@ Torques = tuple[float, float]
 
 
 class FlightFit:
-    """Line and parabola through the samples of one flight.
+    """Line and parabola fitted to the samples of one flight.
 
-    Samples are of the hip with the leg's motion taken out: x + S sin α₁ / m_x and y − S cos α₁ / m_y
-    move as a free body does.
+    The samples are positions of the hip, corrected for the leg's motion: x + S sin α₁ / m_x and
+    y − S cos α₁ / m_y move as a free body does.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class FlightFit:
         self._highest = -np.inf
 
     def add(self, time: float, x: float, y: float) -> None:
-        """Takes the sample at a time since take-off [s], with x relative to take-off [m] and y [m]."""
+        """Adds a sample: time since take-off [s], x relative to take-off [m], y [m]."""
         self._times.append(time)
         self._xs.append(x)
         self._ys.append(y)
@@ -54,11 +54,11 @@ class FlightFit:
 
     @property
     def apex_passed(self) -> bool:
-        """The hip has come down again by APEX_DROP."""
+        """Whether the hip has descended by APEX_DROP from its highest point."""
         return bool(self._ys) and self._ys[-1] < self._highest - APEX_DROP
 
     def speed(self) -> float:
-        """Forward speed of the free body [m/s]; NaN before SPEED_DELAY, or of fewer samples than a parabola needs."""
+        """Forward speed of the free body [m/s]; NaN before SPEED_DELAY or with fewer samples than a parabola needs."""
         count = len(self._times)
         if count < 3 or self._times[-1] < SPEED_DELAY:
             return nan
@@ -73,10 +73,10 @@ class FlightFit:
 
 
 class JointRates:
-    """Rates of the leg angles from motor counts, over the last `span` readings and the time that these took.
+    """Rates of the leg angles from motor counts: differences over the last `span` readings.
 
-    Without a new reading they stay. Of a motion whose acceleration is at most a, they are wrong by no more than a times
-    the age of the oldest of those readings, beside what the counts round.
+    Without a new reading the rates stay as they are. For accelerations up to a, their error is at most a times the age
+    of the oldest of these readings, plus the effect of rounding to counts.
     """
 
     def __init__(self, span: int = 2):
@@ -84,14 +84,14 @@ class JointRates:
         self._span, self._rates = span, (0.0, 0.0)
 
     def update(self, time: float, alpha_1: float, alpha_2: float) -> tuple[float, float]:
-        """Takes a reading's time [s] and angles [rad]; returns (α̇₁, α̇₂) [rad/s], zero until there are enough."""
+        """Adds a reading's time [s] and angles [rad]; returns (α̇₁, α̇₂) [rad/s], zero until there are enough."""
         past = self._past
         if past and time <= past[-1][0]:
             return self._rates
         past.append((time, alpha_1, alpha_2))
         if len(past) > self._span:
             before, old_1, old_2 = past.pop(0)
-            took = round(time - before, 12)  # or the time since the start would show in the last digits
+            took = round(time - before, 12)  # so that the last digits do not depend on the time since the start
             self._rates = (alpha_1 - old_1) / took, (alpha_2 - old_2) / took
         return self._rates
 
@@ -106,13 +106,13 @@ def next_phase(
     takeoff_length: float,
     hip_rate: float,
 ) -> Phase:
-    """The phase that follows at this tick.
+    """Phase at this tick, from the phase at the previous one.
 
-    A body that comes down with the foot still on the ground has not flown: the leg pushes on.
+    If the hip descends while the foot is still on the ground, the robot has not taken off, and the phase is THRUST.
 
     Args:
-        phase: Present phase.
-        apex_passed: The apex of the present flight is behind.
+        phase: Previous phase.
+        apex_passed: Whether the apex of the present flight has been passed.
         contact_force: Ground force on the foot [N].
         touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
         leg_length: ℓ [m].
@@ -132,7 +132,7 @@ def next_phase(
 
 
 class Watch(NamedTuple):
-    """What the check remembers from tick to tick; a new one starts with motors limp.
+    """State of the check; a new one starts with limp motors.
 
     Attributes:
         torque_1: Last torque of motor 1 [N·m].
@@ -140,8 +140,8 @@ class Watch(NamedTuple):
         lost: Frames lost in a row.
         stale: Stale readings in a row.
         late: Ticks missed in a row.
-        stopped: Why the motors brake or are off for good.
-        braked: Ticks since then.
+        stopped: Reasons why the motors brake or stay off.
+        braked: Number of ticks since the stop.
     """
 
     torque_1: float = 0.0
@@ -154,7 +154,7 @@ class Watch(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """Torques that may be written [N·m], why they differ from those asked, and the watch for the next tick."""
+    """Torques that may be written [N·m], why they differ from the requested ones, and the watch for the next tick."""
 
     torque_1: float
     torque_2: float
@@ -165,15 +165,15 @@ class Checked(NamedTuple):
 def check_torque(
     limits: SafetyLimits, watch: Watch, motion: Motion, health: Health, torque_1: float, torque_2: float
 ) -> Checked:
-    """Limits the torques. Where something is wrong, and from then on, they brake for a while or are zero.
+    """Limits the torques; after a fault they brake for a while and then stay zero.
 
     Args:
-        limits: What is allowed.
-        watch: Of the tick before.
-        motion: Of this tick.
-        health: Of this tick.
-        torque_1: Torque asked of motor 1 [N·m].
-        torque_2: Torque asked of motor 2 [N·m].
+        limits: Limits.
+        watch: Watch of the previous tick.
+        motion: Motion at this tick.
+        health: Health at this tick.
+        torque_1: Torque requested of motor 1 [N·m].
+        torque_2: Torque requested of motor 2 [N·m].
     """
     lost = stale = late = 0
     stopped = watch.stopped
@@ -205,12 +205,12 @@ def check_torque(
 
 
 def brakes(limits: SafetyLimits, watch: Watch) -> bool:
-    """Whether a stopped robot's motors still brake."""
+    """Whether the motors of a stopped robot still brake."""
     return bool(watch.stopped) and not watch.stopped & ~BRAKED and watch.braked <= limits.brake_ticks
 
 
 def _brake(limits: SafetyLimits, watch: Watch, motion: Motion) -> tuple[float, float]:
-    """Torques against the motors' turning, within limits [N·m]: what drives a motor on goes at once, a brake grows."""
+    """Torques against the rotation, within limits [N·m]; driving torque stops immediately; braking torque grows."""
     speed_1, speed_2 = motion.rate_1 + motion.rate_2, motion.rate_1 - motion.rate_2
     return _brake_motor(limits, watch.torque_1, speed_1), _brake_motor(limits, watch.torque_2, speed_2)
 
@@ -221,12 +221,12 @@ def _brake_motor(limits: SafetyLimits, before: float, speed: float) -> float:
 
 
 def _within(most: float, value: float, centre: float = 0.0) -> float:
-    """The value, or what is nearest to it no farther than `most` from the centre."""
+    """The value, limited to a distance of `most` from the centre."""
     return min(centre + most, max(centre - most, value))
 
 
 def _out_of_range(limits: SafetyLimits, motion: Motion, torques: float) -> Limited:
-    """Why the motion or the torques, given as their sum, cannot go on."""
+    """Reasons why the motion or the torques, given as their sum, are not allowed."""
     alpha_1, alpha_2, rate_1, rate_2, leg_length, hip_height = motion
     if not isfinite(torques + alpha_1 + alpha_2 + rate_1 + rate_2 + leg_length + hip_height):
         return Limited.NOT_FINITE
@@ -243,7 +243,7 @@ def _out_of_range(limits: SafetyLimits, motion: Motion, torques: float) -> Limit
 
 
 def _unhealthy(limits: SafetyLimits, health: Health, lost: int, stale: int, late: int) -> Limited:
-    """Why the tick's health, its bad ticks in a row counted, cannot go on."""
+    """Reasons why the health, with its numbers of bad ticks in a row, is not allowed."""
     reason = Limited.NOTHING
     if lost > limits.lost_frames:
         reason |= Limited.LOST_FRAMES
@@ -257,11 +257,11 @@ def _unhealthy(limits: SafetyLimits, health: Health, lost: int, stale: int, late
 
 
 class LegState(NamedTuple):
-    """What the joint encoders say of the leg and, if the foot stands still, of the hip.
+    """Measured state of the leg and, if the foot is at rest, of the hip.
 
     Attributes:
         length: ℓ [m].
-        hip_rate: ẏ of the hip over a standing foot [m/s].
+        hip_rate: ẏ of the hip if the foot is at rest [m/s].
         shift_x: Forward offset of the free body from the hip, S sin α₁ / m_x [m].
         shift_y: Upward offset, −S cos α₁ / m_y [m].
     """
@@ -291,7 +291,7 @@ def _stance_torque(law, alpha_1, alpha_2, force_x, force_y):
 
 
 def _lost_force(law, alpha_1, alpha_2, lost_1, lost_2):
-    """Force on the body that torques (lost_1, lost_2) make in stance: the inverse of τ = −Jᵀ force."""
+    """Force on the body that torques (lost_1, lost_2) cause in stance: the inverse of τ = −Jᵀ force."""
     toe = foot(law.leg, four_bar(law.leg, alpha_2), alpha_1)
     q_1, q_2 = lost_1 + lost_2, lost_1 - lost_2
     determinant = toe.x_1 * toe.y_2 - toe.x_2 * toe.y_1
@@ -299,17 +299,17 @@ def _lost_force(law, alpha_1, alpha_2, lost_1, lost_2):
 
 
 class FinishedHop(NamedTuple):
-    """What is known when an apex has just been passed.
+    """Result of a hop whose apex has just been passed.
 
     Attributes:
-        state: At the apex; shape (2,).
-        lost: Command force lost on the way there [N]; shape (2,).
-        place: Yaw of the boom [rad].
+        state: State at the apex; shape (2,).
+        lost: Command force lost to limits [N]; shape (2,).
+        yaw: Yaw of the boom [rad].
     """
 
     state: Array
     lost: Array
-    place: float
+    yaw: float
 
 
 class ReferenceControl:
@@ -318,14 +318,14 @@ class ReferenceControl:
     A hop ends when the apex has just been passed; a command acts from mid-stance to take-off.
 
     Args:
-        layout: How to read the sensors.
-        robot: The robot the rig is taken to be.
-        gains: Joint controller.
-        limits: What the safety function allows.
+        sensors: Sensor model of the rig.
+        robot: Robot that the rig is assumed to be.
+        gains: Gains of the joint controller.
+        limits: Limits of the safety function.
     """
 
-    def __init__(self, layout: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
-        self._layout, self._limits = layout, limits
+    def __init__(self, sensors: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
+        self._sensors, self._limits = sensors, limits
         self._law, self._masses = joint_law(robot, gains), masses_of(robot)
         self._time = self._due = self._sampled = 0.0
         self._phase, self._phase_start = Phase.DESCENT, 0.0
@@ -341,67 +341,67 @@ class ReferenceControl:
 
     @property
     def time(self) -> float:
-        """When this tick began, since the start [s]."""
+        """Start of this tick, since the start of the deployment [s]."""
         return self._time
 
     @property
     def due(self) -> float:
-        """When the next tick is to begin, since the start [s]."""
+        """Start of the next tick, since the start of the deployment [s]."""
         return self._due
 
     @property
     def phase(self) -> Phase:
-        """Of the present tick."""
+        """Phase at the present tick."""
         return self._phase
 
     @property
     def takes_command(self) -> bool:
-        """Whether this hop's command can still act in full: mid-stance is ahead."""
+        """Whether this hop's command can still act in full, because mid-stance is ahead."""
         return self._phase in (Phase.DESCENT, Phase.COMPRESSION) and not self._left_ground
 
     @property
     def brakes(self) -> bool:
-        """Whether the safety function has stopped the robot and its motors brake still."""
+        """Whether the safety function has stopped the robot and its motors still brake."""
         return brakes(self._limits, self._watch)
 
     @property
     def reason(self) -> StepStatus:
-        """OK while the robot hops; why not, else."""
+        """OK while the robot hops, otherwise the reason why it does not."""
         return self._reason
 
     def await_release(self) -> None:
-        """Begins a first hop: the robot is held in the air, and may be for as long as it takes."""
+        """Begins a first hop: the robot is held in the air, for any length of time."""
         self._phase = Phase.DESCENT
         self._begin_hop()
         self._deadline = inf
 
     def begin_tick(self, late: float = 0.0) -> None:
-        """Moves time on to a tick; one that begins more than a tick late [s] moves all later ones."""
-        tick, self._time = self._layout.tick, self._due + late
+        """Advances the time to a tick; if it begins more than a tick late [s], all later ticks are shifted."""
+        tick, self._time = self._sensors.tick, self._due + late
         self._due = (self._time if late > tick else self._due) + tick
 
     def sense(self, reading: HopperReading, *, stale: bool = False, age: float = 0.0) -> Motion:
-        """Takes the sensor values of this tick and moves on to the next phase where it is due.
+        """Processes the sensor values of this tick and updates the phase.
 
         Args:
             reading: The sensor values.
-            stale: They are those of the tick before once more.
-            age: By how much a reading that is not is older than this tick [s].
+            stale: Whether they are those of the previous tick.
+            age: Age of a new reading at this tick [s].
 
         Raises:
-            RigFault: One is no number.
+            RigFault: A value is not a number.
         """
-        layout = self._layout
+        sensors = self._sensors
         if not isfinite(sum(reading)):
-            raise RigFault(f"the sensors tell what is no number: {reading}")
+            raise RigFault(f"a sensor value is not a number: {reading}")
         self._sampled = self._sampled if stale else self._time - age
-        phi_1 = reading.motor_1 * tau / layout.motor_counts
-        phi_2 = reading.motor_2 * tau / layout.motor_counts
+        phi_1 = reading.motor_1 * tau / sensors.motor_counts
+        phi_2 = reading.motor_2 * tau / sensors.motor_counts
         alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)
         rate_1, rate_2 = self._rates.update(self._sampled, alpha_1, alpha_2)
-        self._yaw = reading.boom_horizontal * tau / layout.boom_counts_horizontal
-        x = layout.boom_length * self._yaw
-        y = layout.pivot_height + layout.boom_length * sin(reading.boom_vertical * tau / layout.boom_counts_vertical)
+        self._yaw = reading.boom_horizontal * tau / sensors.boom_counts_horizontal
+        x = sensors.boom_length * self._yaw
+        y = sensors.pivot_height + sensors.boom_length * sin(reading.boom_vertical * tau / sensors.boom_counts_vertical)
         self._leg = leg = LegState(*_leg_state(self._masses, alpha_1, alpha_2, rate_1, rate_2))
         self._reading, before = reading, self._phase
         if self._phase in (Phase.ASCENT, Phase.DESCENT) and not stale:
@@ -429,7 +429,7 @@ class ReferenceControl:
         """Torques [N·m] that end the hopping: posture in the air; on the ground a damped spring that fades away.
 
         Args:
-            share: Of the time that landing may take, how much is over; at 1 only damping is left.
+            share: Elapsed fraction of the landing time; at 1 only damping remains.
         """
         if self._phase not in (Phase.COMPRESSION, Phase.THRUST):
             return self.posture_torque()
@@ -441,13 +441,13 @@ class ReferenceControl:
         )
 
     def check(self, asked: Torques, health: Health = HEALTHY) -> Checked:
-        """What of the torques may be written [N·m]."""
+        """Limits the torques to those that may be written [N·m]."""
         checked = check_torque(self._limits, self._watch, self._motion, health, asked[0], asked[1])
         self._watch = checked.watch
         return checked
 
     def close_tick(self, asked: Torques, applied: Torques, checked: Checked) -> None:
-        """Takes what was really applied [N·m] and judges the tick."""
+        """Processes the applied torques [N·m] and updates the status."""
         motion = self._motion
         if self._phase == Phase.THRUST:
             self._count_loss(asked[0] - applied[0], asked[1] - applied[1])
@@ -459,7 +459,7 @@ class ReferenceControl:
     def finished_hop(self) -> FinishedHop | None:
         """The hop that has just ended at an apex, or None.
 
-        A flight that is too short to be measured ends no hop: the robot bounced, and hops on.
+        A flight that is too short to be measured does not end the hop: the robot has bounced and continues.
         """
         if self._reason == StepStatus.OK and self._left_ground and self._phase == Phase.DESCENT:
             state = self._apex()
@@ -472,11 +472,11 @@ class ReferenceControl:
         return None
 
     def lost_command(self) -> Array:
-        """Mean command force that limits took away while this hop's command acted [N]; shape (2,)."""
+        """Mean command force lost to limits while this hop's command acted [N]; shape (2,)."""
         return np.array([self._lost_x, self._lost_y]) / max(1, self._push_ticks)
 
     def _apex(self) -> Array:
-        """State at the apex just passed; NaN of a flight that is too short to tell."""
+        """State at the apex just passed; NaN for a flight that is too short to be measured."""
         speed = self._fit.speed()
         if isnan(speed):
             return np.full(2, np.nan)
@@ -484,15 +484,15 @@ class ReferenceControl:
         return np.array([speed, self._fit.apex_height() - self._leg.shift_y])
 
     def _update_phase(self, contact_force: float, x: float) -> None:
-        """Moves on to the next phase where it is due."""
-        leg, layout = self._leg, self._layout
+        """Updates the phase."""
+        leg, sensors = self._leg, self._sensors
         phase = next_phase(
             self._phase,
             apex_passed=self._fit.apex_passed,
             contact_force=contact_force,
-            touchdown_force=layout.touchdown_force,
+            touchdown_force=sensors.touchdown_force,
             leg_length=leg.length,
-            takeoff_length=layout.takeoff_length,
+            takeoff_length=sensors.takeoff_length,
             hip_rate=leg.hip_rate,
         )
         if phase == Phase.COMPRESSION != self._phase:
@@ -507,7 +507,7 @@ class ReferenceControl:
         return self._speed if isnan(speed) else speed
 
     def _count_loss(self, lost_1: float, lost_2: float) -> None:
-        """Adds up the command force that limits took away while the command acted."""
+        """Adds the command force lost to limits while the command acted."""
         self._push_ticks += 1
         if lost_1 or lost_2:
             lost_x, lost_y = _lost_force(self._law, self._motion.alpha_1, self._motion.alpha_2, lost_1, lost_2)

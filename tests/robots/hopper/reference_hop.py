@@ -1,8 +1,8 @@
-"""One hop computed a second time: the paper's full systems, SciPy's DOP853 and its own search for events.
+"""Independent computation of one hop: the paper's full systems, SciPy's DOP853 and a separate search for events.
 
-Equations 4, 5 and 8 are assembled from the SymPy oracle and solved as they stand; the torque laws are
-written from Sec. 4.1 and the table of notation. Shared with `stepgap.robots.hopper` are the numbers alone: the
-robot's, the gains' and the limits in `hop` and `reduced` that say what counts as a failure.
+Equations 4, 5 and 8 are assembled from the SymPy oracle and solved in that form; the torque laws are
+written from Sec. 4.1 and the table of notation. Only numbers are shared with `stepgap.robots.hopper`: those of the
+robot and of the gains, and the limits in `hop` and `reduced` that define a failure.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from stepgap.step import StepStatus
 from tests.robots.hopper.lagrangian import oracle
 
 MOTORS = np.array([[1.0, 1.0], [1.0, -1.0]])  # generalised torques on (α₁, α₂) of the two motors
-SAMPLES = np.array([0.2, 0.4, 0.6, 0.8, 1.0])  # where in a step the guards are looked at
+SAMPLES = np.array([0.2, 0.4, 0.6, 0.8, 1.0])  # fractions of a step at which the guards are evaluated
 MOST_STEPS = 20_000
 
 Array = NDArray[Any]
@@ -72,7 +72,7 @@ class Hopper:
         return np.concatenate([[0.0, 0.0], MOTORS @ np.clip(np.linalg.solve(MOTORS, torque), -limit, limit)])
 
     def flight_rate(self, state: State) -> State:
-        """Eq. 5."""
+        """Rate in flight by Eq. 5."""
         q, qd = state[:4], state[4:]
         return np.concatenate([qd, np.linalg.solve(self.mass(q, qd), self.flight_force(state) - self.bias(q, qd))])
 
@@ -94,15 +94,15 @@ class Hopper:
         return np.concatenate([q, solution[:4]]), solution[4:]
 
     def failures(self, state: State) -> list[float]:
-        """Positive while the robot is up, and while the leg is bent."""
+        """Guards that are positive while the robot is upright, and while the leg is bent."""
         upright = min(state[1] - self.robot.top_length, LEAN_ANGLE - abs(state[2]), FOLD_ANGLE - state[3])
         return [upright, state[3] - STRETCH_ANGLE]
 
 
-def follow(
+def integrate(
     rate: Callable[[State], State], guards: Callable[[State], list[float]], state: State, limit: float
 ) -> tuple[State, int | None]:
-    """Follows the flow until a guard is no longer positive: the state there and the guard's index, or None."""
+    """Integrates until a guard is no longer positive; returns the state and the index of the guard, or None."""
     solver = DOP853(lambda _, state: rate(state), 0.0, state, limit, rtol=1e-12, atol=1e-13)
     before, last = np.array(guards(state)), 0.0
     if (before < 0).any():
@@ -146,14 +146,14 @@ def reference_hop(hopper: Hopper, start: Array, command: Array) -> tuple[StepSta
     failures = [StepStatus.FELL, StepStatus.FULL_STRETCH]
     if clearance(state) <= 0:
         return StepStatus.FOOT_SCUFFED, none
-    state, event = follow(hopper.flight_rate, falling, state, FLIGHT_LIMIT)
+    state, event = integrate(hopper.flight_rate, falling, state, FLIGHT_LIMIT)
     if event != 2:
         return [*failures, StepStatus.OK, StepStatus.NO_APEX][3 if event is None else event], none
 
     state, _ = hopper.impact(state)
     for push, sign in ((np.zeros(2), -1.0), (np.asarray(command, float), 1.0)):
         if sign * state[5] < 0:
-            continue  # the impact itself has turned the body round
+            continue  # the impact itself has reversed the vertical speed
 
         def standing(state: State, push: Array = push, sign: float = sign) -> list[float]:
             return [*hopper.failures(state), hopper.stance(state, push)[1][1], sign * state[5]]
@@ -161,7 +161,7 @@ def reference_hop(hopper: Hopper, start: Array, command: Array) -> tuple[StepSta
         def flow(state: State, push: Array = push) -> State:
             return np.concatenate([state[4:], hopper.stance(state, push)[0]])
 
-        state, event = follow(flow, standing, state, STANCE_LIMIT)
+        state, event = integrate(flow, standing, state, STANCE_LIMIT)
         if event in (0, 1):
             return failures[event], none
         if event is None or event != (3 if sign < 0 else 2):
@@ -171,7 +171,7 @@ def reference_hop(hopper: Hopper, start: Array, command: Array) -> tuple[StepSta
     if state[5] <= 0:
         return StepStatus.NO_TAKE_OFF, none
 
-    state, event = follow(hopper.flight_rate, rising, state, FLIGHT_LIMIT)
+    state, event = integrate(hopper.flight_rate, rising, state, FLIGHT_LIMIT)
     if event != 3:
         return [*failures, StepStatus.FOOT_SCUFFED, StepStatus.NO_APEX][3 if event is None else event], none
     return StepStatus.OK, np.array([state[4], state[1]])

@@ -1,4 +1,4 @@
-"""The apex map against an independent hop, and what it promises of failures, batches and threads.
+"""The apex map compared with an independent hop, and its behaviour for failures, batches and threads.
 
 `python -m benchmarks.map_accuracy` makes the same comparison on a thousand points and more.
 """
@@ -34,7 +34,7 @@ def evaluate(apex_map: ApexMap, points):
 
 
 def assert_reference_agrees(name: str, relative: float, tolerances: Tolerances = MAP.tolerances) -> None:
-    """Same status, and next states equal relative to the larger of value and half the range of use."""
+    """Asserts equal status, and next states equal relative to the larger of value and half the range."""
     case = CASES[name]
     apex_map = ApexMap(case.robot, case.gains, tolerances=tolerances)
     outcome, answers = evaluate(apex_map, case.points), stored_answers(name)
@@ -48,7 +48,7 @@ def assert_reference_agrees(name: str, relative: float, tolerances: Tolerances =
 
 
 def test_stored_answers_of_the_reference_are_its_answers() -> None:
-    """Other hops in every run; which ones stands in the message of a failure."""
+    """The hops differ in every run; the message of a failure names them."""
     rng = np.random.default_rng()
     for name in rng.choice(list(CASES), 2, replace=False):
         case, answers = CASES[name], stored_answers(name)
@@ -63,18 +63,18 @@ def test_next_apex_is_the_reference_s_to_a_millionth() -> None:
     assert_reference_agrees("range of use", 1e-6)
 
 
-def test_so_it_is_with_motors_that_saturate_in_every_hop() -> None:
+def test_the_same_with_motors_that_saturate_in_every_hop() -> None:
     weak, points = CASES["saturated motors"].robot, CASES["saturated motors"].points
     assert (np.abs(evaluate(ApexMap(weak), points).next_state - evaluate(MAP, points).next_state).max(1) > 1e-4).all()
     assert_reference_agrees("saturated motors", 1e-6)
 
 
 @pytest.mark.parametrize("name", ["soft spring", "stiff spring"])
-def test_so_it_is_with_another_leg_spring(name: str) -> None:
+def test_the_same_with_another_leg_spring(name: str) -> None:
     assert_reference_agrees(name, 1e-6)
 
 
-def test_far_outside_the_range_of_use_reasons_are_the_reference_s() -> None:
+def test_far_outside_the_ranges_the_status_is_the_reference_s() -> None:
     assert len(np.unique(evaluate(MAP, CASES["far outside"].points).status)) >= 3
     assert_reference_agrees("far outside", 3e-6)
 
@@ -83,7 +83,7 @@ def test_tight_tolerances_leave_errors_far_below_those_of_the_default() -> None:
     assert_reference_agrees("tight tolerances", 2e-10, TIGHT)
 
 
-def test_reasons_do_not_depend_on_the_tolerance() -> None:
+def test_the_status_does_not_depend_on_the_tolerance() -> None:
     points = wide_points(16, 400)
     outcome, fine = evaluate(MAP, points), evaluate(ApexMap(tolerances=TIGHT), points)
     assert (outcome.status == fine.status).all()
@@ -97,10 +97,10 @@ def test_next_state_is_nan_exactly_where_the_step_fails() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("place", range(4))
-def test_numbers_that_are_not_finite_are_invalid(place, value) -> None:
+@pytest.mark.parametrize("index", range(4))
+def test_numbers_that_are_not_finite_are_invalid(index, value) -> None:
     point = np.array([0.2, 0.58, 0.0, 0.0])
-    point[place] = value
+    point[index] = value
     next_state, status = evaluate(MAP, point)
     assert status == StepStatus.INVALID
     assert np.isnan(next_state).all()
@@ -110,7 +110,7 @@ def test_numbers_that_are_not_finite_are_invalid(place, value) -> None:
 
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 4))
-def test_any_finite_numbers_end_with_a_reason(point) -> None:
+def test_any_finite_numbers_give_a_status(point) -> None:
     next_state, status = evaluate(MAP, np.array(point))
     assert int(status) in set(StepStatus)
     assert np.isfinite(next_state).all() == (status == StepStatus.OK)
@@ -125,19 +125,19 @@ def test_any_finite_numbers_end_with_a_reason(point) -> None:
         ([0.0, 1e4, 0, 0], StepStatus.NO_APEX),  # falls for longer than the limit
     ],
 )
-def test_a_failure_has_the_reason_that_one_would_give_it(point, status) -> None:
+def test_a_failure_has_the_expected_status(point, status) -> None:
     assert evaluate(MAP, np.array(point, float)).status == status
 
 
 def test_a_leg_that_lands_longer_than_its_spring_is_pulled_off_the_ground() -> None:
-    """The spring pulls at touchdown: a ground that never pulls lets go at once."""
+    """The spring pulls at touchdown; the ground cannot pull, so the stance ends immediately."""
     case = CASES["pulling spring"]
     assert set(evaluate(ApexMap(gains=case.gains), case.points).status) == {StepStatus.NO_TAKE_OFF}
     assert_reference_agrees("pulling spring", 1e-6)
 
 
 def test_a_foot_that_the_impact_throws_off_the_ground_is_not_held_by_it() -> None:
-    """Heavy legs without a body: a stance that begins without load is over, or the ground would pull."""
+    """Heavy legs without a body: a stance that begins without load ends, because the ground cannot pull."""
     case = CASES["heavy legs"]
     assert evaluate(ApexMap(case.robot, case.gains), case.points[0]).status == StepStatus.OK
     assert_reference_agrees("heavy legs", 1e-5)
@@ -212,7 +212,7 @@ def test_jacobian_is_nan_exactly_where_the_step_fails() -> None:
     assert (np.isnan(jacobian).any(axis=(1, 2)) == np.isnan(jacobian).all(axis=(1, 2))).all()
 
 
-def test_points_that_share_their_state_give_what_each_gives_alone() -> None:
+def test_points_with_the_same_state_give_the_same_as_each_alone() -> None:
     points = points_of_use(25, 12)
     points[:, :2] = points[[0, 0, 0, 1, 2, 2, 2, 2, 0, 0, 3, 3], :2]
     points[5, 3], points[9, :2] = np.nan, np.nan

@@ -1,4 +1,4 @@
-"""With the zeros that calibration finds, the pose reads right, whatever signs, gears and zeros were before."""
+"""With the calibrated zeros the reading of the pose is correct, for any signs, gears and earlier zeros."""
 
 from dataclasses import replace
 from math import asin, sin, tau
@@ -54,7 +54,7 @@ def rigs(draw: st.DrawFn) -> RigSettings:
 
 
 def reading_of(settings: RigSettings, counts: dict[str, float]) -> HopperReading:
-    """What a rig makes of the counts of its sensors."""
+    """Reading of a rig for the counts of its sensors."""
 
     def angle(name: str) -> float:
         table = getattr(settings, name)
@@ -69,38 +69,38 @@ def reading_of(settings: RigSettings, counts: dict[str, float]) -> HopperReading
 
 @settings(deadline=None)
 @given(rigs(), poses, st.data())
-def test_the_pose_reads_right_afterwards(before: RigSettings, pose: Pose, data: st.DataObject) -> None:
-    counts = {table: float(data.draw(zeros)) for table in SENSORS}  # whatever they are at this pose
+def test_the_reading_of_the_pose_is_correct_afterwards(before: RigSettings, pose: Pose, data: st.DataObject) -> None:
+    counts = {table: float(data.draw(zeros)) for table in SENSORS}  # arbitrary counts at this pose
     reading = reading_of(before, counts)._asdict()
     found_zeros = new_zeros(before, reading, expected_reading(before, ROBOT, pose))
     if max(map(abs, found_zeros.values())) >= 2**31:
-        with pytest.raises(InputError, match="count too far"):
+        with pytest.raises(InputError, match="zeros are out of range"):
             with_zeros(before, found_zeros)
         return
     after = with_zeros(before, found_zeros)
-    layout = sensors_of(hopper_on_ethercat(after, ROBOT))
+    sensors = sensors_of(hopper_on_ethercat(after, ROBOT))
     found = reading_of(after, counts)
-    motion = HopControl(layout, ROBOT, Gains(), after.limits).look(found).motion
-    count = tau / layout.motor_counts
+    motion = HopControl(sensors, ROBOT, Gains(), after.limits).observe(found).motion
+    count = tau / sensors.motor_counts
     assert motion.alpha_1 == pytest.approx(pose.alpha_1, abs=count)
     assert motion.leg_length == pytest.approx(pose.leg_length, abs=0.25 * count)
     pitch = asin((pose.hip_height - after.pivot_height) / ROBOT.boom_length)
-    highest, lowest = (sin(pitch + part * tau / layout.boom_counts_vertical) for part in (0.51, -0.51))
+    highest, lowest = (sin(pitch + part * tau / sensors.boom_counts_vertical) for part in (0.51, -0.51))
     assert lowest <= (motion.hip_height - after.pivot_height) / ROBOT.boom_length <= highest
     assert found.boom_horizontal == 0
     assert abs(found.contact_force) <= 0.51 * abs(after.contact.newton_per_count)
 
 
 @pytest.mark.parametrize(
-    ("pose", "says"),
+    ("pose", "message"),
     [
         (Pose(0, 0.32, 0.5), "--leg-length 0.32: it must lie between 0.09 and 0.31"),
         (Pose(0, 0.09, 0.5), "--leg-length"),
         (Pose(0, 0.26, 3.0), "--height 3: the boom of 1.854 m does not reach there"),
     ],
 )
-def test_a_pose_that_cannot_be_is_refused(pose: Pose, says: str) -> None:
-    with pytest.raises(InputError, match=f"^{says}"):
+def test_an_impossible_pose_is_refused(pose: Pose, message: str) -> None:
+    with pytest.raises(InputError, match=f"^{message}"):
         expected_reading(SETTINGS, ROBOT, pose)
 
 
@@ -158,13 +158,13 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
     assert read_rig_settings(out) == with_zeros(SETTINGS, dict.fromkeys(SENSORS, 3))
 
 
-def test_a_file_that_cannot_be_changed_so_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_changed_is_refused_and_no_file_remains(tmp_path: Path) -> None:
     rig_file, out = tmp_path / "rig.toml", tmp_path / "new.toml"
     inline = 'boom_vertical = { slave = "pitch encoder", counts_per_turn = 16384 }\n'
     text = EXAMPLE.read_text("utf-8").replace('[boom_vertical]\nslave = "pitch encoder"\ncounts_per_turn = 16384\n', "")
     rig_file.write_text(inline + text, encoding="utf-8")
     settings = read_rig_settings(rig_file)
-    with pytest.raises(InputError, match="the zeros cannot be put in"):
+    with pytest.raises(InputError, match="the zeros cannot be inserted"):
         write_calibrated(rig_file, out, with_zeros(settings, dict.fromkeys(SENSORS, 3)))
     assert not out.exists()
     write_calibrated(EXAMPLE, out, with_zeros(SETTINGS, dict.fromkeys(SENSORS, 3)))

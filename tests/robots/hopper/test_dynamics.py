@@ -1,4 +1,4 @@
-"""Equations of motion, impact, torque laws and leg against derivations that share nothing with them.
+"""Equations of motion, impact, torque laws and leg compared with independent derivations.
 
 `lagrangian.oracle` is SymPy's from the links' positions; `tests.robots.hopper.tree` has MuJoCo's open tree.
 """
@@ -36,7 +36,7 @@ def random_states(seed: int, count: int = COUNT):
 
 
 def model(q, qd):
-    """Mass matrix, bias, foot Jacobian and J̇q̇ of the model, put together from their named entries."""
+    """Mass matrix, bias, foot Jacobian and J̇q̇ of the model, assembled from their named entries."""
     bar = four_bar(LEG, q[3])
     m, toe = terms(MASSES, bar, q[2], q[3], qd[2], qd[3]), foot(LEG, bar, q[2])
     mass = np.array([[m.x, 0, m.x_1, m.x_2], [0, m.y, m.y_1, m.y_2], [m.x_1, m.y_1, m.a, 0], [m.x_2, m.y_2, 0, m.d]])
@@ -48,7 +48,7 @@ def model(q, qd):
 
 
 def assert_close(found, expected, relative: float = 1e-9) -> None:
-    """Equal relative to the size of the whole array."""
+    """Asserts equality relative to the largest entry of the array."""
     found, expected = np.asarray(found), np.asarray(expected)
     assert np.abs(found - expected).max() <= relative * max(1.0, np.abs(expected).max())
 
@@ -131,7 +131,7 @@ def test_impact_stops_the_foot_and_never_adds_energy() -> None:
         assert_close(impact(m, toe, *after), after, 1e-11)  # a foot at rest has no impact
 
 
-def test_stance_torque_makes_the_force_on_the_body_that_it_means() -> None:
+def test_stance_torque_causes_the_intended_force_on_the_body() -> None:
     """A leg of almost no mass at rest: the ground returns what the torques command; the hip is pushed by it."""
     light = RobotParameters(top_mass=1e-12, bottom_mass=1e-12, top_inertia=1e-14, bottom_inertia=1e-14)
     masses, gains = masses_of(light), Gains(stiffness=700.0, rest_length=0.3)

@@ -22,7 +22,7 @@ COUNT_Y = BOOM * 2 * math.pi / 16384
 
 
 def fly(speed, apex, takeoff, gravity=5.2, tick=1e-3, quantise=False):
-    """A fit that has followed a ballistic flight until it says that the apex has passed."""
+    """Fit to a ballistic flight until the apex is detected."""
     rise = math.sqrt(2 * (apex - takeoff) / gravity)
     fit, time = FlightFit(), 0.0
     while not apex_passed(fit):
@@ -79,7 +79,7 @@ def test_joint_rates_follow_a_ramp_after_their_span():
     assert seen[4] == pytest.approx((0.5, -2.0))
 
 
-def test_readings_that_are_lost_or_late_leave_the_rates_of_a_ramp_alone():
+def test_lost_or_late_readings_do_not_change_the_rates_of_a_ramp():
     rates, now, rng = JointRates(), 0.0, np.random.default_rng(1)
     for tick in range(200):
         lost = tick > 3 and rng.random() < 0.3

@@ -1,4 +1,4 @@
-"""The compiled tick beside a slow reference in plain Python, and what makes it fit for a real-time process."""
+"""The compiled tick compared with a slow reference in plain Python, and its fitness for a real-time process."""
 
 import subprocess
 import sys
@@ -29,7 +29,7 @@ from stepgap.step import StepStatus
 from tests.robots.hopper.reference_control import ReferenceControl
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
-LAYOUT = HopperSensorModel(
+SENSORS = HopperSensorModel(
     tick=1e-3,
     boom_length=1.854,
     pivot_height=0.4,
@@ -58,14 +58,14 @@ STAGES = ((Mode.LAND, 7000, 2000), (Mode.STEP, 400, 6600), (Mode.POSTURE, 100, 2
 class Both:
     """The compiled control and the reference, ticked with the same inputs and compared."""
 
-    def __init__(self, layout, limits):
-        self.layout = layout
-        self.tested = HopControl(layout, ROBOT, GAINS, limits)
-        self.reference = ReferenceControl(layout, ROBOT, GAINS, limits)
+    def __init__(self, sensors, limits):
+        self.sensors = sensors
+        self.tested = HopControl(sensors, ROBOT, GAINS, limits)
+        self.reference = ReferenceControl(sensors, ROBOT, GAINS, limits)
         self.mode, self.applied, self.command, self.seen = Mode.STEP, (0.0, 0.0), None, set()
 
     def tick(self, reading, order, health=HEALTHY, cut=1.0):
-        """One tick, after which the motors give a part of the torque; whether both still hop."""
+        """Computes a tick, after which the motors give a part of the torque; returns whether both still hop."""
         reference = self.reference
         reference.begin_tick()
         (torque_1, torque_2), flags = self.tested.tick(reference.time, reading, order, self.applied, health)
@@ -113,13 +113,13 @@ class Both:
             found = self.tested.finished_step()
             assert_allclose(found.state, finished.state, rtol=1e-9, atol=1e-9)
             assert_allclose(found.lost, finished.lost, rtol=1e-9, atol=1e-9)
-            assert found.yaw == finished.place
+            assert found.yaw == finished.yaw
             assert_allclose(found.command, self.command or NO_COMMAND)
             self.command = None
 
 
-def test_on_the_twin_it_does_what_the_reference_does():
-    """Also where motors give less than asked, frames are lost, and the robot is let go and landed."""
+def test_on_the_twin_it_equals_the_reference():
+    """Also where motors give less than requested, frames are lost, and the robot is released and landed."""
     rng, twin = np.random.default_rng(1), Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=0.5)
     twin.connect()
     both, heights, reading = Both(twin.sensor_model, LOOSE), set(), twin.read()
@@ -138,7 +138,7 @@ def test_on_the_twin_it_does_what_the_reference_does():
 
 
 def random_reading(rng, number):
-    """A leg that is bent and stretched, and a hip that goes up and down, with noise and now and then nonsense."""
+    """Random reading of a leg that bends and stretches and a hip that moves up and down, with noise and outliers."""
     swing = np.sin(number / 90.0)
     fold, lean = 0.85 + 0.5 * swing + rng.normal(0, 0.02), rng.normal(0, 0.05)
     counts = np.array([lean + fold, lean - fold]) * 16384 / (2 * np.pi)
@@ -151,8 +151,8 @@ def random_reading(rng, number):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_random_sequences_give_what_the_reference_gives(seed):
-    rng, both = np.random.default_rng(seed), Both(LAYOUT, TIGHT if seed % 2 else LOOSE)
+def test_random_sequences_give_the_results_of_the_reference(seed):
+    rng, both = np.random.default_rng(seed), Both(SENSORS, TIGHT if seed % 2 else LOOSE)
     mode = Mode.STEP
     for number in range(4000):
         if rng.random() < 0.002:
@@ -167,8 +167,8 @@ def test_random_sequences_give_what_the_reference_gives(seed):
 @pytest.mark.parametrize("sensor", HopperReading._fields)
 @pytest.mark.parametrize("bad", [nan, inf])
 def test_a_reading_that_is_not_finite_gives_no_torque_and_changes_nothing(sensor, bad):
-    control = HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
-    before = control.look(HopperReading(100.0, -100.0, 0.0, 0.0, 0.0))
+    control = HopControl(SENSORS, ROBOT, GAINS, LOOSE)
+    before = control.observe(HopperReading(100.0, -100.0, 0.0, 0.0, 0.0))
     reading = HopperReading(100.0, -100.0, 0.0, 0.0, 0.0)._replace(**{sensor: bad})
     torques, flags = control.tick(1.0, reading, Order(Mode.STEP, 1.0, (0.0, 0.0)), (0.0, 0.0))
     assert (torques, flags) == ((0.0, 0.0), TickFlag.UNREADABLE)
@@ -176,12 +176,12 @@ def test_a_reading_that_is_not_finite_gives_no_torque_and_changes_nothing(sensor
 
 
 def flat(state):
-    """All numbers of a state."""
+    """All numbers of a state, in one sequence."""
     return [number for value in state for number in (flat(value) if isinstance(value, tuple) else [value])]
 
 
 def test_a_torque_that_is_no_number_stops_the_robot():
-    control = HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
+    control = HopControl(SENSORS, ROBOT, GAINS, LOOSE)
     order = Order(Mode.STEP, nan, (0.0, 0.0))._replace(mode=Mode.POSTURE)
     torques, flags = control.tick(0.0, HopperReading(1000.0, -1000.0, 0.0, 100.0, 0.0), order, (0.0, 0.0))
     assert torques == (0.0, 0.0)
@@ -191,7 +191,7 @@ def test_a_torque_that_is_no_number_stops_the_robot():
 
 
 def test_sums_of_powers_fit_as_well_as_all_samples():
-    """Up to a flight of a second, three times the longest of the reference."""
+    """The fits agree up to a flight of 1 s, three times the longest one of the reference."""
     rng = np.random.default_rng(2)
     for _ in range(300):
         count, duration = int(rng.integers(10, 1000)), 0.0
@@ -208,13 +208,13 @@ def test_sums_of_powers_fit_as_well_as_all_samples():
 
 
 def test_the_tick_allocates_no_memory_and_needs_no_interpreter_lock():
-    HopControl(LAYOUT, ROBOT, GAINS, LOOSE)
+    HopControl(SENSORS, ROBOT, GAINS, LOOSE)
     compiled: Any = tick
-    fresh = njit(**AS_WRITTEN)(compiled.py_func)  # code from the cache cannot be looked at
+    fresh = njit(**AS_WRITTEN)(compiled.py_func)  # code from the cache cannot be inspected
     fresh.compile(compiled.signatures[0])
     (code,) = fresh.inspect_llvm().values()
     parts = [part for part in code.split("define ") if "cpython" not in part.partition("{")[0]]
-    body = max(parts, key=len)  # but for the entrance from Python, which makes objects of the results
+    body = max(parts, key=len)  # without the wrapper for Python, which makes objects of the results
     assert "fmul" in body
     assert "alloc(" not in body.replace("alloca(", "")
     assert "NRT_" not in body
@@ -225,7 +225,7 @@ def test_two_controls_do_not_disturb_each_other():
     twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
     with RigPlant(twin, HopperControl(ROBOT, GAINS, BOUNDS)) as plant:
         plant.start()
-        HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).look(HopperReading(0.0, 0.0, 0.0, 0.0, 50.0))
+        HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).observe(HopperReading(0.0, 0.0, 0.0, 0.0, 50.0))
         assert plant.take_step(np.array([-4.0, -3.0])).status == StepStatus.OK
     fresh = HopControl(twin.sensor_model, ROBOT, GAINS, LOOSE).state
     assert_allclose(np.array(flat(fresh)), np.array(flat(HopState())))
@@ -246,6 +246,6 @@ with ThreadPoolExecutor(8) as threads:
 
 
 def test_threads_may_make_the_first_controls_at_the_same_time():
-    """As the page of a run does, which makes the motion of several deployments again at once."""
+    """The page of a run simulates several deployments at the same time."""
     made = subprocess.run([sys.executable, "-c", AT_THE_SAME_TIME], capture_output=True, text=True, check=False)
     assert (made.stdout, made.stderr) == ("8\n", "")

@@ -1,4 +1,4 @@
-"""`RealityGap`: which differences it takes."""
+"""`RealityGap`: the values of differences that it accepts."""
 
 from dataclasses import FrozenInstanceError, fields, replace
 from math import inf, nan
@@ -14,18 +14,18 @@ def test_no_gap_differs_from_a_real_machine_in_every_field_that_matters():
     none, real = RealityGap.none(), RealityGap()
     same = {field.name for field in fields(none) if getattr(none, field.name) == getattr(real, field.name)}
     kept = {"boom_pivot_height", "boom_damping_ratio", "ground_damping_ratio"}
-    assert same == kept | {"boom_drag", "ground_slope", "torque_imbalance"}, "the last are for twins of one's own"
+    assert same == kept | {"boom_drag", "ground_slope", "torque_imbalance"}, "the last ones are for other twins"
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", [nan, -inf])
-def test_refuses_what_is_no_number_and_names_it(name: str, value: float):
+def test_refuses_a_value_that_is_not_a_number_and_names_it(name: str, value: float):
     with pytest.raises(ValueError, match=rf"{name} = -?(nan|inf), but it must"):
         replace(RealityGap(), **{name: value})
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-def test_takes_infinity_only_where_it_means_rigid_exact_or_unlimited(name: str):
+def test_accepts_infinity_only_where_it_means_rigid_exact_or_unlimited(name: str):
     if name in MAY_BE_INFINITE:
         replace(RealityGap(), **{name: inf})
     else:

@@ -1,4 +1,4 @@
-"""The reduced motion of the leg against the full motion of hip and leg, and against what physics conserves."""
+"""The reduced motion compared with the full motion of hip and leg, and with conservation laws."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def parts(motion):
 
 
 def close(found, expected, relative=1e-12) -> bool:
-    """Equal relative to the size of the whole array."""
+    """Whether arrays are equal relative to their largest entry."""
     return np.abs(np.subtract(found, expected)).max() <= relative * max(1.0, np.abs(expected).max())
 
 
@@ -85,7 +85,7 @@ def test_hip_follows_from_the_leg_during_a_whole_flight(robot) -> None:
         assert close(hip_in_flight(flight, m, time, leg), hip, 1e-11)
 
 
-def test_motors_in_saturation_give_their_limit_until_the_law_asks_for_less() -> None:
+def test_saturated_motors_give_their_limit_until_the_law_requests_less() -> None:
     robot = RobotParameters(torque_limit=3.0)
     hopper, masses, law = Hopper(robot, Gains()), masses_of(robot), joint_law(robot, Gains())
     seen = set()
@@ -102,7 +102,7 @@ def test_motors_in_saturation_give_their_limit_until_the_law_asks_for_less() -> 
 
 
 def without_torque() -> JointLaw:
-    """Motors that do nothing."""
+    """Torque law of motors without torque."""
     return joint_law(RobotParameters(), Gains())._replace(
         stiffness=0.0, position_gain=0.0, damping_gain=0.0, torque_limit=1e9
     )
@@ -126,7 +126,7 @@ def test_without_torque_flight_keeps_energy(seed) -> None:
 def test_in_stance_energy_with_the_spring_is_kept_until_the_command() -> None:
     """With the motors as an ideal spring, energy + ½ K₂ (ℓ − ℓ₀)² is constant.
 
-    The toe lies off the leg axis, so the motors are a spring along it only if there is no toe.
+    The toe is not on the leg axis, so the motors are a spring along the axis only without a toe.
     """
     robot = RobotParameters(foot_length=0.0)
     masses, law, leg = masses_of(robot), joint_law(robot, Gains()), leg_of(robot)

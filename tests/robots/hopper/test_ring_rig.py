@@ -1,4 +1,4 @@
-"""The whole path through the ring, tick by tick beside direct calls of the twin."""
+"""The whole path through the ring, compared tick by tick with direct calls of the twin."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def hop(rig: Rig):
     return np.array(ticks), np.array(states)
 
 
-def test_through_the_ring_every_tick_is_that_of_direct_calls_but_for_quantisation():
+def test_through_the_ring_every_tick_equals_that_of_direct_calls_except_for_quantisation():
     ticks, states = hop(RingRig(machine, RING, SETTINGS, ROBOT))
     wanted_ticks, wanted_states = hop(DirectRing(twin(), RING, SETTINGS))
     np.testing.assert_array_equal(ticks, wanted_ticks)
@@ -59,7 +59,7 @@ def test_through_the_ring_every_tick_is_that_of_direct_calls_but_for_quantisatio
     assert np.abs(states - exact).max(axis=0) == pytest.approx([0, 0], abs=0.03), "counts change little"
 
 
-def test_a_ring_rig_can_be_had_again():
+def test_a_ring_rig_can_be_connected_again():
     rig = RingRig(machine, RING, SETTINGS, ROBOT)
     for _ in range(2):
         try:

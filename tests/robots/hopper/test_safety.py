@@ -32,12 +32,12 @@ MOTIONS = st.builds(Motion, ANY, ANY, ANY, ANY, ANY, ANY)
 
 @cache
 def record_of(limits):
-    """The limits as compiled code reads them."""
+    """The limits as a record for compiled code."""
     return as_record(limits)[0]
 
 
 def checked_torque(limits, watch, motion, health, torque_1, torque_2):
-    """The compiled check, its reason as a `Limited`."""
+    """Result of the compiled check, with its reason as a `Limited`."""
     checked = check_torque(record_of(limits), watch, motion, health, float(torque_1), float(torque_2))
     return checked._replace(limited=Limited(checked.limited))
 
@@ -47,7 +47,7 @@ def check(torque_1, torque_2, limits=LIMITS, watch=None, health=HEALTHY, **motio
 
 
 @given(ANY, ANY, MOTIONS)
-def test_whatever_comes_in_the_torque_is_finite_and_within_limits(torque_1, torque_2, motion):
+def test_for_any_input_the_torque_is_finite_and_within_limits(torque_1, torque_2, motion):
     checked = checked_torque(LIMITS, Watch(), motion, HEALTHY, torque_1, torque_2)
     assert abs(checked.torque_1) <= LIMITS.torque
     assert abs(checked.torque_2) <= LIMITS.torque
@@ -55,7 +55,7 @@ def test_whatever_comes_in_the_torque_is_finite_and_within_limits(torque_1, torq
         assert checked[:3] == (0.0, 0.0, Limited.NOT_FINITE)
 
 
-def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_for_good():
+def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_final():
     rng = np.random.default_rng(5)
     ticks, odd = 100_000, [math.nan, math.inf, -math.inf, 1e308, -1e308]
     torques = rng.normal(0, 40, (ticks, 2))
@@ -93,12 +93,12 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_for_good():
 
 
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(0.1, 2), st.floats(-50, 50), st.floats(-50, 50))
-def test_an_allowed_torque_is_written_as_asked(torque_1, torque_2, alpha_2, rate_1, rate_2):
+def test_an_allowed_torque_is_written_as_requested(torque_1, torque_2, alpha_2, rate_1, rate_2):
     checked = check(torque_1, torque_2, alpha_2=alpha_2, rate_1=rate_1, rate_2=rate_2)
     assert checked == (torque_1, torque_2, Limited.NOTHING, Watch(torque_1, torque_2))
 
 
-def test_a_fast_joint_and_a_stretched_leg_are_told():
+def test_a_fast_joint_and_a_stretched_leg_are_reported():
     assert check(1, 1, rate_1=100, rate_2=100)[:3] == (0, 0, Limited.JOINT_SPEED)
     assert Limited.JOINT_SPEED.stops
     stretching = check(-2, 4, alpha_2=0.05)  # τ₁ < τ₂ closes the top links, which stretches the leg
@@ -125,7 +125,7 @@ def test_a_robot_out_of_its_range_is_stopped(motion, reason):
     assert reason.stops
 
 
-def test_torque_steps_are_limited_from_what_was_written_last():
+def test_torque_steps_are_limited_relative_to_the_last_written_torque():
     checked = check(30, -3, TIGHT)
     assert checked[:3] == (5, -3, Limited.TORQUE_STEP)
     assert check(30, -3, TIGHT, watch=checked.watch)[:3] == (10, -3, Limited.TORQUE_STEP)
@@ -158,7 +158,7 @@ def test_one_long_delay_counts_as_all_the_ticks_it_took():
     assert check(1, 1, health=Health(late=3)).limited == Limited.LATE
 
 
-def test_motors_brake_before_torque_goes_off_where_sensors_can_be_relied_on():
+def test_motors_brake_before_torque_goes_off_where_sensors_are_reliable():
     limits, watch, torques = (
         replace(TIGHT, brake_ticks=3, brake_damping=0.5, torque_step=math.inf),
         Watch(20.0, 20.0),
@@ -170,7 +170,7 @@ def test_motors_brake_before_torque_goes_off_where_sensors_can_be_relied_on():
         torques.append(checked[:2])
         watch = checked.watch
     assert torques[:2] == [(-5.0, 1.0), (-1.0, 5.0)]
-    assert torques[2] == (0.0, 0.0), "a joint that is too fast may be an encoder that errs"
+    assert torques[2] == (0.0, 0.0), "an encoder may be wrong where a joint seems too fast"
     assert watch.stopped == Limited.HIP_HEIGHT | Limited.JOINT_SPEED
     watch = Watch(stopped=Limited.HIP_HEIGHT, braked=2)
     for braking in (True, False, False):
@@ -179,7 +179,7 @@ def test_motors_brake_before_torque_goes_off_where_sensors_can_be_relied_on():
         watch = checked.watch
 
 
-def test_a_brake_grows_by_the_largest_step_and_what_drives_a_motor_on_goes_at_once():
+def test_braking_torque_grows_by_the_largest_step_and_driving_torque_ends_at_once():
     watch, torques = Watch(38.0, -38.0), []
     for speed in (40.0, 40.0, 40.0, 40.0, 2.5, -40.0, 40.0):
         checked = check(0, 0, TIGHT, watch, rate_1=speed, hip_height=1.0)
@@ -187,7 +187,7 @@ def test_a_brake_grows_by_the_largest_step_and_what_drives_a_motor_on_goes_at_on
         watch = checked.watch
     first, second = zip(*torques, strict=True)
     assert first == (-5.0, -10.0, -15.0, -20.0, -2.0, 5.0, -5.0)
-    assert second == (-32.0, -32.0, -32.0, -32.0, -2.0, 5.0, -5.0), "it braked already, with more than it takes"
+    assert second == (-32.0, -32.0, -32.0, -32.0, -2.0, 5.0, -5.0), "it already braked with more than the needed torque"
 
 
 def test_the_emergency_stop_stops_at_once():
@@ -208,6 +208,6 @@ def test_the_emergency_stop_stops_at_once():
         ("lost_frames", 6),
     ],
 )
-def test_limits_that_limit_nothing_are_refused(name, value):
+def test_limits_without_effect_are_refused(name, value):
     with pytest.raises(ValueError, match=f"^{name} = {value}, but it must"):
         replace(LIMITS, **{name: value})

@@ -30,8 +30,8 @@ def test_ever_shorter_ticks_lead_to_the_continuous_map_in_proportion():
     assert (errors[-1] < 5e-4).all()
 
 
-def test_it_says_what_a_twin_without_gap_does_at_1_khz():
-    """Held torques are nearly all that then parts the twin from the continuous map."""
+def test_it_predicts_a_twin_without_gap_at_1_khz():
+    """Held torques cause nearly all of the difference between this twin and the continuous map."""
     robot, gains, bounds, rng = RobotParameters(), Gains(), CommandBounds(), np.random.default_rng(2)
     sampled, controller, seen, continuous, held = SampledApexMap(), StepController(CONTINUOUS), [], [], []
     with RigPlant(Twin(robot, RealityGap.none(), rng), HopperControl(robot, gains, bounds)) as plant:
@@ -42,7 +42,7 @@ def test_it_says_what_a_twin_without_gap_does_at_1_khz():
             continuous.append(CONTINUOUS(state, record.applied))
             held.append(sampled(state, record.applied))
             state = record.next_state
-    without, with_hold = (np.mean(np.subtract(seen, said), axis=0)[1] for said in (continuous, held))
+    without, with_hold = (np.mean(np.subtract(seen, model), axis=0)[1] for model in (continuous, held))
     assert without > 0.01
     assert abs(with_hold) < 0.4 * without
 
@@ -56,7 +56,7 @@ def test_a_batch_is_its_points_and_failures_have_their_reasons():
     assert np.isnan(outcome.next_state).all()
 
 
-def test_far_from_the_range_of_use_it_fails_and_never_hangs_or_gives_nan_for_ok():
+def test_far_outside_the_ranges_it_fails_and_never_hangs_or_gives_nan_for_ok():
     rng = np.random.default_rng(3)
     states, commands = rng.uniform([-3, 0.1], [3, 1.5], (300, 2)), rng.uniform(-300, 300, (300, 2))
     outcome = SampledApexMap().evaluate(states, commands)

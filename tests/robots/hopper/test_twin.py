@@ -1,4 +1,4 @@
-"""The twin against closed-form kinematics, conservation laws, the exact plastic impact and its own declared gaps."""
+"""The twin compared with closed-form kinematics, conservation laws, the exact plastic impact and its declared gaps."""
 
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
@@ -25,7 +25,7 @@ NONE = RealityGap.none()
 LENGTH = Gains().landing_length
 LANDING_ANGLE = acos((0.11**2 + LENGTH**2 - 0.2**2) / (2 * 0.11 * LENGTH))
 SILENT = {"touchdown_force", "takeoff_length"}
-"""Fields that change the layout alone."""
+"""Fields that change only the sensor model."""
 
 
 def along(angle):
@@ -89,7 +89,7 @@ def energy(q, qd):
 
 
 class Servo:
-    """Holds the top links at α₁ ± α₂; stiff enough to hop on."""
+    """Controller that holds the top links at α₁ ± α₂, stiff enough for hopping."""
 
     def __init__(self, twin: Twin, alpha_2: float = LANDING_ANGLE, stiffness: float = 20.0, damping: float = 0.4):
         self.twin, self.target = twin, np.array([alpha_2, -alpha_2])
@@ -285,15 +285,15 @@ def test_foot_lands_on_the_ground_where_it_is():
 def test_exact_counts_are_the_true_angles():
     twin = make(start_speed=0.3)
     run(twin, 400)
-    reading, state, layout = twin.read(), twin.true_state(), twin.sensor_model
-    np.testing.assert_allclose(np.array(reading[:2]) * 2 * pi / layout.motor_counts, state.leg)
-    travelled = reading.boom_horizontal * 2 * pi / layout.boom_counts_horizontal * layout.boom_length
-    pitch = reading.boom_vertical * 2 * pi / layout.boom_counts_vertical
-    height = layout.pivot_height + layout.boom_length * sin(pitch)
+    reading, state, sensors = twin.read(), twin.true_state(), twin.sensor_model
+    np.testing.assert_allclose(np.array(reading[:2]) * 2 * pi / sensors.motor_counts, state.leg)
+    travelled = reading.boom_horizontal * 2 * pi / sensors.boom_counts_horizontal * sensors.boom_length
+    pitch = reading.boom_vertical * 2 * pi / sensors.boom_counts_vertical
+    height = sensors.pivot_height + sensors.boom_length * sin(pitch)
     np.testing.assert_allclose([travelled, height], state.hip)
 
 
-def test_counts_are_whole_and_nearest():
+def test_counts_are_the_nearest_integers():
     gap = replace(NONE, motor_counts=500, boom_counts_horizontal=300, boom_counts_vertical=400)
     twin, exact = make(gap, start_speed=0.3), make(start_speed=0.3)
     for _ in range(400):
@@ -310,9 +310,9 @@ def test_boom_encoders_do_not_see_the_deflection(arc: bool):
     gap = replace(NONE, boom_arc=arc, ground_friction=0.3, boom_stiffness=2e3)
     twin = make(gap, start_height=0.42, hold=0.01)
     run(twin, 150)
-    state, layout = twin.true_state(), twin.sensor_model
-    seen = layout.pivot_height + layout.boom_length * sin(
-        twin.read().boom_vertical * 2 * pi / layout.boom_counts_vertical
+    state, sensors = twin.true_state(), twin.sensor_model
+    seen = sensors.pivot_height + sensors.boom_length * sin(
+        twin.read().boom_vertical * 2 * pi / sensors.boom_counts_vertical
     )
     assert abs(state.deflection[1]) > 1e-3
     assert state.hip[1] - seen == pytest.approx(state.deflection[1], rel=0.01)
@@ -334,7 +334,7 @@ def test_delay_and_lag_shape_the_torque():
 
 @pytest.mark.parametrize(("delay", "steps"), [(2.5e-4, 1), (5e-4, 2), (1e-3, 4), (2e-3, 8)])
 def test_the_delay_stays_the_same_however_long_the_twin_runs(delay: float, steps: int):
-    """MuJoCo's clock adds up rounding errors; they must not turn four steps of delay into five."""
+    """MuJoCo's time accumulates rounding errors; they must not turn four steps of delay into five."""
     twin = make(replace(NONE, delay=delay), tick=2.5e-4 * 4)
     model, data = twin._model, twin._data
     for seconds in (0.0, 8.5, 31.0, 64.2, 100.3, 180.1, 260.7):
@@ -352,7 +352,7 @@ def test_the_delay_stays_the_same_however_long_the_twin_runs(delay: float, steps
         assert seen.index(1.0) == steps, seconds
 
 
-def test_connecting_forgets_torques_on_their_way():
+def test_connecting_discards_delayed_torques():
     twin = make(replace(NONE, delay=3e-3, torque_lag=1e-2))
     for _ in range(10):
         twin.write((5.0, 5.0))
@@ -370,7 +370,7 @@ def test_applied_torque_is_the_limited_one():
 
 
 @pytest.mark.parametrize("memory", [0.0, 2e-3])
-def test_torque_noise_has_the_declared_spread_and_memory(memory: float):
+def test_torque_noise_has_the_declared_standard_deviation_and_correlation_time(memory: float):
     twin = make(replace(NONE, torque_noise=0.2, torque_noise_time=memory), hold=10.0)
     noise = []
     for _ in range(4000):
@@ -383,13 +383,13 @@ def test_torque_noise_has_the_declared_spread_and_memory(memory: float):
 
 def test_motors_deliver_what_imbalance_and_saturation_leave():
     twin = make(replace(NONE, torque_imbalance=0.1, torque_saturation=30.0))
-    assert twin.write((20.0, -40.0)) == (20.0, -40.0), "the drive does not know"
+    assert twin.write((20.0, -40.0)) == (20.0, -40.0), "the drive does not report it"
     np.testing.assert_allclose(
         twin._data.actuator_force, [1.1 * 30 * np.tanh(20 / 30), -0.9 * 30 * np.tanh(40 / 30)], rtol=1e-12
     )
 
 
-def test_a_motor_encoder_may_have_its_zero_elsewhere():
+def test_a_motor_encoder_may_have_an_offset():
     gap = replace(NONE, motor_offset_1=0.01, motor_offset_2=-0.02)
     shift = np.array(make(gap).read()[:2]) - make().read()[:2]
     np.testing.assert_allclose(shift * 2 * pi / make().sensor_model.motor_counts, [0.01, -0.02], rtol=1e-9)
@@ -397,7 +397,7 @@ def test_a_motor_encoder_may_have_its_zero_elsewhere():
 
 @pytest.mark.parametrize("arc", [False, True])
 def test_the_boom_bearing_takes_the_declared_momentum(arc: bool):
-    """Momentum falls by friction × time + drag × way; the two twins differ in nothing else."""
+    """Momentum decreases by friction × time + drag × distance; there is no other difference between the two twins."""
     free = replace(NONE, boom_arc=arc, ground_friction=1.0)
     braked = replace(free, boom_friction=0.3, boom_drag=0.8)
     states = []
@@ -412,7 +412,7 @@ def test_the_boom_bearing_takes_the_declared_momentum(arc: bool):
     assert lost == pytest.approx(0.3 * 0.15 + 0.8 * states[1].hip[0], rel=0.01)
 
 
-def test_a_leaning_boom_axis_pulls_around_the_circle():
+def test_a_tilted_boom_axis_accelerates_around_the_circle():
     gap = replace(NONE, boom_arc=True, ground_friction=1.0, boom_tilt=0.02)
     twin = make(gap, tick=1e-4, start_height=0.6, hold=0.02)
     uphill, downhill = (twin.fork(np.random.default_rng(0), turn) for turn in (-pi / 2, pi / 2))
@@ -430,7 +430,7 @@ def test_a_leaning_boom_axis_pulls_around_the_circle():
 # Forks
 
 
-def test_a_fork_goes_on_bit_for_bit():
+def test_a_fork_continues_bit_for_bit():
     gap = replace(RealityGap(), torque_noise=0.0, delay=3e-3)
     twin = make(gap, start_height=0.4, start_speed=0.3, hold=0.02)
     servo = Servo(twin)
@@ -444,7 +444,7 @@ def test_a_fork_goes_on_bit_for_bit():
         assert fork.true_state().qpos.tolist() == twin.true_state().qpos.tolist()
 
 
-def test_forks_repeat_each_other_where_their_noise_does_and_leave_their_origin_alone():
+def test_forks_with_equal_noise_are_equal_and_do_not_change_their_origin():
     twins = [make(RealityGap(), start_height=0.4, start_speed=0.3, hold=0.02) for _ in range(2)]
     for twin in twins:
         run(twin, 60)
@@ -453,7 +453,7 @@ def test_forks_repeat_each_other_where_their_noise_does_and_leave_their_origin_a
     assert run(twins[0], 100) == run(twins[1], 100)
 
 
-def test_a_fork_on_a_turned_floor_meets_it_where_it_is_turned_to():
+def test_a_fork_on_a_turned_floor_lands_on_the_turned_floor():
     gap = replace(NONE, boom_arc=True, ground_friction=0.5, ground_slope=0.02)
     twin = make(gap, start_height=0.5)
     ahead = twin.true_state().foot[0]  # the foot protrudes
@@ -468,15 +468,15 @@ def test_a_fork_on_a_turned_floor_meets_it_where_it_is_turned_to():
 # Rig
 
 
-def test_layout_tells_how_to_read_the_counts():
-    layout = make(RealityGap(), tick=5e-4).sensor_model
-    assert (layout.tick, layout.boom_length, layout.pivot_height) == (5e-4, 1.854, RealityGap().boom_pivot_height)
-    assert (layout.motor_counts, layout.boom_counts_horizontal, layout.boom_counts_vertical) == (16384, 5000, 16384)
-    assert (layout.touchdown_force, layout.takeoff_length) == (5.0, RealityGap().takeoff_length)
+def test_the_sensor_model_converts_the_counts():
+    sensors = make(RealityGap(), tick=5e-4).sensor_model
+    assert (sensors.tick, sensors.boom_length, sensors.pivot_height) == (5e-4, 1.854, RealityGap().boom_pivot_height)
+    assert (sensors.motor_counts, sensors.boom_counts_horizontal, sensors.boom_counts_vertical) == (16384, 5000, 16384)
+    assert (sensors.touchdown_force, sensors.takeoff_length) == (5.0, RealityGap().takeoff_length)
     assert make().sensor_model.motor_counts < inf
 
 
-def test_hip_is_held_and_then_let_go_with_the_start_speed():
+def test_hip_is_held_and_then_released_with_the_start_speed():
     twin = make(RealityGap(), start_height=0.57, start_speed=0.35, hold=0.1)
     run(twin, 99)
     held = twin.true_state()
@@ -495,14 +495,14 @@ def test_same_seed_gives_the_same_counts():
     assert first != other
 
 
-def test_connecting_again_starts_anew():
+def test_connecting_again_restarts_the_motion():
     twin = make(start_height=0.4, hold=0.02)
     first = run(twin, 300)
     twin.connect()
     assert run(twin, 300) == first
 
 
-def test_true_state_leaves_the_motion_alone():
+def test_true_state_does_not_change_the_motion():
     gap = replace(RealityGap(), ground_slope=0.02)
     watched, unwatched = (make(gap, start_height=0.4, start_speed=0.3, hold=0.02) for _ in range(2))
     servo = Servo(watched)
@@ -526,7 +526,7 @@ CHANGED = {
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(RealityGap)])
-def test_every_difference_shows(name: str):
+def test_every_difference_has_an_effect(name: str):
     gap = RealityGap()
     other = replace(gap, **{name: CHANGED.get(name, 1.5 * getattr(gap, name))})
     twin, changed = (make(each, start_height=0.4, start_speed=0.3, hold=0.02) for each in (gap, other))
@@ -544,7 +544,7 @@ def test_offset_mass_does_not_matter_in_the_plane():
 
 
 @pytest.mark.parametrize("torques", [(nan, 0.0), (0.0, inf), (-inf, inf)])
-def test_a_torque_that_is_no_number_stops_the_rig(torques: tuple[float, float]):
+def test_a_torque_that_is_not_a_number_stops_the_rig(torques: tuple[float, float]):
     twin = make(RealityGap())
     twin.write((5.0, -5.0))
     with pytest.raises(RigFault, match="finite"):
@@ -556,7 +556,7 @@ def test_a_torque_that_is_no_number_stops_the_rig(torques: tuple[float, float]):
     twin.write((0.0, 0.0))
 
 
-def test_a_motor_that_runs_away_stops_the_rig():
+def test_a_motor_that_is_too_fast_stops_the_rig():
     twin = make()
     while max(abs(twin.true_state().leg_rate)) < 400:
         twin.write((40.0, 40.0))

@@ -1,4 +1,4 @@
-"""The sensor model that is known without a twin is that of the twin."""
+"""The sensor model from the settings alone equals that of the twin."""
 
 from math import inf
 

@@ -1,4 +1,4 @@
-"""The hopper's four links as MuJoCo sees them: an open tree, closed by a tangent map derived here.
+"""The hopper's four links in MuJoCo: an open tree, closed by a tangent map that is derived here.
 
 The tree's coordinates are the hip (x, y) and four hinges: rear top, front top, and each bottom link
 against its top link. Nothing of MuJoCo's contacts, constraints or integrators is used.

@@ -1,5 +1,5 @@
-"""What a run gives to other programs.
+"""Export of a run to other programs.
 
-`columns` are its steps with units; `text`, `matlab` and `parquet` are files of them. `ticks` are files of what went on
-between the steps, `mjcf` those of the twin as a model.
+`columns` gives the steps as columns with units; `text`, `matlab` and `parquet` write them to files. `ticks` writes the
+logged ticks between the steps.
 """

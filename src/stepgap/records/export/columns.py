@@ -12,14 +12,14 @@ from stepgap.step import Quantity, StepSpace
 
 STATE_MEANINGS = {
     "": "state at the apex before the step",
-    "target_": "state wanted after the step",
+    "target_": "target state after the step",
     "next_": "state after the step, as measured; NaN after a fall",
     "predicted_": "state after the step as predicted when it began; NaN where no command was known",
     "std_": "standard deviation of that prediction",
 }
 """Meaning of a state coordinate's column, by its prefix."""
 
-COMMAND_MEANINGS = {"": "command asked", "applied_": "command the joints received, which learning uses"}
+COMMAND_MEANINGS = {"": "requested command", "applied_": "command that the joints received, which learning uses"}
 """Meaning of a command coordinate's column, by its prefix."""
 
 
@@ -28,10 +28,10 @@ class Column:
     """One column of `steps.csv`.
 
     Attributes:
-        name: As in its header.
-        unit: SI; empty for counts and for strings.
-        meaning: What the column holds, in a few words.
-        values: One for each step: integers, numbers or strings; shape (N,).
+        name: Name in the header.
+        unit: SI unit; empty for counts and for strings.
+        meaning: Short description of the content.
+        values: One value per step: integers, numbers or strings; shape (N,).
     """
 
     name: str
@@ -41,7 +41,7 @@ class Column:
 
 
 def step_columns(record: RunRecord, iteration: int | None = None) -> list[Column]:
-    """The columns of the steps of one deployment, or of all.
+    """Columns of the steps of one deployment, or of all.
 
     Raises:
         InputError: There is no such deployment.
@@ -70,9 +70,9 @@ def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
 
     return {
         "iteration": ("", "number of the deployment, from 0"),
-        "step": ("", "number of the step in it, from 1; exploratory steps come before"),
+        "step": ("", "number of the step in the deployment, from 1; exploratory steps have smaller numbers"),
         **of(space.state, STATE_MEANINGS),
         **of(space.command, COMMAND_MEANINGS),
         "yaw_after": ("rad", "yaw after the step; NaN where it is not measured"),
-        "status": ("", "how the step ended: ok, or why there was no next apex"),
+        "status": ("", "outcome of the step: ok, or the reason why there was no next apex"),
     }

@@ -15,14 +15,14 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURES, Summary
 
 LONGEST_FIELD_NAME = 63
-"""Of a field in MATLAB."""
+"""Largest length of a field's name in MATLAB."""
 
 
 def matlab_file(record: RunRecord, columns: Sequence[Column]) -> bytes:
-    """The file, with the variables `steps`, `units`, `meanings`, `settings` and `summary`.
+    """Content of the MAT-file, with the variables `steps`, `units`, `meanings`, `settings` and `summary`.
 
     Raises:
-        InputError: A column or setting has a name that MATLAB cannot have.
+        InputError: A column or setting has a name that is not allowed in MATLAB.
     """
     variables: dict[str, Any] = {
         "steps": {column.name: _column(column.values) for column in columns},
@@ -38,12 +38,12 @@ def matlab_file(record: RunRecord, columns: Sequence[Column]) -> bytes:
 
 
 def _column(values: np.ndarray) -> np.ndarray:
-    """Numbers as doubles; words as a cell array."""
+    """Converts numbers to doubles, and strings to a cell array."""
     return values.astype(object if values.dtype.kind == "U" else float)
 
 
 def _struct(table: Mapping[str, Any]) -> dict[str, Any]:
-    """TOML as structs; lists, of which no experiment has one, as cell arrays."""
+    """Converts TOML tables to structs, and lists (which no experiment has) to cell arrays."""
     return {name: _value(value) for name, value in table.items()}
 
 
@@ -58,7 +58,7 @@ def _value(value: Any) -> Any:
 
 
 def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
-    """Errors of the finished deployments as columns, one number each."""
+    """Errors of the finished deployments as columns, with one number per deployment."""
     done = summary.deployments
     count = {
         name: _column(np.array([getattr(each, name) for each in done])) for name in ("iteration", "steps", "falls")
@@ -67,12 +67,12 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
         measure: {name: np.array([each.errors[measure][i] for each in done], float) for i, name in enumerate(names)}
         for measure in MEASURES
     }
-    spread = np.full(len(names), np.nan) if summary.repeatability is None else summary.repeatability
+    noise_floor = np.full(len(names), np.nan) if summary.noise_floor is None else summary.noise_floor
     return {
         **count,
         "residual": np.array([each.residual for each in done], dtype=object),
         **errors,
-        "repeatability": dict(zip(names, spread.tolist(), strict=True)),
+        "repeatability": dict(zip(names, noise_floor.tolist(), strict=True)),
         "seed": np.nan if summary.seed is None else float(summary.seed),
         "versions": _struct(dict(summary.versions)),
     }
@@ -81,6 +81,6 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
 def _check_names(struct: Mapping[str, Any]) -> None:
     for name, value in struct.items():
         if not re.fullmatch(f"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_FIELD_NAME - 1}}}", name):
-            raise InputError(f"{name!r:.80}: MATLAB has no such names; export to csv instead")
+            raise InputError(f"{name!r:.80}: not a valid name in MATLAB; export to csv instead")
         if isinstance(value, Mapping):
             _check_names(value)

@@ -10,7 +10,7 @@ from stepgap.records.export.columns import Column
 
 
 def parquet_file(columns: Sequence[Column]) -> bytes:
-    """The file.
+    """Content of the Parquet file.
 
     Raises:
         InputError: pyarrow is not installed.

@@ -1,4 +1,4 @@
-"""Steps as text for any program: a table with one line of names, and a second table with the meanings of the names."""
+"""Steps as CSV text: a table with one line of names, and a second table with the meanings of the names."""
 
 import csv
 from collections.abc import Iterable, Sequence
@@ -8,13 +8,13 @@ from stepgap.records.export.columns import Column
 
 
 def steps_text(columns: Sequence[Column]) -> str:
-    """One line of names, then a line for each step; numbers are read back to the last bit."""
+    """Table with a line of names and a line for each step; numbers can be read back without loss."""
     rows = zip(*(column.values.tolist() for column in columns), strict=True)
     return _text([[column.name for column in columns], *rows])
 
 
 def columns_text(columns: Sequence[Column]) -> str:
-    """Name, unit and meaning of each column, a line each."""
+    """Table with name, unit and meaning of each column, one line per column."""
     return _text([["column", "unit", "meaning"], *([each.name, each.unit, each.meaning] for each in columns)])
 
 

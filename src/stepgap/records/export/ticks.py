@@ -9,21 +9,21 @@ from stepgap.plants.ticks.tick_table import TickTable
 
 
 def write_ticks(ticks: TickTable, out: Path) -> None:
-    """Writes a new file.
+    """Writes ticks into a new file.
 
     Raises:
-        TickLogError: It exists or cannot be written.
+        TickLogError: The file exists or cannot be written.
     """
     with TickLog(out, ticks.units) as log:
         try:
             log.append(ticks.rows)
         except BaseException:
-            out.unlink()  # a part of the ticks would look like all of them
+            out.unlink()  # an incomplete file would look complete
             raise
 
 
 def copy_ticks(logs: Path, out: Path) -> Iterator[str]:
-    """Copies the tick logs of a rig's run into a new folder, the intact part of truncated ones; gives a line for each.
+    """Copies the tick logs of a rig's run, or their intact parts, into a new folder; yields a message for each.
 
     Raises:
         OSError: A file cannot be read or written.

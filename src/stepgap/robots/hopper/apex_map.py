@@ -21,21 +21,21 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParamete
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 SMALLEST_SHARE = 32
-"""Fewest steps worth a thread of their own."""
+"""Smallest number of steps for which an extra thread pays off."""
 NUDGE = 8e-8
-"""How far from a point its neighbours lie that give the Jacobian [half ranges]."""
+"""Step of the finite differences that give the Jacobian, in half ranges."""
 FINER = 0.01
-"""Tolerance of stance for the Jacobian relative to that for the map: where a motor hardly saturates, it errs more."""
+"""Stance tolerance for the Jacobian relative to that for the map; errors are larger where a motor barely saturates."""
 
 
 def _packed(masses: Masses, law: JointLaw, tolerances: Tolerances) -> Array:
-    """The constants in a row: Python hands over an array ten times faster than nested tuples."""
+    """Packs the constants into one array, which Python passes ten times faster than nested tuples."""
     return np.array([*masses.leg, *masses[1:], *law[1:], *tolerances.flight, *tolerances.stance])
 
 
 @compiled
 def _unpacked(constants):
-    """(masses, law, tolerances) again."""
+    """Unpacks the constants into (masses, law, tolerances)."""
     numbers = to_fixed_tuple(constants, 24)  # pyright: ignore[reportCallIssue]  (Numba adds the first argument)
     leg, flight, stance = Leg(*numbers[:3]), Tolerance(*numbers[20:22]), Tolerance(*numbers[22:])
     return Masses(leg, *numbers[3:12]), JointLaw(leg, *numbers[12:20]), Tolerances(flight, stance)
@@ -43,7 +43,7 @@ def _unpacked(constants):
 
 @compiled
 def _same_state(points, i):
-    """Whether point i starts from the state of the one before it, so that the hop is the same up to mid-stance."""
+    """Whether point i has the state of the previous point, so that both hops are equal up to mid-stance."""
     return i > 0 and points[i, 0] == points[i - 1, 0] and points[i, 1] == points[i - 1, 1]
 
 
@@ -65,28 +65,28 @@ def _hop_all(constants, points, next_state, status):
 
 @compiled
 def _differentiate_all(constants, nudge, points, jacobian):
-    """Fills `jacobian` (n, 2, 4): neighbours at a distance `nudge` (4,) retrace the steps of each point."""
+    """Fills `jacobian` (n, 2, 4) by differences: neighbours at distance `nudge` (4,) retrace each point's steps."""
     masses, law, tolerances = _unpacked(constants)
-    way_down, way_up = make_trace(), make_trace()
+    trace_down, trace_up = make_trace(), make_trace()
     landed, middle = INVALID, (0.0, 0.0, 0.0, 0.0)
     faster, higher = middle, middle
     for i in range(points.shape[0]):
         speed, height, force_x, force_y = points[i]
         if not _same_state(points, i):
-            landed, middle = to_midstance(masses, law, tolerances, speed, height, way_down, False)
+            landed, middle = to_midstance(masses, law, tolerances, speed, height, trace_down, False)
             if landed == OK:
-                _, faster = to_midstance(masses, law, tolerances, speed + nudge[0], height, way_down, True)
-                _, higher = to_midstance(masses, law, tolerances, speed, height + nudge[1], way_down, True)
+                _, faster = to_midstance(masses, law, tolerances, speed + nudge[0], height, trace_down, True)
+                _, higher = to_midstance(masses, law, tolerances, speed, height + nudge[1], trace_down, True)
         if landed != OK:
             continue
-        status, next_speed, next_height = to_apex(masses, law, tolerances, middle, force_x, force_y, way_up, False)
+        status, next_speed, next_height = to_apex(masses, law, tolerances, middle, force_x, force_y, trace_up, False)
         if status != OK:
             continue
         starts = (faster, higher, middle, middle)
         for j in range(4):
             more_x, more_y = nudge[2] if j == 2 else 0.0, nudge[3] if j == 3 else 0.0
             _, neighbour_speed, neighbour_height = to_apex(
-                masses, law, tolerances, starts[j], force_x + more_x, force_y + more_y, way_up, True
+                masses, law, tolerances, starts[j], force_x + more_x, force_y + more_y, trace_up, True
             )
             jacobian[i, 0, j] = (neighbour_speed - next_speed) / nudge[j]
             jacobian[i, 1, j] = (neighbour_height - next_height) / nudge[j]
@@ -96,8 +96,8 @@ def _differentiate_all(constants, nudge, points, jacobian):
 class ApexMap(StepMap):
     """Map [speed, height], [fx, fy] → next [speed, height] of the physics model.
 
-    The relative error, to the value or half its range of use, is below 1e-6 with the default tolerances, also where
-    torques saturate. Large batches run on all cores.
+    With the default tolerances the error, relative to the value or to half its range, is below 1e-6, also where torques
+    saturate. Large batches run on all cores.
 
     Attributes:
         robot: The robot.
@@ -144,10 +144,10 @@ class ApexMap(StepMap):
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next apexes and status codes; state (…, 2) and command (…, 2) broadcast.
 
-        Points in a row that share their state cost little more than the second half of their hops.
+        Consecutive points with the same state share the first half of their hops.
 
         Raises:
-            ValueError: The last axis of state or command has not two numbers.
+            ValueError: The last axis of state or command does not have length 2.
         """
         points, leading = as_points(state, command)
         next_state, status = np.empty((len(points), 2)), np.empty(len(points), np.int64)
@@ -157,10 +157,10 @@ class ApexMap(StepMap):
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next speed, next height)/∂(speed, height, fx, fy); shape (…, 2, 4), NaN where the step fails.
 
-        The derivative of the flow, its events and the impact, for less than the price of five steps.
+        Includes the derivatives of the events and of the impact; costs less than five evaluations.
 
         Raises:
-            ValueError: The last axis of state or command has not two numbers.
+            ValueError: The last axis of state or command does not have length 2.
         """
         points, leading = as_points(state, command)
         jacobian = np.full((len(points), 2, 4), np.nan)
@@ -182,7 +182,7 @@ def as_points(state: ArrayLike, command: ArrayLike) -> tuple[Array, tuple[int, .
 
 
 def on_all_cores(kernel: Callable[..., None], constants: tuple[object, ...], *arrays: NDArray[Any]) -> None:
-    """Runs a kernel on shares of the arrays' first axis, each in a thread of its own."""
+    """Splits the arrays along their first axis and runs a kernel on each part in a separate thread."""
     size = len(arrays[0])
     shares = min(os.cpu_count() or 1, size // SMALLEST_SHARE) if size >= 2 * SMALLEST_SHARE else 1
     if shares == 1:

@@ -1,4 +1,4 @@
-"""The zeros of a rig's sensors, from what they count in a pose that is known."""
+"""Calibration of the sensors' zeros from their counts in a known pose."""
 
 import re
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.sensors import HopperReading
 
 MOST_COUNTS = 4
-"""By how many counts an encoder of a robot at rest may vary."""
+"""Largest variation of the encoders of a robot at rest, in counts."""
 
 SENSORS: Mapping[str, str] = MappingProxyType(
     {
@@ -35,10 +35,10 @@ SENSORS: Mapping[str, str] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the robot is, as a person has measured it; boom at yaw zero, foot without load.
+    """Pose of the robot as measured by a person, with the boom at yaw zero and no load on the foot.
 
     Attributes:
-        alpha_1: Lean of the leg α₁, forward positive [rad].
+        alpha_1: Leg angle α₁, forward positive [rad].
         leg_length: ℓ, from hip to the joint of the bottom links [m].
         hip_height: y above the ground [m].
     """
@@ -49,10 +49,10 @@ class Pose:
 
 
 def fold_angle(robot: RobotParameters, leg_length: float) -> float:
-    """α₂ [rad] at which the leg has a length [m].
+    """Angle α₂ [rad] that gives a leg length [m].
 
     Raises:
-        InputError: The leg cannot have it.
+        InputError: The leg cannot have this length.
     """
     shortest, longest = robot.folded_length, robot.stretched_length
     if not shortest < leg_length <= longest:
@@ -61,10 +61,10 @@ def fold_angle(robot: RobotParameters, leg_length: float) -> float:
 
 
 def expected_reading(settings: RigSettings, robot: RobotParameters, pose: Pose) -> dict[str, float]:
-    """What a calibrated rig reads in a pose, by field of `HopperReading`: counts from zero; contact force [N].
+    """Reading of a calibrated rig in a pose, by field of `HopperReading`: counts from zero, contact force [N].
 
     Raises:
-        InputError: The robot cannot be there.
+        InputError: The robot cannot take this pose.
     """
     alpha_2 = fold_angle(robot, pose.leg_length)
     rise = (pose.hip_height - settings.pivot_height) / robot.boom_length
@@ -80,15 +80,15 @@ def expected_reading(settings: RigSettings, robot: RobotParameters, pose: Pose) 
 
 
 def new_zeros(settings: RigSettings, reading: Mapping[str, float], expected: Mapping[str, float]) -> dict[str, int]:
-    """The zeros with which a rig reads what is expected, by table.
+    """Zeros, by table, with which the rig gives the expected reading.
 
     With counts c of a sensor and its zero z, the rig reads r = s (c − z), where s is the sign or the force of a count;
     it should read e = s (c − z'), so z' = z + (r − e) / s.
 
     Args:
-        settings: With the zeros so far.
-        reading: What the rig reads with them, by field of `HopperReading`.
-        expected: What it should read.
+        settings: Settings with the present zeros.
+        reading: Reading of the rig with these zeros, by field of `HopperReading`.
+        expected: Reading that it should give.
     """
     zeros = {}
     for table, name in SENSORS.items():
@@ -98,7 +98,7 @@ def new_zeros(settings: RigSettings, reading: Mapping[str, float], expected: Map
 
 
 def with_zeros(settings: RigSettings, zeros: Mapping[str, int]) -> RigSettings:
-    """The settings with other zeros, by table.
+    """Settings with new zeros, given by table.
 
     Raises:
         InputError: A zero is out of range.
@@ -106,16 +106,16 @@ def with_zeros(settings: RigSettings, zeros: Mapping[str, int]) -> RigSettings:
     try:
         tables = {table: replace(getattr(settings, table), zero=zero) for table, zero in zeros.items()}
     except ValueError as error:
-        raise InputError(f"the sensors count too far: {error}") from None
+        raise InputError(f"the new zeros are out of range: {error}") from None
     return replace(settings, **tables)
 
 
 def mean_reading(settings: RigSettings, ticks: Ticks) -> dict[str, float]:
-    """The mean of what was read, by field of `HopperReading`.
+    """Mean of the readings, by field of `HopperReading`.
 
     Raises:
         InputError: The robot was not at rest.
-        RigFault: The rig failed meanwhile.
+        RigFault: The rig failed while it was read.
     """
     if ticks.fault:
         raise RigFault(ticks.fault)
@@ -126,13 +126,14 @@ def mean_reading(settings: RigSettings, ticks: Ticks) -> dict[str, float]:
         span, unit = float(np.ptp(ticks.column(name))), "N" if name == "contact_force" else "counts"
         if span > most[name]:
             raise InputError(
-                f"{name} varied by {span:g} {unit}, at most {most[name]:g} are rest; hold it still and try again"
+                f"{name} varied by {span:g} {unit}, more than the {most[name]:g} of a robot at rest; "
+                "hold the robot still and try again"
             )
     return {name: float(ticks.column(name).mean()) for name in HopperReading._fields}
 
 
 def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:
-    """The text of a rig.toml with the lines `zero = …` of some tables replaced, or put in; nothing else changes."""
+    """Text of a rig.toml with the lines `zero = …` of some tables replaced or inserted; nothing else changes."""
     lines, table, missing = [], "", dict(zeros)
     for line in text.splitlines(keepends=True):
         if header := re.match(r"\s*\[+\s*([^\[\]#]*?)\s*\]", line):
@@ -152,15 +153,15 @@ def _has_zero(text: str, table: str) -> bool:
 
 
 def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:
-    """Writes a rig.toml that differs from another in its zeros alone, with the comments of that one.
+    """Writes a copy of a rig.toml, with its comments, that differs only in the zeros.
 
     Args:
-        rig_file: The other one.
-        out: The new one, which must not exist.
-        settings: With the new zeros.
+        rig_file: File to copy.
+        out: New file, which must not exist.
+        settings: Settings with the new zeros.
 
     Raises:
-        InputError: That is not possible.
+        InputError: The file cannot be written, or the zeros cannot be inserted.
     """
     zeros = {table: getattr(settings, table).zero for table in SENSORS}
     try:
@@ -176,18 +177,20 @@ def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:
     if not right:
         out.unlink()
         names = ", ".join(f"[{table}]" for table in SENSORS)
-        raise InputError(f"{rig_file}: the zeros cannot be put in; write {names} as tables of their own, a key a line")
+        raise InputError(
+            f"{rig_file}: the zeros cannot be inserted; write {names} as separate tables with one key per line"
+        )
 
 
 def describe_zeros(before: RigSettings, after: RigSettings) -> str:
-    """A table of the old and the new zeros."""
-    rows = [("", "zero so far", "new zero")]
+    """Table of the old and the new zeros, as text."""
+    rows = [("", "old zero", "new zero")]
     rows += [(table, str(getattr(before, table).zero), str(getattr(after, table).zero)) for table in SENSORS]
     return "\n".join(f"{name:16} {old:>12} {new:>12}" for name, old, new in rows)
 
 
 def check_pose(pose: Pose) -> None:
-    """Raises InputError where a number of a pose is none."""
+    """Raises InputError where a number of a pose is not finite or out of range."""
     for option, value in (
         ("--alpha-1", pose.alpha_1),
         ("--leg-length", pose.leg_length),

@@ -1,4 +1,4 @@
-"""What the twin behind an emulated ring does, without the ring: in this process, and with no rights asked for."""
+"""The twin as it behaves behind an emulated ring, called directly: no second process, no network, no special rights."""
 
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import Rig, Torques
@@ -8,18 +8,18 @@ from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.twin.twin import Twin
 
 SHORT = 2**15
-"""An analog input counts from −this up to one less."""
+"""An analog input counts from −SHORT to SHORT − 1."""
 
 
 class DirectRing(Rig):
-    """The twin called directly, tick by tick as `RingRig` moves it while the ring has no faults.
+    """The twin called directly; it moves tick by tick as behind a `RingRig` without faults.
 
     Torques and contact force are in the ring's counts, and the drives are enabled in a tick without torque.
 
     Args:
-        twin: What hops.
+        twin: The simulated robot.
         ring: Scales of torque and force.
-        settings: What the master would be told.
+        settings: Settings that the master of such a ring would use.
     """
 
     def __init__(self, twin: Twin, ring: RingSettings, settings: RigSettings):
@@ -27,27 +27,27 @@ class DirectRing(Rig):
 
     @property
     def sensor_model(self) -> HopperSensorModel:
-        """The twin's."""
+        """Sensor model of the twin."""
         return self._twin.sensor_model
 
     @property
     def limits(self) -> SafetyLimits:
-        """The settings'."""
+        """Safety limits of the settings."""
         return self._settings.limits
 
     def connect(self) -> None:
-        """The twin after the tick in which its drives are enabled."""
+        """Connects the twin and passes the tick in which the drives are enabled."""
         self._twin.connect()
         self._twin.write((0.0, 0.0))
 
     def read(self) -> HopperReading:
-        """The twin's sensor values, the contact force in counts of the analog input."""
+        """Sensor values of the twin; the contact force is rounded to counts of the analog input."""
         reading, unit = self._twin.read(), self._ring.force_resolution
         counts = min(max(round(reading.contact_force / unit), -SHORT), SHORT - 1)
         return reading._replace(contact_force=unit * counts)
 
     def write(self, torques: Torques) -> tuple[float, float]:
-        """Commands whole thousandths of the rated torque, within limits [N·m], and returns them."""
+        """Commands torques within limits, rounded to thousandths of the rated torque [N·m], and returns them."""
         motor = self._settings.motor_1
         unit, most = motor.torque_unit, motor.most_units
         units = [round(min(max(torque / unit, -most), most)) for torque in torques]
@@ -55,5 +55,5 @@ class DirectRing(Rig):
         return units[0] * unit, units[1] * unit
 
     def close(self) -> None:
-        """Torque off."""
+        """Switches torque off."""
         self._twin.close()

@@ -7,7 +7,7 @@ the paper leaves out) is
 
     L = ½ m_x ẋ² + ½ m_y ẏ² + (ẋ, ẏ)·d/dt[S u(α₁)] + ½ A α̇₁² + ½ D α̇₂² − m g y + g S cos α₁,
 
-where m is all the mass, m_x = m + I_z/R² and m_y = m + I_x/R²: the boom adds inertia, not weight.
+where m is the total mass, m_x = m + I_z/R² and m_y = m + I_x/R²: the boom adds inertia, not weight.
 Every system below reduces to two unknowns, the leg angles: in flight the hip's accelerations are
 eliminated, in stance the pinned foot gives them.
 """
@@ -26,8 +26,8 @@ class Masses(NamedTuple):
 
     Attributes:
         leg: Link lengths.
-        x: m_x, all that moves with the hip horizontally.
-        y: m_y, all that moves with the hip vertically.
+        x: m_x, the mass that moves horizontally with the hip.
+        y: m_y, the mass that moves vertically with the hip.
         weight: m g.
         gravity: g.
         knee_moment: m₁c₁ + m₂ℓ₁.
@@ -67,7 +67,7 @@ def masses_of(robot: RobotParameters) -> Masses:
 
 
 class LegInertia(NamedTuple):
-    """First moment S along the leg axis [kg·m], inertias A on α₁ and D on α₂ [kg·m²]; by α₂ derived."""
+    """First moment S along the leg axis [kg·m], inertias A on α₁ and D on α₂ [kg·m²], and derivatives by α₂."""
 
     s: float
     d_s: float
@@ -80,7 +80,7 @@ class LegInertia(NamedTuple):
 
 @compiled
 def leg_inertia(masses, bar, alpha_2):
-    """`LegInertia` of the two legs' halves together, with `bar` from `four_bar` at α₂."""
+    """`LegInertia` of both halves of the leg together, with `bar` from `four_bar` at α₂."""
     sin_2, cos_2 = np.sin(alpha_2), np.cos(alpha_2)
     sin_k = sin_2 * bar.cos_beta + cos_2 * bar.sin_beta  # knee angle α₂ + β
     cos_k = cos_2 * bar.cos_beta - sin_2 * bar.sin_beta
@@ -204,7 +204,7 @@ def stance_acceleration(m, toe, rate_1, rate_2, torque_1, torque_2):
 
 @compiled
 def impact(m, toe, speed_x, speed_y, rate_1, rate_2):
-    """Velocities (ẋ, ẏ, α̇₁, α̇₂) after the foot has come to rest (Eq. 8), from those before."""
+    """Velocities (ẋ, ẏ, α̇₁, α̇₂) after the impact that brings the foot to rest (Eq. 8), from those before."""
     p_x = m.x * speed_x + m.x_1 * rate_1 + m.x_2 * rate_2
     p_y = m.y * speed_y + m.y_1 * rate_1 + m.y_2 * rate_2
     p_1 = m.x_1 * speed_x + m.y_1 * speed_y + m.a * rate_1

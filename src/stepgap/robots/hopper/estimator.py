@@ -1,9 +1,9 @@
 """Speed and height at the apex from quantised encoders.
 
 One count of the yaw encoder is 2.3 mm of travel, so differencing it at 1 kHz would give speeds in multiples of 2.3 m/s.
-In flight, though, the motion is known up to few numbers: the centre of mass moves on a straight line in x and on a
-parabola in y. These are fitted by least squares to the whole flight so far. Sums of powers hold all that the fits need,
-so a sample is added in the same time however long the flight is.
+In flight, however, the motion has only a few unknown parameters: the centre of mass moves on a straight line in x and
+on a parabola in y. Both are fitted by least squares to the whole flight so far. The fits need only sums of powers, so
+adding a sample takes the same time at every length of the flight.
 """
 
 from math import inf
@@ -14,29 +14,29 @@ import numpy as np
 from stepgap.base.compiled import as_written
 
 APEX_DROP = 0.004
-"""How far below its highest point the hip is when the apex counts as passed [m]."""
+"""Distance of the hip below its highest point at which the apex counts as passed [m]."""
 
 SPEED_DELAY = 0.05
-"""Flight time from which on the fitted speed is used [s]."""
+"""Flight time after which the fitted speed is used [s]."""
 
 CENTRE = 0.15
-"""Time after take-off from which the times in the sums count, about the middle of an ascent [s].
+"""Origin of the times in the sums, as time after take-off [s]; about the middle of an ascent.
 
-Counted from take-off, the fourth powers would cancel each other: the height would lose two more digits.
+With take-off as the origin, cancellation among the fourth powers would cost the height two more digits.
 """
 
 LEVEL = 0.4
-"""Height from which the heights in the sums count [m]."""
+"""Origin of the heights in the sums [m]."""
 
 
 class FlightFit(NamedTuple):
     """Sums over the samples of one flight; with u = time − CENTRE and v = y − LEVEL.
 
-    Samples are of the hip with the leg's motion taken out: x + S sin α₁ / m_x and y − S cos α₁ / m_y move as a free
-    body does.
+    The samples are positions of the hip, corrected for the leg's motion: x + S sin α₁ / m_x and y − S cos α₁ / m_y
+    move as a free body does.
 
     Attributes:
-        samples: Their number.
+        samples: Number of samples.
         latest: Time of the latest sample since take-off [s].
         height: y of the latest sample [m].
         highest: Largest y of all samples [m].
@@ -68,13 +68,13 @@ class FlightFit(NamedTuple):
 
 @as_written
 def no_samples():
-    """`FlightFit` at take-off."""
+    """`FlightFit` at take-off, without samples."""
     return FlightFit(0, 0.0, 0.0, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @as_written
 def with_sample(fit, time, x, y):
-    """`FlightFit` with one more sample: time since take-off [s], x relative to take-off [m], y [m]."""
+    """`FlightFit` with a sample added: time since take-off [s], x relative to take-off [m], y [m]."""
     u, v = time - CENTRE, y - LEVEL
     u2 = u * u
     return FlightFit(
@@ -96,13 +96,13 @@ def with_sample(fit, time, x, y):
 
 @as_written
 def apex_passed(fit):
-    """Whether the hip has come down again by APEX_DROP."""
+    """Whether the hip has descended by APEX_DROP from its highest point."""
     return fit.height < fit.highest - APEX_DROP
 
 
 @as_written
 def fitted_speed(fit):
-    """Forward speed of the free body [m/s]; NaN before SPEED_DELAY, or of fewer samples than a parabola needs."""
+    """Forward speed of the free body [m/s]; NaN before SPEED_DELAY or with fewer samples than a parabola needs."""
     if fit.samples < 3 or fit.latest < SPEED_DELAY:
         return np.nan
     return (fit.samples * fit.ux - fit.u * fit.x) / (fit.samples * fit.u2 - fit.u * fit.u)
@@ -110,10 +110,10 @@ def fitted_speed(fit):
 
 @as_written
 def apex_height(fit):
-    """Highest point of the parabola fitted by least squares [m]; NaN where it has none.
+    """Highest point of the parabola fitted by least squares [m]; NaN where the parabola has no maximum.
 
     With w = u − mean(u) and W_k = Σ w^k the polynomials 1, w and w² − (W₃/W₂) w − W₂/n are orthogonal over the samples,
-    so that their coefficients follow one by one.
+    so each coefficient is computed separately.
     """
     n = fit.samples
     if n < 3:
@@ -133,19 +133,19 @@ def apex_height(fit):
 
 
 class JointRates(NamedTuple):
-    """Rates of the leg angles from motor counts, over the last two intervals between readings and the time they took.
+    """Rates of the leg angles from motor counts: differences over the last two intervals between readings.
 
-    Without a new reading they stay. Of a motion whose acceleration is at most a, they are wrong by no more than a times
-    the age of the oldest of those readings, beside what the counts round.
+    Without a new reading the rates stay as they are. For accelerations up to a, their error is at most a times the age
+    of the oldest of these readings, plus the effect of rounding to counts.
 
     Attributes:
         readings: Number of readings, counted up to 2.
-        time: Of the latest reading [s].
+        time: Time of the latest reading [s].
         alpha_1: α₁ of the latest reading [rad].
         alpha_2: α₂ of the latest reading [rad].
-        time_before: Of the reading before [s].
-        alpha_1_before: α₁ of the reading before [rad].
-        alpha_2_before: α₂ of the reading before [rad].
+        time_before: Time of the previous reading [s].
+        alpha_1_before: α₁ of the previous reading [rad].
+        alpha_2_before: α₂ of the previous reading [rad].
         rate_1: α̇₁ [rad/s], zero until there are three readings.
         rate_2: α̇₂ [rad/s].
     """
@@ -163,13 +163,13 @@ class JointRates(NamedTuple):
 
 @as_written
 def with_reading(rates, time, alpha_1, alpha_2):
-    """`JointRates` with the angles [rad] of a reading taken at a time [s]; one that is not new changes nothing."""
+    """`JointRates` updated by the angles [rad] of a reading at a time [s]; a reading that is not new has no effect."""
     rate_1, rate_2, before = rates.rate_1, rates.rate_2, rates.time_before
     readings, latest, old_1, old_2 = rates.readings, rates.time, rates.alpha_1, rates.alpha_2
     past_1, past_2 = rates.alpha_1_before, rates.alpha_2_before
     if readings == 0 or time > latest:
         if readings == 2:
-            # to the picosecond, or the time since the start would show in the last digits
+            # rounded to picoseconds, so that the last digits do not depend on the time since the start
             took = np.rint(1e12 * (time - before)) / 1e12
             rate_1, rate_2 = (alpha_1 - past_1) / took, (alpha_2 - past_2) / took
         before, past_1, past_2 = latest, old_1, old_2

@@ -1,7 +1,8 @@
 """One hop of the model: apex → touchdown → mid-stance → take-off → next apex (Fig. 2).
 
-The chain of smooth pieces and what ends each of them; `hybrid.integrator` moves along a piece of the reduced motion.
-The hop is cut at mid-stance, where the command sets in: `to_midstance` knows nothing of it, `to_apex` does the rest.
+A hop is a sequence of smooth pieces, each ended by an event; `hybrid.integrator` integrates the reduced motion of a
+piece. The hop is split at mid-stance, where the command starts to act: `to_midstance` does not depend on the command,
+`to_apex` does.
 """
 
 from typing import Any, NamedTuple
@@ -27,13 +28,13 @@ from stepgap.robots.hopper.reduced import (
 )
 from stepgap.step import StepStatus
 
-CONTACT, RISING, FALLING_OVER, STRETCHING, MOTOR_1, MOTOR_2 = range(6)  # guards, as `piece_guards` has them
+CONTACT, REVERSAL, FALLING_OVER, STRETCHING, MOTOR_1, MOTOR_2 = range(6)  # guards in the order of `piece_guards`
 
-SCUFF_DEPTH = 1e-4  # how far the foot may dip below the ground as it leaves it [m]
-FLIGHT_LIMIT, STANCE_LIMIT = 2.0, 1.0  # longest phases [s]
-MOST_PIECES = 100  # of one phase
-STANDSTILL = 1e-9  # ẏ that a body may have by rounding alone [m/s]
-FIRST_STEP = 3e-3  # tried at the start of a phase [s]
+SCUFF_DEPTH = 1e-4  # depth to which the foot may dip below the ground just after take-off [m]
+FLIGHT_LIMIT, STANCE_LIMIT = 2.0, 1.0  # longest duration of a phase [s]
+MOST_PIECES = 100  # largest number of pieces in a phase
+STANDSTILL = 1e-9  # largest ẏ caused by rounding alone [m/s]
+FIRST_STEP = 3e-3  # first integration step of a phase [s]
 
 OK = int(StepStatus.OK)
 FELL = int(StepStatus.FELL)
@@ -57,13 +58,13 @@ def _flight_rate(system, state):
 
 
 @implements(rate_and_guards, Flight)
-def _flight_observe(system, time, state):
+def _flight_rate_and_guards(system, time, state):
     motion, hip, clearance, torques = flight_motion(system, time, state)
     return motion, piece_guards(system, clearance + system.depth, hip, state, torques)
 
 
 @implements(rate_jacobian, Flight)
-def _flight_slopes(system, state, here):
+def _flight_rate_jacobian(system, state, here):
     return difference_rate_jacobian(system, state, here)
 
 
@@ -73,24 +74,24 @@ def _stance_rate(system, state):
 
 
 @implements(rate_and_guards, Stance)
-def _stance_observe(system, time, state):
+def _stance_rate_and_guards(system, time, state):
     motion, hip, force, torques = stance_motion(system, state)
     return motion, piece_guards(system, force, hip, state, torques)
 
 
 @implements(rate_jacobian, Stance)
-def _stance_slopes(system, state, here):
+def _stance_rate_jacobian(system, state, here):
     return None
 
 
 def switched(system, time, state, motor) -> Any:
-    """The system after motor 1 or 2 has begun or ceased to saturate."""
+    """System after motor 1 or 2 has started or stopped saturating."""
     raise TypeError(f"{type(system).__name__} has no motors")
 
 
 @compiled
 def _next_mode(mode, torque):
-    """Of a motor that switches while its law asks for this torque."""
+    """New mode of a motor that switches while its law requests this torque."""
     return 0.0 if mode != 0.0 else np.sign(torque)
 
 
@@ -112,7 +113,7 @@ def _stance_switched(system, time, state, motor):
 
 @compiled
 def _run_phase(system, state, time_limit, tolerance, trace, retracing):
-    """Goes on through saturation switches until the contact changes or ẏ changes sign.
+    """Integrates a phase, through saturation switches, until the contact or the sign of ẏ changes.
 
     Args:
         system: `Flight` or `Stance` with both motors obeying their laws.
@@ -123,7 +124,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
         retracing: Whether to retrace the steps of a neighbouring motion; then nothing can fail.
 
     Returns:
-        (status, event, time, state): OK and CONTACT or RISING, or a status that is common to both phases.
+        (status, event, time, state): OK and CONTACT or REVERSAL, or a status that is common to both phases.
     """
     guards, time, event, h = rate_and_guards(system, 0.0, state)[1], 0.0, BROKEN, FIRST_STEP
     if guards[MOTOR_1] <= 0.0:
@@ -136,7 +137,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
             return FELL, event, time, state
         if guards[STRETCHING] <= 0.0:
             return FULL_STRETCH, event, time, state
-        if guards[CONTACT] <= 0.0:  # the ground never pulls: a stance that begins without load ends at once
+        if guards[CONTACT] <= 0.0:  # the ground cannot pull: a stance that starts without load ends immediately
             return OK, CONTACT, time, state
     for _ in range(MOST_PIECES):
         if retracing:
@@ -146,7 +147,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
         if event != MOTOR_1 and event != MOTOR_2:
             break
         system = switched(system, time, state, 1 if event == MOTOR_1 else 2)
-    if event == CONTACT or event == RISING:
+    if event == CONTACT or event == REVERSAL:
         return OK, event, time, state
     status = FELL if event == FALLING_OVER else FULL_STRETCH if event == STRETCHING else NO_APEX
     return status, event, time, state
@@ -154,7 +155,7 @@ def _run_phase(system, state, time_limit, tolerance, trace, retracing):
 
 @compiled
 def to_midstance(masses, law, tolerances, speed, height, trace, retracing):
-    """From the apex through the impact to mid-stance, where ẏ = 0.
+    """Integrates from the apex through the impact to mid-stance, where ẏ = 0.
 
     Args:
         masses: `Masses`.
@@ -163,7 +164,7 @@ def to_midstance(masses, law, tolerances, speed, height, trace, retracing):
         speed: Forward speed at the apex ẋ [m/s]; the leg is at rest in its landing posture.
         height: Hip height at the apex y [m].
         trace: `Trace` for the steps.
-        retracing: Whether to retrace the steps it holds.
+        retracing: Whether to retrace the steps stored in it.
 
     Returns:
         (status, state): `StepStatus` as an integer, and leg angles and rates at mid-stance.
@@ -173,22 +174,22 @@ def to_midstance(masses, law, tolerances, speed, height, trace, retracing):
     state = (alpha_1, alpha_2, 0.0, 0.0)
     if not np.isfinite(speed + height):
         return INVALID, state
-    falling = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
-    if not retracing and rate_and_guards(falling, 0.0, state)[1][CONTACT] <= 0.0:
+    descent = flight_of(masses, law, -1.0, 0.0, Hip(height, speed, 0.0), state)
+    if not retracing and rate_and_guards(descent, 0.0, state)[1][CONTACT] <= 0.0:
         return FOOT_SCUFFED, state
-    status, event, time, state = _run_phase(falling, state, FLIGHT_LIMIT, tolerances.flight, trace, retracing)
+    status, event, time, state = _run_phase(descent, state, FLIGHT_LIMIT, tolerances.flight, trace, retracing)
     if status != OK or event != CONTACT:
         return status if status != OK else NO_APEX, state
 
     bar = four_bar(masses.leg, state[1])
     toe, m = foot(masses.leg, bar, state[0]), terms(masses, bar, state[0], state[1], state[2], state[3])
-    hip = hip_in_flight(falling, m, time, state)
+    hip = hip_in_flight(descent, m, time, state)
     _, speed_y, rate_1, rate_2 = impact(m, toe, hip.speed_x, hip.speed_y, state[2], state[3])
     state = (state[0], state[1], rate_1, rate_2)
     if speed_y >= 0.0:
         return OK, state
-    loading = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
-    status, event, _, state = _run_phase(loading, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
+    compression = Stance(masses, law, -1.0, 0.0, 0.0, 0.0, 0.0)
+    status, event, _, state = _run_phase(compression, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
     if status == NO_APEX or event == CONTACT:
         status = NO_TAKE_OFF
     return status, state
@@ -196,7 +197,7 @@ def to_midstance(masses, law, tolerances, speed, height, trace, retracing):
 
 @compiled
 def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retracing):
-    """From mid-stance, where the command sets in, through take-off to the next apex.
+    """Integrates from mid-stance, where the command starts to act, through take-off to the next apex.
 
     Args:
         masses: `Masses`.
@@ -206,25 +207,25 @@ def to_apex(masses, law, tolerances, state, force_x, force_y, trace, retracing):
         force_x: Forward command force [N].
         force_y: Upward command force [N].
         trace: `Trace` for the steps.
-        retracing: Whether to retrace the steps it holds.
+        retracing: Whether to retrace the steps stored in it.
 
     Returns:
         (status, next speed, next height): `StepStatus` as an integer; NaN if there is no next apex.
     """
     rewind(trace)
-    pushing = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
+    thrust = Stance(masses, law, 1.0, force_x, force_y, 0.0, 0.0)
     if not np.isfinite(force_x + force_y):
         return INVALID, np.nan, np.nan
-    status, event, _, state = _run_phase(pushing, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
-    hip = stance_motion(pushing, state)[1]
-    if status == NO_APEX or (status == OK and (event == RISING or hip.speed_y <= STANDSTILL)):
+    status, event, _, state = _run_phase(thrust, state, STANCE_LIMIT, tolerances.stance, trace, retracing)
+    hip = stance_motion(thrust, state)[1]
+    if status == NO_APEX or (status == OK and (event == REVERSAL or hip.speed_y <= STANDSTILL)):
         status = NO_TAKE_OFF
     if status != OK:
         return status, np.nan, np.nan
 
-    rising = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
-    status, event, time, state = _run_phase(rising, state, FLIGHT_LIMIT, tolerances.flight, trace, retracing)
+    ascent = flight_of(masses, law, 1.0, SCUFF_DEPTH, hip, state)
+    status, event, time, state = _run_phase(ascent, state, FLIGHT_LIMIT, tolerances.flight, trace, retracing)
     if status != OK or event == CONTACT:
         return FOOT_SCUFFED if status == OK else status, np.nan, np.nan
-    _, hip, _, _ = flight_motion(rising, time, state)
+    _, hip, _, _ = flight_motion(ascent, time, state)
     return OK, hip.speed_x, hip.height

@@ -1,4 +1,4 @@
-"""The joint control of Sec. 4.1 as a `TickControl`: what a tick of hopping remembers, and its one compiled call."""
+"""Joint control of Sec. 4.1 as a `TickControl`: the state kept from tick to tick and the compiled call for a tick."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, R
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, Torques
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.hop_state import Apex, HopState, TickSettings
-from stepgap.robots.hopper.hop_tick import broken_off, tick
+from stepgap.robots.hopper.hop_tick import interrupted_hop, tick
 from stepgap.robots.hopper.joint_control import joint_law
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -27,17 +27,17 @@ from stepgap.step import Array, StepSpace, StepStatus
 PHASES = tuple(Phase)
 
 _SCALARS = (*[float64] * 7, boolean, boolean, int64, boolean, int64, *[float64] * 5)
-"""Types of the arguments of `tick` after the arrays; whole numbers of counts are converted."""
+"""Types of the arguments of `tick` after the arrays; integer counts are converted to floats."""
 
 
 def _compile(*arrays: Array | Record) -> None:
-    """Compiles the tick for these arrays once and for all: no tick may wait for it."""
+    """Compiles the tick for these arrays in advance, because no tick may wait for compilation."""
     settings, memory, _ = map(typeof, arrays)
     wanted: Any = (
         (tick, (*map(typeof, arrays), *_SCALARS)),
-        (broken_off, (settings, memory, float64, float64)),
+        (interrupted_hop, (settings, memory, float64, float64)),
     )
-    with global_compiler_lock:  # another thread may make a controller at the same time
+    with global_compiler_lock:  # another thread may create a controller at the same time
         for function, kinds in wanted:
             if not function.signatures:
                 function.compile(kinds)
@@ -45,23 +45,23 @@ def _compile(*arrays: Array | Record) -> None:
 
 
 class HopControl(TickControl):
-    """Hops, each from apex to apex; a command acts from mid-stance to take-off.
+    """Control of the hopper tick by tick; a hop lasts from apex to apex, a command acts from mid-stance to take-off.
 
     Args:
-        layout: How to read the sensors.
-        robot: The robot the rig is taken to be.
-        gains: Joint controller.
-        limits: What the safety function allows.
+        sensor_model: Sensor model of the rig.
+        robot: Robot that the rig is assumed to be.
+        gains: Gains of the joint controller.
+        limits: Limits of the safety function.
     """
 
-    def __init__(self, layout: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
-        self._settings = as_record(TickSettings(layout, masses_of(robot), joint_law(robot, gains), limits))
+    def __init__(self, sensor_model: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
+        self._settings = as_record(TickSettings(sensor_model, masses_of(robot), joint_law(robot, gains), limits))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
         self._reading: Reading = HopperReading(0.0, 0.0, 0.0, 0.0, 0.0)
         _compile(self._settings, self._memory, self._row)
 
-    def look(self, reading: HopperReading) -> HopState:
-        """The state after a tick in which nothing is asked of the robot."""
+    def observe(self, reading: HopperReading) -> HopState:
+        """State after a tick with this reading in which the motors stay limp."""
         self.tick(0.0, reading, Order(Mode.LIMP, 0.0, NO_COMMAND), (0.0, 0.0))
         return self.state
 
@@ -72,7 +72,7 @@ class HopControl(TickControl):
 
     @property
     def state(self) -> HopState:
-        """What the next tick starts from."""
+        """State from which the next tick starts."""
         return from_record(HopState, self._memory)
 
     def tick(
@@ -84,7 +84,7 @@ class HopControl(TickControl):
         health: Health = HEALTHY,
         age: float = 0.0,
     ) -> tuple[Torques, int]:
-        """Computes a tick."""
+        """Computes one tick: torques that may be written [N·m], and flags."""
         mode, share, command = order
         self._reading = reading
         return tick(
@@ -98,9 +98,9 @@ class HopControl(TickControl):
         return row
 
     def record(self, applied: Torques) -> Tick:
-        """The last tick for whoever looks on."""
+        """Record of the last tick, for viewers."""
         row = self._row.tolist()
-        limited = Limited(int(row[13])) if row[13] else Limited.NOTHING  # to make a flag takes half a microsecond
+        limited = Limited(int(row[13])) if row[13] else Limited.NOTHING  # creating a flag takes 0.5 µs
         reading = HopperReading._make(self._reading)
         return Tick(row[0], reading, PHASES[int(row[6])], row[7], row[8], (row[9], row[10]), applied, limited)
 
@@ -111,31 +111,31 @@ class HopControl(TickControl):
         return FinishedStep(state, np.array([apex.force_x, apex.force_y]), lost, apex.yaw)
 
     def failed_step(self, applied: Torques | None) -> FinishedStep:
-        """The hop that is broken off after the last tick."""
-        force_x, force_y, *lost = broken_off(self._settings, self._memory, *(applied or (np.nan, np.nan)))
+        """The hop that was interrupted after the last tick."""
+        force_x, force_y, *lost = interrupted_hop(self._settings, self._memory, *(applied or (np.nan, np.nan)))
         return FinishedStep(np.full(2, np.nan), np.array([force_x, force_y]), np.array(lost), np.nan)
 
     @property
     def status(self) -> StepStatus:
-        """OK while the robot hops; why not, else."""
+        """OK while the robot hops, otherwise the reason why it does not."""
         return StepStatus(int(self._memory["hop"]["status"][0]))
 
     @property
     def stopped(self) -> str:
-        """Why the safety function stopped the robot."""
+        """Reasons for which the safety function stopped the robot, as text."""
         stopped = Limited(int(self._memory["watch"]["stopped"][0]))
         return ", ".join(reason.name.lower().replace("_", " ") for reason in stopped if reason.name)
 
 
 @dataclass(frozen=True)
 class HopperControl(RobotControl):
-    """How the hopper is controlled.
+    """Control of the hopper, of which a plant makes a `HopControl` for its rig.
 
     Attributes:
-        robot: The robot the rig is taken to be.
-        gains: Joint controller.
+        robot: Robot that the rig is assumed to be.
+        gains: Gains of the joint controller.
         bounds: Range of the command.
-        limits: What the safety function allows; None for what the rig says, or what this robot may in simulation.
+        limits: Limits of the safety function; None for the rig's or, if it has none, those of a simulation.
     """
 
     robot: RobotParameters
@@ -154,7 +154,7 @@ class HopperControl(RobotControl):
         return TICK_UNITS
 
     def control(self, rig: Rig) -> HopControl:
-        """The control of a rig at the beginning of a deployment, compiled."""
+        """Compiled control of a rig at the start of a deployment."""
         return self._new_control(rig)
 
     def limp_limits(self, rig: Rig) -> SafetyLimits:
@@ -162,9 +162,9 @@ class HopperControl(RobotControl):
         return self._limits_of(rig).limp()
 
     def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
-        """Pose, contact, torques and limits of a logged tick."""
+        """Description of a logged tick: pose, contact, torques and exceeded limits."""
         reading = HopperReading(*(tick[name] for name in HopperReading._fields))
-        state = HopControl(sensors_of(rig), self.robot, self.gains, self._limits_of(rig)).look(reading)
+        state = HopControl(sensors_of(rig), self.robot, self.gains, self._limits_of(rig)).observe(reading)
         motion, beyond = state.motion, Limited(state.watch.stopped)
         return {
             "phase": Phase(int(tick["phase"])).name,
@@ -181,7 +181,7 @@ class HopperControl(RobotControl):
         return HopControl(sensors_of(rig), self.robot, self.gains, self._limits_of(rig))
 
     def _limits_of(self, rig: Rig) -> SafetyLimits:
-        """The limits given, or the rig's, or those of a simulation."""
+        """Limits that were given, or the rig's, or those of a simulation."""
         limits = self.limits or rig.limits or SafetyLimits.of(self.robot)
         if not isinstance(limits, SafetyLimits):
             raise RigFault(f"the rig's limits must be the hopper's SafetyLimits, not {type(limits).__name__}")
@@ -189,10 +189,10 @@ class HopperControl(RobotControl):
 
 
 def sensors_of(rig: Rig) -> HopperSensorModel:
-    """How the counts of a hopper's rig are read.
+    """Sensor model of a hopper's rig.
 
     Raises:
-        RigFault: It is the rig of another robot.
+        RigFault: The rig is that of another robot.
     """
     if not isinstance(rig.sensor_model, HopperSensorModel):
         raise RigFault(f"the rig's sensor model must be a HopperSensorModel, not {type(rig.sensor_model).__name__}")

@@ -1,4 +1,4 @@
-"""What a tick of hopping starts from and what it remembers: named tuples, for compiled code as for Python."""
+"""Settings, inputs and state of a control tick: named tuples, for compiled code as for Python."""
 
 from typing import NamedTuple
 
@@ -18,13 +18,13 @@ STEP_TIMEOUT = 4.0
 
 
 class TickSettings(NamedTuple):
-    """All that stays the same from tick to tick.
+    """Constants of the control tick.
 
     Attributes:
-        sensor_model: How to read the sensors.
-        masses: Mass properties of the robot that the rig is taken to be.
+        sensor_model: Sensor model of the rig.
+        masses: Mass properties of the robot that the rig is assumed to be.
         law: Torque laws.
-        limits: What the safety function allows.
+        limits: Limits of the safety function.
     """
 
     sensor_model: HopperSensorModel
@@ -34,18 +34,18 @@ class TickSettings(NamedTuple):
 
 
 class TickInputs(NamedTuple):
-    """What comes from outside at one tick.
+    """Inputs of one tick.
 
     Attributes:
-        time: When the tick began, since the start [s].
-        age: By how much the reading is older than the tick [s].
+        time: Time at which the tick began, since the start [s].
+        age: Age of the reading when the tick began [s].
         motor_1, motor_2, boom_horizontal, boom_vertical: Encoder counts.
         contact_force: Ground force on the foot [N].
         frame_lost, stale, late, emergency_stop: As in `Health`.
         mode: Number of the `Mode`.
         share: As in `Order`.
         force_x, force_y: Command force [N]; NaN while there is none.
-        applied_1, applied_2: Torques that were applied since the tick before [N·m].
+        applied_1, applied_2: Torques that were applied since the previous tick [N·m].
     """
 
     time: float
@@ -68,12 +68,12 @@ class TickInputs(NamedTuple):
 
 
 class FlightState(NamedTuple):
-    """Estimate of the present flight, or of the last one.
+    """Estimate of the present or last flight.
 
     Attributes:
         start: Time of take-off [s].
         x: Distance travelled at take-off [m].
-        fit: Line and parabola through its samples.
+        fit: Line and parabola fitted to its samples.
         last_speed: Speed at the last apex [m/s], used while this flight is too short to be fitted.
     """
 
@@ -84,17 +84,17 @@ class FlightState(NamedTuple):
 
 
 class HopProgress(NamedTuple):
-    """The hop that the robot is in; it ends when the apex has just been passed.
+    """Progress of the present hop, which ends just after the apex.
 
     Attributes:
-        deadline: Time at which it has failed [s].
-        left_ground: The leg has pushed off the ground.
-        force_x: Command force that acts after mid-stance [N]; NaN until it has come.
+        deadline: Time after which the hop counts as failed [s].
+        left_ground: Whether the leg has taken off.
+        force_x: Forward command force that acts after mid-stance [N]; NaN until it is given.
         force_y: Upward command force [N].
-        thrust_ticks: Ticks in which the command acted.
-        lost_x: Sum of the command force that limits took away [N].
-        lost_y: Sum of the upward command force that limits took away [N].
-        status: Number of a `StepStatus`: 0, or why there will be no apex.
+        thrust_ticks: Number of ticks in which the command acted.
+        lost_x: Sum over ticks of the forward command force lost to limits [N].
+        lost_y: Sum over ticks of the upward command force lost to limits [N].
+        status: Number of a `StepStatus`: 0, or the reason why there will be no apex.
     """
 
     deadline: float = STEP_TIMEOUT
@@ -108,15 +108,15 @@ class HopProgress(NamedTuple):
 
 
 class Apex(NamedTuple):
-    """The last hop that ended.
+    """Result of the last hop that ended at an apex.
 
     Attributes:
-        speed: At its apex [m/s].
-        height: At its apex [m].
-        yaw: Of the boom then [rad].
-        lost_x: Command force that limits took away, on average [N].
-        lost_y: Upward command force that limits took away [N].
-        force_x: Command force that acted [N]; NaN where none came in time.
+        speed: Speed at the apex [m/s].
+        height: Height at the apex [m].
+        yaw: Yaw of the boom at the apex [rad].
+        lost_x: Mean forward command force lost to limits [N].
+        lost_y: Mean upward command force lost to limits [N].
+        force_x: Forward command force that acted [N]; NaN where none was given in time.
         force_y: Upward command force that acted [N].
     """
 
@@ -130,21 +130,21 @@ class Apex(NamedTuple):
 
 
 class HopState(NamedTuple):
-    """All that a tick hands to the next one.
+    """State that a tick passes to the next one.
 
     Attributes:
         mode: Number of the `Mode`.
         phase: Number of the `Phase`.
         sampled: Time of the latest reading [s].
-        motion: What the sensors say of the robot.
+        motion: Measured motion of leg and hip.
         rates: Estimator of the leg's rates.
         flight: Estimator of the hip's flight.
         hop: The present hop.
-        apex: The last hop that ended.
-        watch: Memory of the safety function.
-        asked_1: Torque that the law wanted of motor 1 [N·m].
-        asked_2: Torque that the law wanted of motor 2 [N·m].
-        limited: Why less was written; the number of a `Limited`.
+        apex: Result of the last hop.
+        watch: State of the safety function.
+        asked_1: Torque that the law requested of motor 1 [N·m].
+        asked_2: Torque that the law requested of motor 2 [N·m].
+        limited: Reason why the written torques differ; the number of a `Limited`.
     """
 
     mode: int = int(Mode.STEP)

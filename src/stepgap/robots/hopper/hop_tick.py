@@ -19,7 +19,7 @@ from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, FlightState, Hop
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.reduced import uprightness
 from stepgap.robots.hopper.safety import STOPS, brakes, check_torque
-from stepgap.robots.hopper.sensing import follow_flight, sense
+from stepgap.robots.hopper.sensing import sense, update_flight
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
 
@@ -52,7 +52,7 @@ def hop_tick(settings, state, inputs):
     hop = _add_lost_force(settings.law, state, inputs.applied_1, inputs.applied_2)
     sampled = state.sampled if inputs.stale else inputs.time - inputs.age  # when the sensors were read [s]
     rates, motion, body = sense(settings, state.rates, sampled, inputs)
-    flight, phase = follow_flight(settings.sensor_model, state, sampled, motion, body, inputs)
+    flight, phase = update_flight(settings.sensor_model, state, sampled, motion, body, inputs)
     hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
@@ -220,7 +220,7 @@ def tick(
 
 
 @as_written
-def broken_off(settings, memory, applied_1, applied_2):
+def interrupted_hop(settings, memory, applied_1, applied_2):
     """(fx, fy, lost fx, lost fy) of an interrupted hop [N]: the command that acted, and the part lost to torque limits.
 
     Args:

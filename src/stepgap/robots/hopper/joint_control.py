@@ -1,4 +1,4 @@
-"""The torque laws of Sec. 4.1, written once: the model, the twin and hardware run these functions.
+"""The torque laws of Sec. 4.1; the model, the twin and the hardware run these same functions.
 
 Motor 1 turns the top link at φ₁ = α₁ + α₂, motor 2 the one at φ₂ = α₁ − α₂, so generalised torques
 on (α₁, α₂) are Q = (τ₁ + τ₂, τ₁ − τ₂).
@@ -26,7 +26,7 @@ class JointLaw(NamedTuple):
 
 
 def joint_law(robot: RobotParameters, gains: Gains) -> JointLaw:
-    """The laws' constants.
+    """Constants of the torque laws.
 
     Raises:
         ValueError: A length is out of the leg's reach.
@@ -54,7 +54,7 @@ def landing_posture(law, speed):
 
 @compiled
 def flight_torque(law, alpha_1, alpha_2, rate_1, rate_2, speed):
-    """Motor torques (τ₁, τ₂) in flight [N·m], before saturation: hold the landing posture.
+    """Motor torques (τ₁, τ₂) in flight [N·m], before saturation; they hold the landing posture.
 
     Angles α₁, α₂ [rad], their rates [rad/s], forward speed of the hip [m/s]. The desired rates are
     zero.
@@ -91,5 +91,5 @@ def stance_torque(law, bar, toe, sin_1, cos_1, force_x, force_y):
 
 @compiled
 def saturate(torque, limit):
-    """The torque within ±limit."""
+    """Torque limited to ±limit."""
     return min(limit, max(-limit, torque))

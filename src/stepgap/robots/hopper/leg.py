@@ -2,7 +2,7 @@
 
 Angles are measured from the downward vertical, forward positive. The top links stand at α₁ ± α₂, the
 bottom links meet at leg length ℓ below the hip along α₁. Every bottom link leans by β against the leg
-axis. The foot prolongs the bottom link of the rear knee by ℓ₃, so it points forward of the axis.
+axis. The foot extends the bottom link of the rear knee by ℓ₃, so it points forward of the axis.
 
 With u(φ) = (sin φ, −cos φ) and n(φ) = du/dφ = (cos φ, sin φ):
     sin β = (ℓ₁/ℓ₂) sin α₂,   ℓ = ℓ₁ cos α₂ + ℓ₂ cos β,   foot − hip = r = ℓ u(α₁) + ℓ₃ u(α₁ + β).
@@ -25,7 +25,7 @@ class Leg(NamedTuple):
 
 
 def leg_of(robot: RobotParameters) -> Leg:
-    """The robot's link lengths."""
+    """Link lengths of a robot."""
     return Leg(robot.top_length, robot.bottom_length, robot.foot_length)
 
 

@@ -1,4 +1,4 @@
-"""What the hopper's motors and joints may do; `robots/hopper/safety.py` holds every torque against it."""
+"""Safety limits of the hopper's motors and joints; `robots/hopper/safety.py` applies them to every torque."""
 
 from dataclasses import dataclass, fields
 from math import inf, isnan, pi
@@ -11,11 +11,11 @@ from stepgap.robots.hopper.parameters import RobotParameters
 
 @dataclass(frozen=True, kw_only=True)
 class SafetyLimits(RigLimits):
-    """Limits and budgets; an infinite limit limits nothing, as on the twin, which nothing can break.
+    """Limits and budgets of the safety function; an infinite limit has no effect, as on the twin, which cannot break.
 
     Attributes:
         torque: Largest motor torque [N·m].
-        torque_step: Largest change of a motor torque from one tick to the next [N·m]; only what goes, goes at once.
+        torque_step: Largest change of a motor torque from one tick to the next [N·m]; torque goes off without steps.
         joint_speed: Largest speed of a top link [rad/s]; a hop of the reference stays below 40.
         stretch_angle: α₂ below which the leg may not be stretched further [rad].
         lean_angle: Largest |α₁| [rad].
@@ -24,8 +24,8 @@ class SafetyLimits(RigLimits):
         longest_leg: Largest leg length ℓ [m].
         lowest_hip: Smallest height of the hip [m].
         highest_hip: Largest height of the hip [m].
-        brake_damping: With which the motors brake when the robot leaves its bounds [N·m·s/rad].
-        brake_ticks: How long they brake before torque goes off, in ticks.
+        brake_damping: Damping of the motors that brake after the robot has left its bounds [N·m·s/rad].
+        brake_ticks: Number of ticks of braking before torque goes off.
     """
 
     torque: float
@@ -64,14 +64,14 @@ class SafetyLimits(RigLimits):
 
     @classmethod
     def of(cls, robot: RobotParameters) -> Self:
-        """The limits of a robot in simulation."""
+        """Limits of a robot in simulation."""
         return cls(torque=robot.torque_limit)
 
     def limp(self) -> Self:
-        """The limits of a robot whose motors get no torque: neither its pose nor its speed stops it, only its bus.
+        """Limits of a robot whose motors get no torque: faults of the bus stop it, but neither its pose nor its speed.
 
-        People may move the leg then, and may do so before the encoders have their zeros. Late ticks stop it no sooner
-        than limits can say.
+        A person may then move the leg, also before the encoders are calibrated. The budget of late ticks is the largest
+        possible one.
         """
         return type(self)(
             torque=self.torque,

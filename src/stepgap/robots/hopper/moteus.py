@@ -1,4 +1,4 @@
-"""The hopper on two moteus controllers, boom encoders and contact at their auxiliary ports, as `moteus.toml` says."""
+"""The hopper on two moteus controllers with boom encoders and contact at their auxiliary ports (`moteus.toml`)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 
 @dataclass(frozen=True, kw_only=True)
 class AuxContact(AuxForce):
-    """How the ground is felt.
+    """Settings of the contact force sensor.
 
     Attributes:
         touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
@@ -35,16 +35,16 @@ class AuxContact(AuxForce):
 
 @dataclass(frozen=True, kw_only=True)
 class MoteusSettings(CanSettings):
-    """The hopper's bus.
+    """Settings of the hopper's CAN bus.
 
     Attributes:
         pivot_height: Height of the boom's pivot above the ground [m].
-        motor_1: Turns the top link at α₁ + α₂.
-        motor_2: Turns the top link at α₁ − α₂.
+        motor_1: Motor of the top link at α₁ + α₂.
+        motor_2: Motor of the top link at α₁ − α₂.
         boom_horizontal: Yaw of the boom.
         boom_vertical: Pitch of the boom.
         contact: Ground force.
-        limits: What the safety function allows.
+        limits: Limits of the safety function.
     """
 
     pivot_height: float
@@ -66,24 +66,24 @@ class MoteusSettings(CanSettings):
 
     @property
     def devices(self) -> Mapping[str, CanDevice]:
-        """Both controllers, both boom encoders and the contact, in the order of a `HopperReading`."""
+        """Controllers, boom encoders and contact sensor in the order of a `HopperReading`."""
         names = ("motor_1", "motor_2", "boom_horizontal", "boom_vertical", "contact")
         return {name: getattr(self, name) for name in names}
 
     @property
     def budgets(self) -> SafetyLimits:
-        """The limits, which hold the budgets."""
+        """Safety limits, which include the budgets of lost frames and bad ticks."""
         return self.limits
 
     def reading(self, values: Sequence[float]) -> HopperReading:
-        """The values by name."""
+        """Reading whose values have names."""
         return HopperReading(*values)
 
     def sensor_model(self, boom_length: float) -> HopperSensorModel:
-        """How the counts are read; zeros and signs are already applied to them.
+        """Sensor model for counts to which zeros and signs are already applied.
 
         Args:
-            boom_length: From pivot to hip [m].
+            boom_length: Distance from pivot to hip [m].
         """
         return HopperSensorModel(
             tick=self.tick,
@@ -98,23 +98,23 @@ class MoteusSettings(CanSettings):
 
 
 def read_moteus_settings(path: Path) -> MoteusSettings:
-    """The rig that a TOML file describes.
+    """Reads the settings of a rig from a TOML file.
 
     Raises:
-        InputError: Naming file, key and what would be right.
+        InputError: A setting is wrong; the message names file, key and rule.
     """
     return build(MoteusSettings, read_toml(path, "a rig"), lambda name: f"{path}: {with_table(name)}")
 
 
 def hopper_on_moteus(settings: MoteusSettings, robot: RobotParameters) -> MoteusRig:
-    """The rig of these settings, not yet connected; the robot's boom gives its sensor model."""
+    """Rig of these settings, not yet connected; its sensor model uses the robot's boom length."""
     return MoteusRig(settings, settings.sensor_model(robot.boom_length))
 
 
 def moteus_rig_from_file(settings: Path, robot: RobotParameters) -> MoteusRig:
-    """The rig that a `moteus.toml` describes; entry point of `stepgap.rigs`.
+    """Rig described by a `moteus.toml`; entry point of `stepgap.rigs`.
 
     Raises:
-        InputError: Naming file, key and what would be right.
+        InputError: A setting is wrong; the message names file, key and rule.
     """
     return hopper_on_moteus(read_moteus_settings(settings), robot)

@@ -1,7 +1,7 @@
-"""The numbers of the robot and of its low-level controller; nowhere else is there one.
+"""Parameters of the robot and of its joint controller; they are defined only here.
 
-Those of the robot are the paper's (Sec. 3). The paper prints no gains, so ours stand here, each with
-its reason.
+The robot's parameters are those of the paper (Sec. 3). The paper prints no gains, so they are chosen
+here, each with a reason.
 """
 
 from dataclasses import dataclass, fields
@@ -31,7 +31,7 @@ class RobotParameters:
         boom_length: From the boom's pivot to the hip R [m].
         gravity: Downward acceleration g [m/s²].
         torque_limit: Largest torque of one motor [N·m]. Not in the paper: above the 30 N·m that the
-            reference needs, so that it cuts only what goes wrong.
+            reference needs, so that it acts only in case of a fault.
     """
 
     top_length: float = 0.11
@@ -73,7 +73,7 @@ class RobotParameters:
 
     @property
     def folded_length(self) -> float:
-        """Leg length ℓ with the top links folded upward [m]; the shortest there is."""
+        """Leg length ℓ with the top links folded upward [m]; the shortest possible length."""
         return self.bottom_length - self.top_length
 
 
@@ -86,15 +86,16 @@ class Gains:
         rest_length: Rest length of the virtual spring ℓ₀ [m]; below the stretched 0.31 m with room
             for the command forces.
         landing_length: Leg length in flight ℓ_des [m]. Shorter than ℓ₀: the spring lands preloaded,
-            which more than pays for the energy lost in the model's impact; the command then holds an
-            apex with fy ≈ −10 N, which leaves most of its upward range to the losses of a real robot.
+            which more than replaces the energy lost in the model's impact; the command then holds an
+            apex with fy ≈ −10 N, which leaves most of its upward range for the losses of a real robot.
         speed_gain: Landing angle per speed error K₁ [rad·s/m]; about half a stance's sweep of the
             leg per speed, so that a hop neither speeds up nor brakes.
-        speed_setpoint: Speed at which the leg lands vertically ẋ_des [m/s]. Fixed, or the map would
-            have a fifth input; with it the command holds the speeds of the reference with fx between
-            −8 and 0 N, and its largest stair down is just within one step's bounds.
-        position_gain: Leg angles in flight K_p [N·m/rad], on α₁ and on α₂.
-        damping_gain: Leg angle rates in flight K_d [N·m·s/rad].
+        speed_setpoint: Speed at which the leg lands vertically ẋ_des [m/s]. Constant, because
+            otherwise the map would have a fifth input. With this value the command holds the speeds
+            of the reference with fx between −8 and 0 N, and the largest stair down of the reference
+            can just be reached in one step.
+        position_gain: Gain on the leg angles in flight K_p [N·m/rad], on α₁ and on α₂.
+        damping_gain: Gain on the leg angle rates in flight K_d [N·m·s/rad].
     """
 
     stiffness: float = 2500.0
@@ -113,7 +114,7 @@ class Gains:
                 require(value > 0, field.name, value, "be positive")
 
     def check(self, robot: RobotParameters) -> None:
-        """Raises ValueError where a length lies outside what the robot's leg can take."""
+        """Raises ValueError where a length lies outside the range of the robot's leg."""
         for name in ("rest_length", "landing_length"):
             value = getattr(self, name)
             require(
@@ -128,7 +129,7 @@ class Gains:
 class CommandBounds:
     """Bounds of the step command: forces added after mid-stance (Sec. 4.2), [N].
 
-    Within these every apex of the reference hops (0–0.4 m/s, 0.52–0.64 m).
+    With these bounds the robot can hop at every apex of the reference (0–0.4 m/s, 0.52–0.64 m).
     """
 
     fx_lower: float = -30.0

@@ -1,4 +1,4 @@
-"""Flight or stance, from what hardware senses (Secs. 3.3, 3.4)."""
+"""Phases of a hop, detected from sensor values (Secs. 3.3, 3.4)."""
 
 from enum import IntEnum
 
@@ -6,7 +6,7 @@ from stepgap.base.compiled import as_written
 
 
 class Phase(IntEnum):
-    """Where in the hop the leg is; the command acts during THRUST, that is after mid-stance."""
+    """Phase of a hop; the command acts during THRUST, that is after mid-stance."""
 
     ASCENT = 0
     DESCENT = 1
@@ -16,13 +16,13 @@ class Phase(IntEnum):
 
 @as_written
 def next_phase(phase, apex_passed, contact_force, touchdown_force, leg_length, takeoff_length, hip_rate):
-    """The number of the phase that follows at this tick.
+    """Number of the phase at this tick, from the phase at the previous one.
 
-    A body that comes down with the foot still on the ground has not flown: the leg goes on with its thrust.
+    If the hip descends while the foot is still on the ground, the robot has not taken off, and the phase is THRUST.
 
     Args:
-        phase: Number of the present phase.
-        apex_passed: The apex of the present flight is behind.
+        phase: Number of the previous phase.
+        apex_passed: Whether the apex of the present flight has been passed.
         contact_force: Ground force on the foot [N].
         touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
         leg_length: ℓ [m].

@@ -1,6 +1,6 @@
-"""The motion of the leg alone, of which that of the hip follows: four states instead of eight, without approximation.
+"""Reduced motion: the leg's motion determines the hip's, so there are four states instead of eight, exactly.
 
-The state is (α₁, α₂, α̇₁, α̇₂). In flight nothing but weight acts from outside, so with the terms x_1 … y_2 of the mass
+The state is (α₁, α₂, α̇₁, α̇₂). In flight gravity is the only external force, so with the terms x_1 … y_2 of the mass
 matrix (`dynamics.Terms`) and the first moment S of the leg
 
     m_x ẋ + x_1 α̇₁ + x_2 α̇₂ = p_x,   m_y ẏ + y_1 α̇₁ + y_2 α̇₂ = p_y − m g t,   m_y y − S cos α₁ = z + p_y t − ½ m g t²
@@ -36,7 +36,7 @@ class Flight(NamedTuple):
         momentum_y: p_y at the start [kg·m/s].
         moment_y: z, m_y y − S cos α₁ at the start [kg·m].
         mode_1: 0 while motor 1 obeys its law, ±1 while it saturates at ±limit.
-        mode_2: The same of motor 2.
+        mode_2: The same for motor 2.
     """
 
     masses: Masses
@@ -60,7 +60,7 @@ class Stance(NamedTuple):
         force_x: Forward command force [N]; zero before mid-stance.
         force_y: Upward command force [N]; zero before mid-stance.
         mode_1: 0 while motor 1 obeys its law, ±1 while it saturates at ±limit.
-        mode_2: The same of motor 2.
+        mode_2: The same for motor 2.
     """
 
     masses: Masses
@@ -88,7 +88,7 @@ def limited(torque, mode, limit):
 
 @compiled
 def flight_of(masses, law, side, depth, hip, state):
-    """`Flight` that begins with a motion of hip and leg, both motors obeying their laws."""
+    """`Flight` that starts with this motion of hip and leg, both motors obeying their laws."""
     m = terms(masses, four_bar(masses.leg, state[1]), state[0], state[1], state[2], state[3])
     return Flight(
         masses,
@@ -151,16 +151,16 @@ def stance_motion(system, state):
 
 @compiled
 def uprightness(leg, height, alpha_1, alpha_2):
-    """Positive until the robot has fallen: hip low enough for a knee to touch, leg far over, or leg collapsed.
+    """Guard that is positive until the robot has fallen: a knee touches the ground, or the leg leans or folds too far.
 
-    Hip height [m], leg angles [rad].
+    Takes the hip height [m] and the leg angles [rad].
     """
     return min(height - leg.top, LEAN_ANGLE - abs(alpha_1), FOLD_ANGLE - alpha_2)
 
 
 @compiled
 def piece_guards(system, contact, hip, state, torques):
-    """What stays positive within a piece: contact, ±ẏ, uprightness, bend of the leg, mode of either motor."""
+    """Guards, positive within a piece: contact, ±ẏ, uprightness, bend of the leg, mode of either motor."""
     return (
         *body_guards(system, contact, hip, state),
         _motor_guard(torques[0], system.mode_1, system.law.torque_limit),
@@ -170,7 +170,7 @@ def piece_guards(system, contact, hip, state, torques):
 
 @compiled
 def body_guards(system, contact, hip, state):
-    """What stays positive within a piece whatever the motors do: contact, ±ẏ, uprightness, bend of the leg."""
+    """Guards that do not depend on the motors, positive within a piece: contact, ±ẏ, uprightness, bend of the leg."""
     upright = uprightness(system.masses.leg, hip.height, state[0], state[1])
     return contact, system.side * hip.speed_y, upright, state[1] - STRETCH_ANGLE
 

@@ -1,4 +1,4 @@
-"""The twin behind an emulated ring as a `Rig`: the whole path of a robot on EtherCAT, tried without hardware."""
+"""The twin behind an emulated ring as a `Rig`: the whole path of a robot on EtherCAT without hardware."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -20,10 +20,10 @@ INTERFACE = "stepgap0"
 """Name of the network interface that a master opens."""
 
 PATIENT_REPLY = 0.2
-"""How long a frame of a ring in lock-step is waited for [s]; its time stands still meanwhile."""
+"""Timeout for a frame of a ring in lock-step [s]; its simulated time stands still while a frame is awaited."""
 
 PATIENT_WATCHDOG = 0.5
-"""The longest; a ring in lock-step counts its own ticks."""
+"""Watchdog time of a ring in lock-step [s], the longest allowed; such a ring counts its own ticks."""
 
 _DEVICES = (
     ("drive_1", ELMO_GOLD, "elmo-cst"),
@@ -33,58 +33,58 @@ _DEVICES = (
     ("boom_vertical", ENCODER_IDENTITY, "beckhoff-el5151"),
     ("contact_force", ANALOG_IDENTITY, "analog-input"),
 )
-"""The slaves of `ring.robot_devices` and their sets of PDOs."""
+"""Slaves of `hopper_devices` and their sets of PDOs."""
 
 
 def emulated_settings(
-    layout: HopperSensorModel, robot: RobotParameters, ring: RingSettings, interface: str = INTERFACE
+    sensor_model: HopperSensorModel, robot: RobotParameters, ring: RingSettings, interface: str = INTERFACE
 ) -> RigSettings:
-    """What `rig.toml` says of an emulated ring, whose encoders all count from zero, forward positive.
+    """Settings, as in a `rig.toml`, of an emulated ring whose encoders count from zero, forward positive.
 
     Args:
-        layout: Of the twin behind the ring.
-        robot: Whose torque limit the motors have, as far as the drives give it.
-        ring: How the ring is made up.
-        interface: That a master opens.
+        sensor_model: Sensor model of the twin behind the ring.
+        robot: Robot whose torque limit the motors have, as far as the drives allow.
+        ring: Settings of the ring.
+        interface: Network interface that the master opens.
     """
     rated = ring.rated_torque / 1000
     most = min(robot.torque_limit, rated * ring.largest_torque / 1000)
 
     def motor(slave: str) -> Motor:
-        return Motor(slave=slave, counts_per_turn=layout.motor_counts, rated_torque=rated, torque_limit=most)
+        return Motor(slave=slave, counts_per_turn=sensor_model.motor_counts, rated_torque=rated, torque_limit=most)
 
     return RigSettings(
         interface=interface,
-        pivot_height=layout.pivot_height,
+        pivot_height=sensor_model.pivot_height,
         slaves=tuple(
             Slave(name=name, vendor=identity.vendor, product=identity.product, pdos=pdos)
             for name, identity, pdos in _DEVICES
         ),
         motor_1=motor("drive_1"),
         motor_2=motor("drive_2"),
-        boom_horizontal=Encoder(slave="boom_horizontal", counts_per_turn=layout.boom_counts_horizontal),
-        boom_vertical=Encoder(slave="boom_vertical", counts_per_turn=layout.boom_counts_vertical),
+        boom_horizontal=Encoder(slave="boom_horizontal", counts_per_turn=sensor_model.boom_counts_horizontal),
+        boom_vertical=Encoder(slave="boom_vertical", counts_per_turn=sensor_model.boom_counts_vertical),
         contact=Contact(
             slave="contact_force",
             newton_per_count=ring.force_resolution,
-            touchdown_force=layout.touchdown_force,
-            takeoff_length=layout.takeoff_length,
+            touchdown_force=sensor_model.touchdown_force,
+            takeoff_length=sensor_model.takeoff_length,
         ),
-        limits=SafetyLimits(torque=most, lost_frames=5, stale_ticks=5, late_ticks=40),  # nothing here can break
-        tick=layout.tick,
-        reply_timeout=PATIENT_REPLY if ring.lock_step else layout.tick / 2,
+        limits=SafetyLimits(torque=most, lost_frames=5, stale_ticks=5, late_ticks=40),  # a simulation cannot break
+        tick=sensor_model.tick,
+        reply_timeout=PATIENT_REPLY if ring.lock_step else sensor_model.tick / 2,
         watchdog=PATIENT_WATCHDOG if ring.lock_step else 0.05,
     )
 
 
 class RingRig(Rig):
-    """A machine behind an emulated ring that runs in a process of its own while the rig is connected.
+    """A machine behind an emulated ring that runs in a separate process while the rig is connected.
 
     Args:
-        make_machine: Makes what the drives move, in that process; it must be possible to pickle it.
-        ring: How the ring is made up and how it passes frames.
-        settings: What the master is told of it.
-        robot: Its boom gives the layout.
+        make_machine: Makes the machine that the drives move, in that process; must be picklable.
+        ring: Settings of the ring and of the way it passes frames.
+        settings: Settings of the master.
+        robot: Robot whose boom length the sensor model uses.
     """
 
     def __init__(
@@ -96,12 +96,12 @@ class RingRig(Rig):
 
     @property
     def sensor_model(self) -> HopperSensorModel:
-        """How to read the counts."""
+        """Sensor model of the settings."""
         return self._sensor_model
 
     @property
     def limits(self) -> SafetyLimits:
-        """The settings'."""
+        """Safety limits of the settings."""
         return self._settings.limits
 
     @property
@@ -110,10 +110,10 @@ class RingRig(Rig):
         return self._rig.health
 
     def connect(self) -> None:
-        """Starts the ring, its machine in its starting pose, and brings it up as a real one.
+        """Starts the ring with its machine in the starting pose, and brings the bus up like a real one.
 
         Raises:
-            RigFault: There can be no ring here, with what to do about it; or as for `EthercatRig`.
+            RigFault: No ring can run on this computer (the message gives the remedy), or as for `EthercatRig`.
         """
         self.close()
         try:
@@ -124,13 +124,13 @@ class RingRig(Rig):
         self._running.enter_context(self._rig)
 
     def read(self) -> Reading:
-        """As `EthercatRig.read`."""
+        """Reads the sensors as `EthercatRig.read` does."""
         return self._rig.read()
 
     def write(self, torques: Torques) -> Torques:
-        """As `EthercatRig.write`."""
+        """Writes the torques as `EthercatRig.write` does."""
         return self._rig.write(torques)
 
     def close(self) -> None:
-        """No torque, bus and ring ended; may be called twice."""
+        """Switches torque off and ends bus and ring; may be called twice."""
         self._running.close()

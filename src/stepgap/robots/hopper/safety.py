@@ -1,7 +1,7 @@
-"""What may be written to the motors: one pure function between the controller and every rig.
+"""Safety function: one pure function between the controller and every rig limits the torques.
 
-This is software: it cannot help when the computer hangs. What must stop a motor then is the drives' watchdog, and for
-people's safety a contactor or the drives' STO input.
+This is software, which cannot act when the computer hangs. In that case the drives' watchdog must stop the motors; for
+the safety of people a contactor or the drives' STO input is needed.
 """
 
 from enum import IntFlag
@@ -12,7 +12,7 @@ from stepgap.base.compiled import as_written
 
 
 class Limited(IntFlag):
-    """Why a torque was not written as asked."""
+    """Reasons why a torque was not written as requested."""
 
     NOTHING = 0
     NOT_FINITE = 1
@@ -30,20 +30,20 @@ class Limited(IntFlag):
 
     @property
     def stops(self) -> bool:
-        """The deployment must end."""
-        return bool(self & ~KEEPS_ON)
+        """Whether the deployment must end."""
+        return bool(self & ~CHANGES_TORQUE)
 
 
-KEEPS_ON = Limited.TORQUE | Limited.TORQUE_STEP | Limited.STRETCH
-"""What only changes the torques; all else stops."""
+CHANGES_TORQUE = Limited.TORQUE | Limited.TORQUE_STEP | Limited.STRETCH
+"""Reasons that only change the torques; all others stop the robot."""
 
 BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited.LATE
-"""Stops at which sensors and drives can still be relied on, so that the motors brake before torque goes off.
+"""Reasons to stop with sensors and drives that are still reliable, so that the motors brake before torque goes off.
 
-A joint that is too fast is not among them: its encoder may have the wrong sign, and braking by it would accelerate.
+A joint that is too fast is not among them: its encoder may have the wrong sign, so that braking would accelerate it.
 """
 
-# Numba compiles no flags, so compiled code has their numbers.
+# Numba does not compile flags, so compiled code uses their numbers.
 _NOT_FINITE = int(Limited.NOT_FINITE)
 _TORQUE = int(Limited.TORQUE)
 _JOINT_SPEED = int(Limited.JOINT_SPEED)
@@ -57,12 +57,12 @@ _STALE = int(Limited.STALE)
 _LATE = int(Limited.LATE)
 _EMERGENCY_STOP = int(Limited.EMERGENCY_STOP)
 _BRAKED = int(BRAKED)
-STOPS = int(Limited(sum(Limited)) & ~KEEPS_ON)
-"""Bits of all reasons that stop."""
+STOPS = int(Limited(sum(Limited)) & ~CHANGES_TORQUE)
+"""Bits of all reasons that stop the robot."""
 
 
 class Motion(NamedTuple):
-    """What the sensors say of the robot.
+    """Measured motion of leg and hip.
 
     Attributes:
         alpha_1: Mean angle of the top links α₁ [rad].
@@ -82,16 +82,16 @@ class Motion(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """What the check remembers from tick to tick; a new one starts with motors limp.
+    """State of the safety function; a new one starts with limp motors.
 
     Attributes:
         torque_1: Last torque of motor 1 [N·m].
         torque_2: Last torque of motor 2 [N·m].
-        lost: Frames lost in a row.
-        stale: Stale readings in a row.
-        late: Ticks missed in a row.
-        stopped: Why the motors brake or are off for good; the number of a `Limited`.
-        braked: Ticks since then.
+        lost: Number of frames lost in a row.
+        stale: Number of stale readings in a row.
+        late: Number of ticks missed in a row.
+        stopped: Reasons why the motors brake or stay off; the number of a `Limited`.
+        braked: Number of ticks since the stop.
     """
 
     torque_1: float = 0.0
@@ -104,7 +104,7 @@ class Watch(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """Torques that may be written [N·m], why they differ from those asked, and the watch for the next tick.
+    """Torques that may be written [N·m], why they differ from the requested ones, and the watch for the next tick.
 
     The reason is the number of a `Limited`.
     """
@@ -117,15 +117,15 @@ class Checked(NamedTuple):
 
 @as_written
 def check_torque(limits, watch, motion, health, torque_1, torque_2):
-    """Limits the torques. Where something is wrong, and from then on, they brake for a while or are zero.
+    """Limits the torques; after a fault they brake for a while and then stay zero.
 
     Args:
-        limits: What is allowed; fields as in `SafetyLimits`.
-        watch: Of the tick before; fields as in `Watch`.
-        motion: Of this tick; fields as in `Motion`.
-        health: Of this tick; fields as in `Health`.
-        torque_1: Torque asked of motor 1 [N·m].
-        torque_2: Torque asked of motor 2 [N·m].
+        limits: Limits; fields as in `SafetyLimits`.
+        watch: Watch of the previous tick; fields as in `Watch`.
+        motion: Motion at this tick; fields as in `Motion`.
+        health: Health at this tick; fields as in `Health`.
+        torque_1: Torque requested of motor 1 [N·m].
+        torque_2: Torque requested of motor 2 [N·m].
 
     Returns:
         `Checked`.
@@ -148,7 +148,7 @@ def check_torque(limits, watch, motion, health, torque_1, torque_2):
 
 @as_written
 def brakes(limits, watch):
-    """Whether a stopped robot's motors still brake."""
+    """Whether the motors of a stopped robot still brake."""
     return _brakes(limits, watch.stopped, watch.braked)
 
 
@@ -159,7 +159,7 @@ def _brakes(limits, stopped, braked):
 
 @as_written
 def _brake(limits, before, speed):
-    """Torque against a motor's turning, within limits [N·m]: what drives it on goes at once, a brake grows."""
+    """Torque against a motor's rotation, within limits [N·m]; driving torque ends immediately, braking torque grows."""
     brake = _within(limits.torque, -limits.brake_damping * speed, 0.0)
     start = before if before * brake > 0 else 0.0
     return _within(abs(brake), _within(limits.torque_step, brake, start), 0.0)
@@ -167,7 +167,7 @@ def _brake(limits, before, speed):
 
 @as_written
 def _within_limits(limits, watch, alpha_2, torque_1, torque_2):
-    """The torques within what is allowed [N·m], and why they differ from those asked."""
+    """Returns the torques within limits [N·m], and why they differ from the requested ones."""
     limited, most, step = 0, limits.torque, limits.torque_step
     if alpha_2 < limits.stretch_angle and torque_1 < torque_2:
         torque_1 = torque_2 = 0.5 * (torque_1 + torque_2)
@@ -183,13 +183,13 @@ def _within_limits(limits, watch, alpha_2, torque_1, torque_2):
 
 @as_written
 def _within(most, value, centre):
-    """The value, or what is nearest to it no farther than `most` from the centre."""
+    """The value, limited to a distance of `most` from the centre."""
     return min(centre + most, max(centre - most, value))
 
 
 @as_written
 def _out_of_range(limits, motion, torques):
-    """Why the motion or the torques, given as their sum, cannot be allowed."""
+    """Reasons why the motion or the torques, given as their sum, are not allowed."""
     angles, rates = motion.alpha_1 + motion.alpha_2, motion.rate_1 + motion.rate_2
     if not isfinite(torques + angles + rates + motion.leg_length + motion.hip_height):
         return _NOT_FINITE
@@ -207,7 +207,7 @@ def _out_of_range(limits, motion, torques):
 
 @as_written
 def _unhealthy(limits, emergency_stop, lost, stale, late):
-    """Why the tick's health, its bad ticks in a row counted, cannot be allowed."""
+    """Reasons why the health, given by its numbers of bad ticks in a row, is not allowed."""
     reason = 0
     if lost > limits.lost_frames:
         reason |= _LOST_FRAMES

@@ -1,4 +1,4 @@
-"""The hopper's Poincaré map with torques held from tick to tick, beside the continuous one of the paper."""
+"""The hopper's Poincaré map with torques held from tick to tick, the sampled form of the paper's continuous map."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,7 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace, difference_jacobian
 TICKS = (1e-5, 2e-3)
 """Shortest and longest tick [s]; the servo of the default gains is unstable with longer ones."""
 DIFFERENCE = 0.05
-"""Step of the Jacobian's differences in half ranges: far longer than what one tick more or less in stance makes."""
+"""Step of the Jacobian's differences, in half ranges; far longer than the effect of one tick more or less in stance."""
 
 
 @compiled
@@ -33,7 +33,7 @@ def _hop_all(masses, law, tick, tolerance, points, next_state, status):
 
 @dataclass(frozen=True)
 class SampledApexMap(StepMap):
-    """As `ApexMap`, but the torques change only once a tick, the first of which is at the apex.
+    """Apex map with torques that change only once per tick, first at the apex; otherwise as `ApexMap`.
 
     Touchdown and mid-stance fall somewhere within a tick, so the map has small jumps where they pass from one tick
     to the next.
@@ -68,7 +68,7 @@ class SampledApexMap(StepMap):
         """Next apexes and status codes; state (…, 2) and command (…, 2) broadcast.
 
         Raises:
-            ValueError: The last axis of state or command has not two numbers.
+            ValueError: The last axis of state or command does not have length 2.
         """
         points, leading = as_points(state, command)
         next_state, status = np.full((len(points), 2), np.nan), np.zeros(len(points), dtype=np.int64)
@@ -77,5 +77,5 @@ class SampledApexMap(StepMap):
         return Outcome(next_state.reshape(*leading, 2), status.reshape(leading))
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """∂(next speed, next height)/∂(speed, height, fx, fy) over a stretch that evens out the jumps; (…, 2, 4)."""
+        """∂(next speed, next height)/∂(speed, height, fx, fy) by differences that average over jumps; (…, 2, 4)."""
         return difference_jacobian(self, state, command, DIFFERENCE)

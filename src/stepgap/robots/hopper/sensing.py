@@ -1,4 +1,4 @@
-"""What the sensors of one tick say of leg and hip: counts to angles, their rates, and the sample of the flight."""
+"""Measured motion of leg and hip at one tick: angles from counts, their rates, and the sample of the flight."""
 
 from typing import NamedTuple
 
@@ -16,12 +16,12 @@ _TURN = 2.0 * np.pi
 
 
 class Body(NamedTuple):
-    """What joint and boom encoders say of the hip, besides `Motion`.
+    """Measured motion of the hip, in addition to `Motion`.
 
     Attributes:
         x: Distance travelled [m].
-        yaw: Of the boom [rad].
-        hip_rate: ẏ of the hip over a standing foot [m/s].
+        yaw: Yaw of the boom [rad].
+        hip_rate: ẏ of the hip if the foot is at rest [m/s].
         shift_x: Forward offset of the free body from the hip, S sin α₁ / m_x [m].
         shift_y: Upward offset, −S cos α₁ / m_y [m].
     """
@@ -35,15 +35,15 @@ class Body(NamedTuple):
 
 @as_written
 def sense(settings, rates, sampled, inputs):
-    """`JointRates`, `Motion` and `Body` of this tick."""
-    layout = settings.sensor_model
-    phi_1 = inputs.motor_1 * _TURN / layout.motor_counts
-    phi_2 = inputs.motor_2 * _TURN / layout.motor_counts
+    """Returns `JointRates`, `Motion` and `Body` of this tick."""
+    model = settings.sensor_model
+    phi_1 = inputs.motor_1 * _TURN / model.motor_counts
+    phi_2 = inputs.motor_2 * _TURN / model.motor_counts
     alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)
     rates = with_reading(rates, sampled, alpha_1, alpha_2)
-    yaw = inputs.boom_horizontal * _TURN / layout.boom_counts_horizontal
-    pitch = inputs.boom_vertical * _TURN / layout.boom_counts_vertical
-    x, y = layout.boom_length * yaw, layout.pivot_height + layout.boom_length * np.sin(pitch)
+    yaw = inputs.boom_horizontal * _TURN / model.boom_counts_horizontal
+    pitch = inputs.boom_vertical * _TURN / model.boom_counts_vertical
+    x, y = model.boom_length * yaw, model.pivot_height + model.boom_length * np.sin(pitch)
     length, hip_rate, shift_x, shift_y = _leg_state(settings.masses, alpha_1, alpha_2, rates.rate_1, rates.rate_2)
     motion = Motion(alpha_1, alpha_2, rates.rate_1, rates.rate_2, length, y)
     return rates, motion, Body(x, yaw, hip_rate, shift_x, shift_y)
@@ -51,7 +51,7 @@ def sense(settings, rates, sampled, inputs):
 
 @compiled
 def _leg_state(masses, alpha_1, alpha_2, rate_1, rate_2):
-    """Leg length ℓ [m], hip rate and shifts as in `Body`."""
+    """Returns the leg length ℓ [m], and hip rate and shifts as in `Body`."""
     bar = four_bar(masses.leg, alpha_2)
     toe = foot(masses.leg, bar, alpha_1)
     moment = leg_inertia(masses, bar, alpha_2).s
@@ -64,15 +64,15 @@ def _leg_state(masses, alpha_1, alpha_2, rate_1, rate_2):
 
 
 @as_written
-def follow_flight(layout, state, sampled, motion, body, inputs):
-    """`FlightState` with this tick's sample, and the phase of this tick."""
+def update_flight(model, state, sampled, motion, body, inputs):
+    """Returns `FlightState` with this tick's sample, and the phase of this tick."""
     start, x, fit, last_speed = state.flight
     airborne = state.phase == Phase.ASCENT or state.phase == Phase.DESCENT
     if airborne and not inputs.stale:
         fit = with_sample(fit, sampled - start, body.x - x + body.shift_x, motion.hip_height + body.shift_y)
     phase = next_phase(
-        state.phase, apex_passed(fit), inputs.contact_force, layout.touchdown_force, motion.leg_length,
-        layout.takeoff_length, body.hip_rate,
+        state.phase, apex_passed(fit), inputs.contact_force, model.touchdown_force, motion.leg_length,
+        model.takeoff_length, body.hip_rate,
     )  # fmt: skip
     if phase == Phase.ASCENT and state.phase != Phase.ASCENT:
         start, x, fit = sampled, body.x, no_samples()

@@ -1,4 +1,4 @@
-"""What the hopper's sensors give at a tick, and how their counts are read."""
+"""The hopper's sensors: their reading at a tick, and the model that converts their counts."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from stepgap.rigs.rig import SensorModel
 
 @dataclass(frozen=True, kw_only=True)
 class HopperSensorModel(SensorModel):
-    """How the counts of the hopper's sensors are read; fixed while its rig is connected.
+    """Sensor model of the hopper: how counts become angles and lengths; constant while its rig is connected.
 
     Motor 1 turns the top link at α₁ + α₂, motor 2 the one at α₁ − α₂; both angles are measured from
     the downward vertical, forward positive. The horizontal boom angle times `boom_length` is the
@@ -16,7 +16,7 @@ class HopperSensorModel(SensorModel):
     `pivot_height + boom_length · sin ϑ`. An angle is `2π · (counts − zero) / counts_per_turn`.
 
     Attributes:
-        boom_length: From pivot to hip [m].
+        boom_length: Distance from pivot to hip [m].
         pivot_height: Height of the boom's pivot above the ground [m].
         motor_counts: Counts per turn of a motor encoder.
         boom_counts_horizontal: Counts per turn of the yaw encoder.
@@ -36,7 +36,7 @@ class HopperSensorModel(SensorModel):
 
 
 class HopperReading(NamedTuple):
-    """What the hopper's sensors give at one tick: a `Reading` whose numbers have names.
+    """Sensor values of the hopper at one tick: a `Reading` whose numbers have names.
 
     Attributes:
         motor_1: Encoder counts of motor 1 (integers, unless the rig senses exactly).

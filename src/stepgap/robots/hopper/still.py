@@ -1,4 +1,4 @@
-"""A hopper that stands still without hardware: what the machine alone can do is measured with it."""
+"""A hopper that stands still, without hardware; it serves to measure the timing of the computer alone."""
 
 from stepgap.rigs.still_rig import StillRig
 from stepgap.robots.hopper.parameters import RobotParameters
@@ -6,7 +6,7 @@ from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 
 
 def still_hopper(tick: float) -> StillRig:
-    """The same sensor values at every tick [s], those of a leg that hangs in the air."""
+    """Rig with a tick [s] and the same sensor values at every tick, those of a leg that hangs in the air."""
     sensors = HopperSensorModel(
         tick=tick,
         boom_length=RobotParameters().boom_length,

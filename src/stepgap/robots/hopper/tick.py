@@ -1,4 +1,4 @@
-"""What happens in one tick of the control loop, for logs and for whoever looks on."""
+"""Record of one tick of the control loop, for logs and viewers."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -36,17 +36,17 @@ LOG_UNITS: Mapping[str, str] = MappingProxyType({**TICK_UNITS, **LOOP_UNITS})
 
 
 class Tick(NamedTuple):
-    """One tick; angles [rad], torques [N·m].
+    """One tick of the control loop; angles [rad], torques [N·m].
 
     Attributes:
-        time: Since the start [s].
-        reading: What the sensors said.
-        phase: Where in the hop the leg was taken to be.
+        time: Time since the start [s].
+        reading: Sensor values.
+        phase: Detected phase of the hop.
         alpha_1: Mean angle of the top links α₁.
         alpha_2: Half the angle between the top links α₂.
-        asked: Torques that the control law wanted.
-        applied: Torques that the rig says it took.
-        limited: Why they differ.
+        asked: Torques that the control law requested.
+        applied: Torques that the rig reports as applied.
+        limited: Reasons why they differ.
     """
 
     time: float
@@ -59,7 +59,7 @@ class Tick(NamedTuple):
     limited: Limited
 
     def row(self) -> tuple[float, ...]:
-        """The numbers of this tick in the order of `TICK_UNITS`."""
+        """Numbers of this tick in the order of `TICK_UNITS`."""
         return (
             self.time,
             *self.reading,

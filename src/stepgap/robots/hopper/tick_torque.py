@@ -1,4 +1,4 @@
-"""The torques that each mode of a tick wants, from the laws of `joint_control`."""
+"""Torques requested in each mode of a tick, from the laws of `joint_control`."""
 
 import numpy as np
 
@@ -10,12 +10,12 @@ from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.phases import Phase
 
 LANDING_DAMPING = 0.5
-"""Damping of each motor with which a robot that is to stop lands [N·m·s/rad]: one bounce more, no harder than a hop."""
+"""Damping of each motor in the last landing [N·m·s/rad]; gives one more bounce, no harder than a hop."""
 
 
 @as_written
 def wanted_torque(law, phase, motion, flight, hop, inputs):
-    """Torques that the law of the mode wants [N·m]."""
+    """Torques requested by the law of the mode [N·m]."""
     grounded = phase == Phase.COMPRESSION or phase == Phase.THRUST
     if inputs.mode == Mode.POSTURE or not grounded:
         share = inputs.share if inputs.mode == Mode.POSTURE else 1.0
@@ -39,7 +39,7 @@ def _posture_torque(law, motion, flight):
 
 @as_written
 def _landing_torque(law, motion, share):
-    """Torques that end the hopping on the ground [N·m]: a damped spring that fades away until only damping is left."""
+    """Torques that end the hopping on the ground [N·m]: a damped spring whose stiffness fades to zero."""
     spring = max(0.0, 1.0 - share)
     torque_1, torque_2 = _stance_torque(law, motion.alpha_1, motion.alpha_2, 0.0, 0.0)
     return (
@@ -57,7 +57,7 @@ def _stance_torque(law, alpha_1, alpha_2, force_x, force_y):
 
 @compiled
 def lost_force(law, alpha_1, alpha_2, lost_1, lost_2):
-    """Force on the body that torques (lost_1, lost_2) make in stance: the inverse of τ = −Jᵀ force."""
+    """Force on the body that torques (lost_1, lost_2) cause in stance: the inverse of τ = −Jᵀ force."""
     toe = foot(law.leg, four_bar(law.leg, alpha_2), alpha_1)
     q_1, q_2 = lost_1 + lost_2, lost_1 - lost_2
     determinant = toe.x_1 * toe.y_2 - toe.x_2 * toe.y_1

@@ -13,11 +13,11 @@ from stepgap.robots.hopper.twin.twin import Twin
 
 
 def hopper_devices(settings: RingSettings, period: float) -> list[EmulatedDevice]:
-    """The hopper's ring in order: `drive_1`, `drive_2`, `coupler`, `boom_horizontal`, `boom_vertical`, `contact_force`.
+    """Devices of the ring in order: drive_1, drive_2, coupler, boom_horizontal, boom_vertical, contact_force.
 
     Args:
         settings: Torque and force scales.
-        period: Of a tick [s].
+        period: Time of a tick [s].
     """
     drive = DriveSettings(rated_torque=settings.rated_torque, largest_torque=settings.largest_torque, period=period)
     return [
@@ -32,7 +32,7 @@ class TwinMachine(Machine):
     """The MuJoCo twin behind the drives.
 
     Args:
-        twin: Its sensors must count, not be exact, since a ring carries whole counts; exact ones are rounded.
+        twin: Twin whose sensors must be quantised, since a ring carries integer counts; exact values are rounded.
     """
 
     def __init__(self, twin: Twin):
@@ -48,15 +48,15 @@ class TwinMachine(Machine):
         return hopper_devices(settings, self.period)
 
     def start(self) -> HopperReading:
-        """The twin in its starting pose, held."""
+        """Puts the twin into its starting pose, held."""
         self._twin.connect()
         return self._twin.read()
 
     def tick(self, torques: Torques) -> HopperReading:
-        """One tick of the twin.
+        """Moves the twin by one tick.
 
         Raises:
-            RigFault: A motor runs away, or the motion has left what can be measured.
+            RigFault: A motor is too fast, or the motion cannot be measured.
         """
         self._twin.write(torques)
         return self._twin.read()

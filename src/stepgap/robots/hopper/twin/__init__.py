@@ -1,1 +1,1 @@
-"""The twin: a MuJoCo stand-in for the real robot, apart from the physics model by a declared `RealityGap`."""
+"""The twin: a MuJoCo simulation in place of the real robot; a `RealityGap` sets how it differs from the model."""

@@ -7,7 +7,7 @@ import numpy as np
 from stepgap.base.compiled import as_written
 
 READ, OUT_OF_REACH, TOO_FAST = 0, 1, 2
-"""How a reading went."""
+"""Outcomes of a reading."""
 
 
 class Devices(NamedTuple):
@@ -16,23 +16,23 @@ class Devices(NamedTuple):
     Attributes:
         motor_1: Index of motor 1 among MuJoCo's coordinates.
         motor_2: Index of motor 2.
-        offset_1: By how much encoder 1 reads too much [rad].
-        offset_2: By how much encoder 2 reads too much [rad].
-        motor_scale: Counts per radian of the motors.
+        offset_1: Offset of encoder 1, reading minus true angle [rad].
+        offset_2: Offset of encoder 2, reading minus true angle [rad].
+        motor_scale: Counts per radian of the motor encoders.
         yaw_scale: Counts per radian of the yaw encoder.
         pitch_scale: Counts per radian of the pitch encoder.
-        motors_round: The motors' encoders give whole counts.
-        yaw_rounds: The yaw encoder gives whole counts.
-        pitch_rounds: The pitch encoder gives whole counts.
+        motors_round: Whether the motor encoders give integer counts.
+        yaw_rounds: Whether the yaw encoder gives integer counts.
+        pitch_rounds: Whether the pitch encoder gives integer counts.
         overspeed: Motor speed at which the drives trip [rad/s].
-        boom_arc: The hip moves on a sphere about the boom's pivot, not in a plane.
-        boom_length: From pivot to hip [m].
+        boom_arc: Whether the hip moves on a sphere about the boom's pivot, not in a plane.
+        boom_length: Distance from pivot to hip [m].
         pivot_height: Height of the pivot above the ground [m].
-        turn: Angle by which the floor is turned under the robot [rad].
-        torque_limit: What the drives give at most [N·m].
-        torque_saturation: Torque at which a motor's iron is saturated [N·m].
-        noise_kept: Share of a motor's torque noise that is kept from tick to tick.
-        noise_fresh: Standard deviation of what is added to it [N·m].
+        floor_yaw: Angle by which the floor is turned under the robot [rad].
+        torque_limit: Largest torque of the drives [N·m].
+        torque_saturation: Torque at which a motor's iron saturates [N·m].
+        noise_kept: Fraction of a motor's torque noise that persists to the next tick.
+        noise_fresh: Standard deviation of the noise added at each tick [N·m].
     """
 
     motor_1: int
@@ -49,7 +49,7 @@ class Devices(NamedTuple):
     boom_arc: bool
     boom_length: float
     pivot_height: float
-    turn: float
+    floor_yaw: float
     torque_limit: float
     torque_saturation: float
     noise_kept: float
@@ -58,7 +58,7 @@ class Devices(NamedTuple):
 
 @as_written
 def read_counts(devices, qpos, qvel, touch):
-    """Encoder counts of motors and boom, contact force [N], and how the reading went.
+    """Returns the encoder counts of motors and boom, the contact force [N], and the outcome of the reading.
 
     Args:
         devices: Record of `Devices`.
@@ -87,7 +87,7 @@ def read_counts(devices, qpos, qvel, touch):
 
 @as_written
 def boom_angles(devices, qpos):
-    """Yaw and pitch at the boom's root [rad]; NaN where the boom does not reach."""
+    """Yaw and pitch at the boom's root [rad]; NaN outside of the boom's reach."""
     if devices.boom_arc:
         return qpos[0], qpos[1]
     sine = (qpos[1] - devices.pivot_height) / devices.boom_length
@@ -96,22 +96,22 @@ def boom_angles(devices, qpos):
 
 @as_written
 def drive(devices, torque_1, torque_2, noise, ctrl, force, touch, waves, foot, ground):
-    """Gives MuJoCo a tick's torques, their noise and, while the foot is in the air, the ground's height.
+    """Passes to MuJoCo the torques of a tick, their noise and, while the foot is in the air, the ground's height.
 
     Args:
         devices: Record of `Devices`.
         torque_1: Torque commanded to motor 1 [N·m].
         torque_2: Torque commanded to motor 2 [N·m].
         noise: A standard normal number for each motor; shape (2,).
-        ctrl: What the actuators are commanded [N·m].
-        force: Forces on MuJoCo's coordinates from outside; those on the motors are the noise [N·m].
+        ctrl: Commands of the actuators [N·m].
+        force: External forces on MuJoCo's coordinates; those on the motors are the noise [N·m].
         touch: The contact force; shape (1,) [N].
-        waves: Of the ground, as in `ground_under`.
+        waves: Waves of the ground, as in `ground_under`.
         foot: Position of the foot in MuJoCo's frame [m]; shape (3,).
         ground: Position of the ground [m]; shape (3,).
 
     Returns:
-        The torques within the drives' limit [N·m]; NaN where one is not finite, and then nothing was given.
+        The torques within the drives' limit [N·m]; NaN, and nothing passed to MuJoCo, if one is not finite.
     """
     rig = devices[0]
     if not (np.isfinite(torque_1) and np.isfinite(torque_2)):
@@ -128,7 +128,7 @@ def drive(devices, torque_1, torque_2, noise, ctrl, force, touch, waves, foot, g
 
 @as_written
 def _saturated(devices, torque):
-    """What a motor's iron makes of a torque command [N·m]."""
+    """Torque that a motor with saturating iron gives for a command [N·m]."""
     most = devices.torque_saturation
     return most * np.tanh(torque / most) if most < np.inf else torque
 
@@ -139,12 +139,12 @@ def ground_under(devices, waves, foot):
 
     Args:
         devices: Record of `Devices`.
-        waves: Number of waves a turn, phase [rad] and amplitude [m] of each wave of the ground; shape (w, 3).
+        waves: Waves per turn, phase [rad] and amplitude [m] of each wave of the ground; shape (w, 3).
         foot: Position of the foot in MuJoCo's frame [m]; shape (3,).
     """
     rig = devices[0]
     yaw = np.arctan2(foot[0], -foot[1]) if rig.boom_arc else foot[0] / rig.boom_length
-    yaw += rig.turn
+    yaw += rig.floor_yaw
     height = 0.0
     for wave in range(len(waves)):
         height += waves[wave, 2] * np.sin(waves[wave, 0] * yaw + waves[wave, 1])

@@ -1,7 +1,7 @@
 """A family of random twins, to measure learning on more than one robot.
 
-Every difference of the preset `RealityGap()` is drawn anew and on its own, between no gap and 1.5 times the preset's
-difference; those of either sign get a random one. No draw is judged by how well learning works on it.
+Every difference of the preset `RealityGap()` is drawn independently, between no gap and 1.5 times the preset's
+difference; differences of either sign get a random sign. No draw is selected by how well learning works on it.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 
 class Shares(NamedTuple):
-    """Range of a difference in parts of the preset's; 0 is no gap."""
+    """Range of a difference as a multiple of the preset's difference; 0 is no gap."""
 
     lowest: float = 0.0
     highest: float = 1.5
@@ -48,15 +48,15 @@ DRAWN = {
     "motor_offset_1": EITHER_SIGN,
     "motor_offset_2": EITHER_SIGN,
 }
-"""What is drawn; the rest (sensors, thresholds, the arc, damping ratios) is the preset's."""
+"""Differences that are drawn; all others (sensors, thresholds, the arc, damping ratios) are the preset's."""
 
-BESIDE_PRESET = {"boom_drag": 0.2, "torque_imbalance": 0.01, "ground_slope": 3e-4}
-"""Differences that the preset does not have, and what stands for the preset's value."""
+NOT_IN_PRESET = {"boom_drag": 0.2, "torque_imbalance": 0.01, "ground_slope": 3e-4}
+"""Differences that the preset does not have, with the values used instead of the preset's."""
 
 
 def random_gap(rng: np.random.Generator) -> RealityGap:
-    """A twin of the family: no gap + share × (preset − no gap), or preset / share where no gap is infinite."""
-    none, preset = RealityGap.none(), replace(RealityGap(), **BESIDE_PRESET)
+    """Draws a twin of the family: no gap + share × (preset − no gap), or preset / share where no gap is infinite."""
+    none, preset = RealityGap.none(), replace(RealityGap(), **NOT_IN_PRESET)
     values = {}
     for name, shares in DRAWN.items():
         share = rng.uniform(shares.lowest, shares.highest)

@@ -6,11 +6,11 @@ HOPPER, SCENE = "hopper.xml", "scene.xml"
 
 
 def mjcf_files(twin: Twin, boom_length: float) -> dict[str, str]:
-    """Their contents by name. The floor is level in them: its unevenness is that of a deployment, not of the model.
+    """Contents of the files by name. Their floor is level: unevenness belongs to a deployment, not to the model.
 
     Args:
-        twin: Whose model is written.
-        boom_length: From pivot to hip [m]; the camera stands beyond it.
+        twin: Twin whose model is written.
+        boom_length: Distance from pivot to hip [m]; the camera stands beyond the hip.
     """
     return {HOPPER: twin.model_xml(), SCENE: _scene(boom_length)}
 

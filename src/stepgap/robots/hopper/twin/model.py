@@ -1,4 +1,4 @@
-"""Builds the twin as a MuJoCo model: a boom, a four-bar leg and a ground that can be moved up and down.
+"""The twin's MuJoCo model: a boom, a four-bar leg and a ground that can be moved up and down.
 
 MuJoCo's x points forward at yaw 0, y to the boom's pivot side, z up. On the arc the pivot stands over the
 origin; in the plane the hip starts over it. Angles of the leg turn forward, about −y.
@@ -18,28 +18,28 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 FOOT_RADIUS = 1e-5
-"""Of the colliding foot point [m]; the ground lies lower by as much, so contact starts where the foot ends."""
+"""Radius of the colliding foot point [m]; the ground is lower by this radius, so contact starts at the foot's end."""
 
 STICKING = 1e4
-"""Stands for infinite friction; the force needed never comes near."""
+"""Coefficient that stands for infinite friction; the friction force that a hop needs is far smaller."""
 
 HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""The stiffest impedance that MuJoCo allows."""
+"""Stiffest impedance that MuJoCo allows."""
 
 RECOVERY_RATE = 2000.0
-"""Rate at which rigid ground undoes a penetration [1/s]: faster, it would throw the light foot up; slower, the foot
-would still be in it, and stick to it, at take-off."""
+"""Rate at which rigid ground removes a penetration [1/s]. At a higher rate it would throw the light foot up; at a lower
+rate the foot would still be in the ground at take-off, and stick to it."""
 
 RIGID_SHARE = 2.0
-"""Mass that joins the foot on rigid ground, in foot masses: enough that the load presses the foot down more than the
-inaccuracy of a step lifts it."""
+"""Mass coupled to the foot on rigid ground, in foot masses; large enough that the load presses the foot down more than
+the integration error of a step lifts it."""
 
 SLIP_RATE = 2000.0
-"""Rate at which friction brings a sliding foot to rest if it can [1/s]. MuJoCo's convex friction adds a normal force of
-friction coefficient × this × slip speed × the mass that joins the foot, so neither may be large."""
+"""Rate at which friction, where it is large enough, stops a sliding foot [1/s]. MuJoCo's convex friction adds a normal
+force of friction coefficient × this × slip speed × the mass coupled to the foot, so neither may be large."""
 
 HARMONICS = (3, 5, 8, 13, 21)
-"""Waves of the rough ground in one turn of the boom; the shortest is about two hops long."""
+"""Waves of the rough ground per turn of the boom; the shortest is about two hops long."""
 
 FORWARD, UP, LEG_AXIS, PITCH_AXIS = (1, 0, 0), (0, 0, 1), (0, -1, 0), (-1, 0, 0)
 
@@ -48,12 +48,12 @@ class GroundProfile:
     """Height of the ground around the circle: a tilted floor plus a smooth random profile.
 
     Args:
-        gap: Its slope and roughness.
+        gap: Gap with the slope and the roughness.
         boom_length: Radius of the circle [m].
         rng: Draws the phases; the profile is fixed from then on.
 
     Attributes:
-        waves: Number of waves a turn, phase [rad] and amplitude [m] of each wave; shape (w, 3), w = 0 of a flat ground.
+        waves: Waves per turn, phase [rad] and amplitude [m] of each wave; shape (w, 3), w = 0 for flat ground.
     """
 
     def __init__(self, gap: RealityGap, boom_length: float, rng: np.random.Generator):
@@ -75,22 +75,22 @@ def carried_mass(robot: RobotParameters, gap: RealityGap) -> float:
 
 
 def gravity(robot: RobotParameters, gap: RealityGap, floor_yaw: float = 0.0) -> NDArray[np.float64]:
-    """Gravity seen from the boom's leaning axis, with the floor turned by an angle [rad]; shape (3,) [m/s²]."""
+    """Gravity in the frame of the boom's tilted axis, with the floor turned by an angle [rad]; shape (3,) [m/s²]."""
     tilt = gap.boom_tilt if gap.boom_arc else 0.0
     return robot.gravity * np.array([sin(tilt) * sin(floor_yaw), sin(tilt) * cos(floor_yaw), -cos(tilt)])
 
 
 def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False) -> mujoco.MjSpec:
-    """The twin as an editable MuJoCo specification.
+    """Builds the twin as an editable MuJoCo specification.
 
     Args:
-        robot: What the physics model takes the robot to be.
-        gap: How the twin differs from it.
+        robot: Robot of the physics model.
+        gap: Differences of the twin from it.
         timestep: Physics step [s].
-        visual: Adds shapes to look at, which carry no mass and touch nothing.
+        visual: Whether to add visible shapes, which have no mass and collide with nothing.
 
     Raises:
-        ValueError: A boom without inertia cannot be elastic.
+        ValueError: The boom is elastic but has no inertia.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "stepgap_twin"
@@ -98,7 +98,7 @@ def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual:
     hopper = _add_boom(spec, robot, gap)
     _add_leg(spec, hopper, robot, gap)
     _close_four_bar(spec, timestep)
-    _add_hand(spec, gap, timestep)
+    _add_start_locks(spec, gap, timestep)
     _add_motors(spec, gap, timestep)
     _add_ground(spec, gap)
     if visual:
@@ -107,20 +107,20 @@ def build_spec(robot: RobotParameters, gap: RealityGap, timestep: float, visual:
 
 
 def build_model(robot: RobotParameters, gap: RealityGap, timestep: float, visual: bool = False) -> mujoco.MjModel:
-    """The twin compiled, with the ground's stiffness set in true newtons per metre; arguments as `build_spec`."""
+    """Builds the compiled model of the twin, with the ground's stiffness in N/m; arguments as for `build_spec`."""
     model = build_spec(robot, gap, timestep, visual).compile()
     _set_contact(model, robot, gap)
     return model
 
 
 def export_xml(robot: RobotParameters, gap: RealityGap, timestep: float, start: NDArray[np.float64]) -> str:
-    """The twin as MJCF, with shapes to look at and the contact as `build_model` sets it.
+    """Returns the twin as MJCF, with visible shapes and the contact as set by `build_model`.
 
     Args:
-        robot: As `build_spec`.
-        gap: As `build_spec`.
-        timestep: As `build_spec`.
-        start: Coordinates of the pose that viewers offer as keyframe `start`; shape (nq,).
+        robot: As for `build_spec`.
+        gap: As for `build_spec`.
+        timestep: As for `build_spec`.
+        start: Coordinates of the pose that is stored as keyframe `start`; shape (nq,).
     """
     spec = build_spec(robot, gap, timestep, visual=True)
     spec.add_key(name="start", qpos=start)
@@ -150,7 +150,7 @@ def _set_options(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap, t
 
 
 def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> mujoco.MjsBody:
-    """The body at the boom's tip. The boom is inertia without weight, so it is armature of the joints at its root."""
+    """Adds the body at the tip. The boom has inertia but no weight, so it is armature of the joints at its root."""
     radius = robot.boom_length
     inertia_x, inertia_z = (
         gap.boom_inertia_scale * value for value in (robot.boom_inertia_vertical, robot.boom_inertia_horizontal)
@@ -160,7 +160,7 @@ def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> m
     hopper.explicitinertial = True
     hopper.mass = gap.body_mass_scale * robot.body_mass
     hopper.ipos = np.array([gap.body_com_offset, 0, 0])
-    hopper.inertia = np.full(3, 1e-6)  # the body's own inertia counts as the boom's
+    hopper.inertia = np.full(3, 1e-6)  # the inertia of the body is part of the boom's
     if gap.boom_arc:
         hopper.pos = np.array([0, -radius, gap.boom_pivot_height])
         pivot = np.array([0, radius, 0])
@@ -182,7 +182,7 @@ def _add_boom(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> m
 
 
 def _add_leg(spec: mujoco.MjSpec, hopper: mujoco.MjsBody, robot: RobotParameters, gap: RealityGap) -> None:
-    """Two chains of top and bottom link, hanging straight down at zero; motor 1 drives the front one."""
+    """Adds two chains of top and bottom link, which hang straight down at zero; motor 1 drives the front one."""
     for motor, side in ((1, "front"), (2, "rear")):
         top = hopper.add_body(name=f"{side}_top")
         _add_link_inertia(top, robot.top_mass, robot.top_inertia, robot.top_com, gap)
@@ -194,7 +194,7 @@ def _add_leg(spec: mujoco.MjSpec, hopper: mujoco.MjsBody, robot: RobotParameters
         if side == "rear":
             tip = (0, 0, -robot.bottom_length - robot.foot_length)
             bottom.add_geom(name="foot", pos=tip, size=[FOOT_RADIUS, 0, 0], contype=0, conaffinity=0)
-            bottom.add_site(name="foot", pos=tip, size=[1, 0, 0], group=5)  # large: feels contact at any depth
+            bottom.add_site(name="foot", pos=tip, size=[1, 0, 0], group=5)  # large, to sense contact at any depth
             spec.add_sensor(
                 name="contact_force",
                 type=mujoco.mjtSensor.mjSENS_TOUCH,
@@ -204,7 +204,7 @@ def _add_leg(spec: mujoco.MjSpec, hopper: mujoco.MjsBody, robot: RobotParameters
 
 
 def _add_link_inertia(link: mujoco.MjsBody, mass: float, inertia: float, com: float, gap: RealityGap) -> None:
-    """A slender rod along −z; its inertia about its own axis hardly matters."""
+    """Sets the inertia of a slender rod along −z; the inertia about its own axis hardly matters."""
     inertia *= gap.leg_inertia_scale
     link.explicitinertial = True
     link.mass = gap.leg_mass_scale * mass
@@ -223,8 +223,8 @@ def _close_four_bar(spec: mujoco.MjSpec, timestep: float) -> None:
     closure.solref, closure.solimp = _deadbeat(timestep), np.array(HARD)
 
 
-def _add_hand(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
-    """What holds the hip before the start: locks that the twin switches off."""
+def _add_start_locks(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
+    """Adds the locks that hold the hip before the start; the twin switches them off."""
     names = ["boom_horizontal", "boom_vertical"]
     if gap.boom_stiffness < inf:
         names += ["deflection_horizontal", "deflection_vertical"]
@@ -235,12 +235,12 @@ def _add_hand(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
 
 
 def _deadbeat(timestep: float) -> NDArray[np.float64]:
-    """Spring and damper (negative: per unit mass) that undo an error of a constraint within one step."""
+    """Spring and damper constants (negative: per unit mass) that remove a constraint's error within one step."""
     return np.array([-1 / timestep**2, -1 / timestep])
 
 
 def _add_motors(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
-    """Torque command → delay → first-order lag → scale."""
+    """Adds the motors: torque command → delay → first-order lag → scale."""
     steps = round(gap.delay / timestep)
     for name, share in (("motor_1", 1 + gap.torque_imbalance), ("motor_2", 1 - gap.torque_imbalance)):
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -249,12 +249,12 @@ def _add_motors(spec: mujoco.MjSpec, gap: RealityGap, timestep: float) -> None:
             motor.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
             motor.dynprm[0] = gap.torque_lag
         if steps > 0:
-            # Half a step less: MuJoCo looks the command up by the clock, whose rounding would else make it one more.
+            # half a step less: MuJoCo finds the command by its time, and rounding could otherwise add a step
             motor.delay, motor.nsample = (steps - 0.5) * timestep, steps + 1
 
 
 def _add_ground(spec: mujoco.MjSpec, gap: RealityGap) -> None:
-    """A level plane whose height can be moved, met by nothing but the foot."""
+    """Adds a level plane whose height can be changed and that collides only with the foot."""
     ground = spec.worldbody.add_body(name="ground", mocap=True)
     plane = ground.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, pos=(0, 0, -FOOT_RADIUS))
     plane.size = np.array([4, 4, 0.05])
@@ -265,13 +265,13 @@ def _add_ground(spec: mujoco.MjSpec, gap: RealityGap) -> None:
 
 
 def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap) -> None:
-    """Sets the contact's spring and damper.
+    """Sets the spring and damper constants of the contact.
 
     MuJoCo's contact force is f = −(a + b v + k r)/R for penetration −r and acceleration a, with
     R = w (1 − d)/d, impedance d and the constant inverse weight w of the foot; −solref is (k d, b d).
-    So k/R is a stiffness [N/m], b/R a damping [N·s/m] and 1/R a mass [kg] that joins the foot in contact.
-    Soft ground takes that mass as small as an explicit step of spring and damper allows. Rigid ground
-    stops the foot within a few steps, without a bounce, and gives way by micrometres.
+    So k/R is a stiffness [N/m], b/R a damping [N·s/m] and 1/R a mass [kg] coupled to the foot in contact.
+    On soft ground that mass is as small as an explicit step of spring and damper allows. Rigid ground
+    stops the foot within a few steps, without a bounce, and yields by micrometres.
     """
     step = model.opt.timestep
     sticks = isinf(gap.ground_friction)
@@ -292,7 +292,7 @@ def _set_contact(model: mujoco.MjModel, robot: RobotParameters, gap: RealityGap)
 
 
 def _add_shapes(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) -> None:
-    """Boom, body and links to look at."""
+    """Adds visible shapes of boom, body and links."""
     capsule, cylinder = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
     dark, blue, orange = (0.2, 0.2, 0.25, 1), (0.15, 0.45, 0.75, 1), (0.85, 0.4, 0.15, 1)
 
@@ -311,7 +311,7 @@ def _add_shapes(spec: mujoco.MjSpec, robot: RobotParameters, gap: RealityGap) ->
 
 
 def _add_squares(spec: mujoco.MjSpec) -> None:
-    """A floor on which one sees that the robot moves."""
+    """Adds a floor with squares, on which the robot's motion is visible."""
     two_d, checker = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
     squares = spec.add_texture(name="squares", type=two_d, builtin=checker, width=256, height=256)
     squares.rgb1, squares.rgb2 = np.full(3, 0.8), np.full(3, 0.7)

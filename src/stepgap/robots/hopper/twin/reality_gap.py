@@ -1,4 +1,4 @@
-"""Every way in which the twin differs from the physics model, in one place."""
+"""The reality gap: all differences of the twin from the physics model."""
 
 from dataclasses import dataclass, fields
 from math import inf, isfinite, isnan, pi
@@ -54,35 +54,35 @@ MAY_BE_INFINITE = frozenset(
 class RealityGap:
     """Differences of the twin from the physics model, SI units.
 
-    The defaults are the preset `paper`: with them the controller of the model, uncorrected, errs as it did on the
-    paper's hardware, on average and from stair to stair. Torque scale and saturation, boom inertia, the friction of
-    boom and ground and the zeros of the motor encoders were fitted to that by `benchmarks/fit_paper_gap.py`; noise,
-    roughness and tilt were chosen so that steady steps after learning scatter as there; the rest is plausible. Other
-    differences may explain the hardware as well: it is a robot like the paper's, not its identification.
-    `RealityGap.none()` is the model itself: planar, rigid and exact. Scales multiply the number in
-    `RobotParameters`, so 1 is no gap.
+    The defaults are the preset `paper`: with them the uncorrected controller of the model makes the errors that the
+    paper reports for its hardware, on average and on each stair of the reference. Torque scale and saturation, boom
+    inertia, the friction of boom and ground and the zeros of the motor encoders were fitted to these errors by
+    `benchmarks/fit_paper_gap.py`. Noise, roughness and tilt were chosen so that steady steps after learning scatter as
+    in the paper; the other values are plausible. Other differences may explain the hardware equally well: the preset is
+    a robot like the paper's, not an identification of it. `RealityGap.none()` is the model itself: planar, rigid and
+    exact. Scales multiply the number in `RobotParameters`, so 1 is no gap.
 
     Attributes:
-        body_mass_scale: On the body mass M; no gap 1.
-        leg_mass_scale: On the link masses m₁, m₂; no gap 1.
-        leg_inertia_scale: On the link inertias I₁, I₂; no gap 1.
+        body_mass_scale: Factor on the body mass M; no gap 1.
+        leg_mass_scale: Factor on the link masses m₁, m₂; no gap 1.
+        leg_inertia_scale: Factor on the link inertias I₁, I₂; no gap 1.
         body_com_offset: Body's centre of mass ahead of the hip [m]; no gap 0. The body cannot turn
-            against the boom, so this acts only through the boom's turning: not at all in the plane,
+            against the boom, so this acts only through the boom's rotation: not at all in the plane,
             slightly on the arc.
-        boom_inertia_scale: On the boom inertias I_x, I_z; no gap 1.
+        boom_inertia_scale: Factor on the boom inertias I_x, I_z; no gap 1.
         boom_arc: The hip moves on a sphere about the boom's pivot and the leg tilts with the boom, so
             that the foot scrubs sideways; no gap False, a plane.
         boom_pivot_height: Height of the boom's pivot above the mean ground [m]. Known to the
             controller; in the plane it only converts between height and pitch counts.
-        boom_stiffness: Of the boom's tip against the boom's root, vertically and horizontally [N/m].
+        boom_stiffness: Stiffness of the boom's tip against its root, vertically and horizontally [N/m].
             The encoders sit at the root and do not see the deflection; no gap inf.
-        boom_damping_ratio: Of that deflection with the carried mass; no effect on a rigid boom.
+        boom_damping_ratio: Damping ratio of that deflection with the carried mass; no effect on a rigid boom.
         boom_friction: Coulomb friction of the boom's horizontal bearing, at the tip [N]; no gap 0.
         boom_drag: Viscous friction there, bearing and air, at the tip [N·s/m]; no gap 0.
-        boom_tilt: Of the boom's vertical axis from the plumb line [rad]: on the arc, gravity pulls forward by
-            g sin(tilt) sin ψ at yaw ψ, for the carried weight; in the plane nothing; no gap 0.
+        boom_tilt: Tilt of the boom's vertical axis from the vertical [rad]: on the arc, gravity accelerates the
+            carried mass forward by g sin(tilt) sin ψ at yaw ψ; no effect in the plane; no gap 0.
         ground_stiffness: Load per penetration [N/m]; no gap inf, an inelastic impact.
-        ground_damping_ratio: Of the robot's whole mass on that ground; no effect on rigid ground.
+        ground_damping_ratio: Damping ratio of the robot's whole mass on that ground; no effect on rigid ground.
         ground_friction: Coulomb coefficient; no gap inf, the foot never slips. On the arc inf would
             lock the boom's pitch in stance, because the foot could not scrub.
         ground_roughness: Standard deviation of a smooth random height profile around the circle [m];
@@ -91,27 +91,27 @@ class RealityGap:
             Slope and roughness change the height alone; the contact's normal stays vertical.
         joint_friction: Coulomb friction in each of the four leg joints [N·m]; no gap 0.
         joint_damping: Viscous friction in each of the four leg joints [N·m·s/rad]; no gap 0.
-        rotor_inertia: Of each motor's rotor [kg·m²]; no gap 0. A hollow 92 mm rotor of 0.2–0.3 kg,
+        rotor_inertia: Inertia of each motor's rotor [kg·m²]; no gap 0. A hollow 92 mm rotor of 0.2–0.3 kg,
             as of a T-motor U10 Plus, has about 2e-4 to 4e-4.
         torque_scale: Torque delivered per torque applied; no gap 1.
         torque_imbalance: Motor 1 delivers `torque_scale` × (1 + this), motor 2 × (1 − this); no gap 0.
-        torque_saturation: Torque T [N·m] at which a motor's iron is saturated: of a command τ come
+        torque_saturation: Torque T [N·m] at which a motor's iron saturates: a command τ gives
             T tanh(τ/T) before the scale. The drive does not report it; no gap inf.
         torque_noise: Standard deviation of the torque noise of each motor [N·m]; no gap 0.
-        torque_noise_time: Time over which that noise forgets itself [s]; 0 draws it anew at every tick.
+        torque_noise_time: Correlation time of that noise [s]; with 0 the noise of every tick is independent.
         torque_lag: Time constant of the current loop, a first-order lag [s]; no gap 0.
-        torque_limit: What the drives give at most [N·m], besides the robot's own limit; no gap inf.
-        delay: From writing a torque to its start in the drive [s], rounded to whole physics
-            steps; no gap 0.
-        motor_offset_1: How far the zero of motor encoder 1 is off: it reads this much too much [rad]; no gap 0.
-        motor_offset_2: Likewise of motor encoder 2 [rad]; no gap 0.
-        motor_counts: Counts a turn of the motor encoders; no gap inf, exact.
-        boom_counts_horizontal: Counts a turn of the yaw encoder; no gap inf, exact.
-        boom_counts_vertical: Counts a turn of the pitch encoder; no gap inf, exact.
-        touchdown_force: Contact force that counts as touchdown [N]; changes the layout, not the
+        torque_limit: Largest torque of the drives [N·m], in addition to the robot's own limit; no gap inf.
+        delay: Time from writing a torque to its start in the drive [s], rounded to an integer number
+            of physics steps; no gap 0.
+        motor_offset_1: Offset of motor encoder 1, reading minus true angle [rad]; no gap 0.
+        motor_offset_2: Offset of motor encoder 2, reading minus true angle [rad]; no gap 0.
+        motor_counts: Counts per turn of the motor encoders; no gap inf, exact.
+        boom_counts_horizontal: Counts per turn of the yaw encoder; no gap inf, exact.
+        boom_counts_vertical: Counts per turn of the pitch encoder; no gap inf, exact.
+        touchdown_force: Contact force that counts as touchdown [N]; changes the sensor model, not the
             motion; no gap 0.
-        takeoff_length: Leg length that counts as take-off [m]; changes the layout, not the motion;
-            no gap inf, where only the contact force tells.
+        takeoff_length: Leg length that counts as take-off [m]; changes the sensor model, not the motion;
+            no gap inf, where only the contact force decides.
     """
 
     body_mass_scale: float = 1.03

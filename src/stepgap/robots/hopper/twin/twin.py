@@ -1,4 +1,4 @@
-"""The twin as a rig: what the sensors of the MuJoCo hopper say, and its motors."""
+"""The twin as a rig: the sensors and motors of the MuJoCo hopper."""
 
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
@@ -37,22 +37,22 @@ LONGEST_STEP = 2.5e-4
 """Longest physics step [s]."""
 
 FEWEST_STEPS = 4
-"""Fewest physics steps in a tick."""
+"""Smallest number of physics steps in a tick."""
 
 START_LENGTH = Gains().landing_length
-"""Leg length in which the twin is held [m]."""
+"""Leg length of the held twin [m]."""
 
 OVERSPEED = 400.0
-"""Motor speed at which the drives trip [rad/s], ten times that of a hop; MuJoCo would diverge not far beyond."""
+"""Motor speed at which the drives trip [rad/s], ten times that of a hop; at little more, MuJoCo would diverge."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrueState:
-    """What really goes on in the twin; for tests and viewers, never for a controller.
+    """True state of the twin, for tests and viewers, never for a controller.
 
     Attributes:
-        time: Since connecting [s].
-        held: The hip is still held.
+        time: Time since connecting [s].
+        held: Whether the hip is still held.
         hip: Distance travelled along the circle and height of the hip, boom deflection included [m, m].
         hip_rate: Rate of `hip` [m/s, m/s].
         boom: Yaw and pitch at the boom's root [rad, rad].
@@ -60,9 +60,9 @@ class TrueState:
         leg_rate: Rate of `leg` [rad/s, rad/s].
         deflection: Horizontal and vertical deflection of the boom's tip [m, m].
         foot: Position of the foot in MuJoCo's frame; shape (3,) [m].
-        ground_height: Of the ground under the foot [m].
+        ground_height: Height of the ground under the foot [m].
         contact_force: Vertical ground force on the foot [N].
-        closure_error: Distance of the two bottom links at their common joint [m].
+        closure_error: Distance between the two bottom links at their common joint [m].
         qpos: MuJoCo's coordinates, for a viewer.
     """
 
@@ -82,21 +82,22 @@ class TrueState:
 
 
 class Twin(Rig):
-    """The MuJoCo hopper: a robot apart from its physics model by a `RealityGap`.
+    """The MuJoCo hopper: a robot that differs from its physics model by a `RealityGap`.
 
-    It starts with the leg straight down at landing length and the hip held in the air for a while, so
-    that the controller can take hold of the leg, and is then let go. Connecting again starts anew; the noise goes on.
+    It starts with the leg straight down at landing length. The hip is held in the air for a while, so that the
+    controller can stabilise the leg, and is then released. Connecting again restarts the motion, but continues the
+    sequence of random noise.
 
     Args:
-        robot: What the physics model takes the robot to be.
-        gap: How the twin differs from it.
+        robot: Robot of the physics model.
+        gap: Differences of the twin from it.
         rng: Draws torque noise, in blocks, and before that the ground's profile if none is given.
         tick: Time from one read to the next [s].
         start_height: Height of the held hip [m].
-        start_speed: Horizontal speed of the hip when let go [m/s].
+        start_speed: Horizontal speed of the hip when released [m/s].
         hold: Time for which the hip is held [s].
-        ground: The floor, where several twins are to hop on the same one.
-        floor_yaw: Yaw of the floor where the boom's is zero [rad], so where on the floor the robot starts.
+        ground: Profile of the ground, for several twins on the same ground.
+        floor_yaw: Yaw of the floor at boom yaw zero [rad], which is where on the floor the robot starts.
 
     Raises:
         ValueError: An argument is out of range, or the foot would start in the ground.
@@ -124,12 +125,12 @@ class Twin(Rig):
         self._hold_ticks = round(hold / tick)
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
-        self._layout = twin_sensor_model(robot, gap, tick)
+        self._sensor_model = twin_sensor_model(robot, gap, tick)
         self._model = build_model(robot, gap, tick / self._substeps)
         self._data = mujoco.MjData(self._model)
         self._bind()
         self._noise = self._draw_noise()
-        self._connected, self._fault, self._hold_left = False, "", 0
+        self._connected, self._fault, self._hold_remaining = False, "", 0
         self._set_floor_yaw(floor_yaw)
         lowest = START_LENGTH + robot.foot_length + max(self._ground.height(floor_yaw), 0.0)
         rule = f"exceed {lowest:.4g}, or the foot is in the ground"
@@ -137,34 +138,34 @@ class Twin(Rig):
         self._vertical_coordinate(start_height)
 
     def _bind(self) -> None:
-        """Views of MuJoCo's memory: its own interface looks a field up for 1 µs."""
+        """Binds views of MuJoCo's memory, because a look-up through its own interface takes 1 µs."""
         model, data = self._model, self._data
-        self._shown = mujoco.MjData(model)  # for `true_state`, which must not touch the motion
+        self._view_data = mujoco.MjData(model)  # for `true_state`, which must not change the motion
         self._qpos, self._qvel, self._touch = data.qpos, data.qvel, data.sensordata
         self._ctrl, self._force = data.ctrl, data.qfrc_applied
         self._foot, self._ground_position = data.geom("foot").xpos, data.mocap_pos[0]
         self._motor_1, self._motor_2 = (int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2))
 
-    def _devices_at(self, turn: float) -> Devices:
-        """Sensors and motors, the floor turned under the robot [rad]."""
-        gap, layout = self._gap, self._layout
-        kept = exp(-layout.tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
+    def _devices_at(self, floor_yaw: float) -> Devices:
+        """Sensors and motors, with the floor turned under the robot by an angle [rad]."""
+        gap, sensors = self._gap, self._sensor_model
+        kept = exp(-sensors.tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
         return Devices(
             motor_1=self._motor_1,
             motor_2=self._motor_2,
             offset_1=gap.motor_offset_1,
             offset_2=gap.motor_offset_2,
-            motor_scale=layout.motor_counts / (2 * pi),
-            yaw_scale=layout.boom_counts_horizontal / (2 * pi),
-            pitch_scale=layout.boom_counts_vertical / (2 * pi),
+            motor_scale=sensors.motor_counts / (2 * pi),
+            yaw_scale=sensors.boom_counts_horizontal / (2 * pi),
+            pitch_scale=sensors.boom_counts_vertical / (2 * pi),
             motors_round=gap.motor_counts < inf,
             yaw_rounds=gap.boom_counts_horizontal < inf,
             pitch_rounds=gap.boom_counts_vertical < inf,
             overspeed=OVERSPEED,
             boom_arc=gap.boom_arc,
-            boom_length=layout.boom_length,
-            pivot_height=layout.pivot_height,
-            turn=turn,
+            boom_length=sensors.boom_length,
+            pivot_height=sensors.pivot_height,
+            floor_yaw=floor_yaw,
             torque_limit=min(self._robot.torque_limit, gap.torque_limit),
             torque_saturation=gap.torque_saturation,
             noise_kept=kept,
@@ -173,11 +174,11 @@ class Twin(Rig):
 
     @property
     def sensor_model(self) -> HopperSensorModel:
-        """How to read the counts; all zeros are at angle 0."""
-        return self._layout
+        """Sensor model of the twin; all zeros are at angle 0."""
+        return self._sensor_model
 
     def connect(self) -> None:
-        """Puts the robot into its starting pose, held, motors limp, and the clock to zero."""
+        """Puts the robot into its starting pose, held and with limp motors, and sets the time to zero."""
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
         data.qpos[:] = self._start_pose()
@@ -186,15 +187,15 @@ class Twin(Rig):
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
         self._connected, self._fault = True, ""
-        self._hold_left = self._hold_ticks
-        if self._hold_left == 0:
-            self._let_go()
+        self._hold_remaining = self._hold_ticks
+        if self._hold_remaining == 0:
+            self._release()
 
     def read(self) -> HopperReading:
-        """Sensor values at the present tick.
+        """Reads the sensor values of the present tick.
 
         Raises:
-            RigFault: Not connected, the motion has left what can be measured, or a motor runs away.
+            RigFault: The twin is not connected, its motion cannot be measured, or a motor is too fast.
         """
         if not self._connected:
             raise RigFault("the twin is not connected")
@@ -206,7 +207,7 @@ class Twin(Rig):
         return HopperReading(*counts)
 
     def write(self, torques: Torques) -> tuple[float, float]:
-        """Commands the motor torques for one tick [N·m] and returns them as limited.
+        """Commands the motor torques for one tick [N·m] and returns the limited torques.
 
         Delay, lag, scale and noise come after that and stay unknown to the caller, as with real drives.
 
@@ -231,19 +232,19 @@ class Twin(Rig):
         if applied[0] != applied[0]:
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
         mujoco.mj_step(self._model, self._data, self._substeps)
-        if self._hold_left > 0:
-            self._hold_left -= 1
-            if self._hold_left == 0:
-                self._let_go()
+        if self._hold_remaining > 0:
+            self._hold_remaining -= 1
+            if self._hold_remaining == 0:
+                self._release()
         return applied
 
     def fork(self, rng: np.random.Generator, floor_yaw: float = 0.0) -> Self:
-        """Another twin in the very same motion, down to what is under way in the drives; this one stays as it is.
+        """Returns a copy in exactly the same motion, including the state of the drives; this twin is unchanged.
 
         Args:
-            rng: Draws its torque noise, the present value included.
-            floor_yaw: Angle by which the floor, and with it gravity's pull around the circle, is turned under it [rad],
-                as if the robot did the same elsewhere.
+            rng: Draws the copy's torque noise, including its present value.
+            floor_yaw: Angle by which the floor, and with it the tilted gravity, is turned under the copy [rad], as if
+                the robot did the same at another yaw.
         """
         twin = copy(self)
         twin._model, twin._data, twin._rng = copy(self._model), copy(self._data), rng
@@ -255,20 +256,20 @@ class Twin(Rig):
         return twin
 
     def close(self) -> None:
-        """Torque off; the twin can be connected again."""
+        """Switches torque off; the twin can be connected again."""
         self._torque_off()
         self._connected = False
 
     def true_state(self) -> TrueState:
-        """What really goes on; for tests and viewers, never for a controller. Leaves the motion as it is."""
-        model, data = self._model, self._shown
+        """True state, for tests and viewers, never for a controller; does not change the motion."""
+        model, data = self._model, self._view_data
         data.qpos[:], data.qvel[:] = self._data.qpos, self._data.qvel
         mujoco.mj_kinematics(model, data)
         elastic = self._gap.boom_stiffness < inf
         deflection, deflection_rate = (data.qpos[2:4].copy(), data.qvel[2:4]) if elastic else (np.zeros(2), np.zeros(2))
         hip, hip_rate = data.qpos[:2] + deflection, data.qvel[:2] + deflection_rate
         if self._gap.boom_arc:
-            radius, (yaw, pitch) = self._layout.boom_length, data.qpos[:2]
+            radius, (yaw, pitch) = self._sensor_model.boom_length, data.qpos[:2]
             x, z = deflection
             hip = np.array([radius * yaw + x, self._gap.boom_pivot_height + radius * sin(pitch) + z * cos(pitch)])
             turning = np.array([radius, radius * cos(pitch) - z * sin(pitch)])
@@ -278,7 +279,7 @@ class Twin(Rig):
         gap = data.site("front_joint").xpos - data.site("rear_joint").xpos
         return TrueState(
             time=self._data.time,
-            held=self._hold_left > 0,
+            held=self._hold_remaining > 0,
             hip=hip,
             hip_rate=hip_rate,
             boom=np.array(boom_angles(self._devices[0], self._data.qpos)),
@@ -293,7 +294,7 @@ class Twin(Rig):
         )
 
     def model_xml(self) -> str:
-        """The twin as MJCF with shapes to look at, its hip free; any MuJoCo viewer opens it (keyframe `start`)."""
+        """The twin as MJCF with visible shapes and its hip free, for any MuJoCo viewer (keyframe `start`)."""
         return export_xml(self._robot, self._gap, self._model.opt.timestep, self._start_pose())
 
     def _start_pose(self) -> NDArray[np.float64]:
@@ -307,12 +308,12 @@ class Twin(Rig):
             qpos[model.joint(f"knee_{motor}").qposadr[0]] = -side * (alpha + beta)
         return qpos
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         self._data.eq_active[1:] = 0
-        self._data.qvel[0] = self._start_speed / (self._layout.boom_length if self._gap.boom_arc else 1.0)
+        self._data.qvel[0] = self._start_speed / (self._sensor_model.boom_length if self._gap.boom_arc else 1.0)
 
     def _trip(self, message: str) -> RigFault:
-        """Torque off until connected again; returns the fault to raise."""
+        """Switches torque off until the twin is connected again; returns the fault to raise."""
         self._fault = message
         self._torque_off()
         return RigFault(message)
@@ -332,20 +333,20 @@ class Twin(Rig):
         return asin(rise / self._robot.boom_length)
 
     def _set_floor_yaw(self, floor_yaw: float) -> None:
-        """Turns the floor by an angle under the robot [rad]; the boom's axis leans as the floor does."""
+        """Turns the floor, and with it the tilt of the boom's axis, by an angle under the robot [rad]."""
         self._floor_yaw = floor_yaw
         self._model.opt.gravity[:] = gravity(self._robot, self._gap, floor_yaw)
         self._devices = as_record(self._devices_at(floor_yaw))
 
     def _draw_noise(self) -> Iterator[Array]:
-        """Standard normal numbers, one for each motor, without end; zeros where the motors have no noise."""
+        """Yields standard normal numbers, one for each motor, without end; zeros where the motors have no noise."""
         while self._gap.torque_noise > 0:
-            yield from self._rng.standard_normal((512, 2))  # in blocks, because single draws take a microsecond
+            yield from self._rng.standard_normal((512, 2))  # in blocks, because single draws take 1 µs
         yield from repeat(np.zeros(2))
 
 
 def _leg_triangle(robot: RobotParameters, length: float) -> tuple[float, float]:
-    """Angles at hip and lower joint between a leg of this length and its links: α₂ and β [rad]."""
+    """Angles between a leg of this length and its links at hip and lower joint: α₂ and β [rad]."""
     top, bottom = robot.top_length, robot.bottom_length
     alpha = acos((top**2 + length**2 - bottom**2) / (2 * top * length))
     return alpha, asin(top * sin(alpha) / bottom)

@@ -1,4 +1,4 @@
-"""The sensors of the twin: how to read their counts, known from its settings alone."""
+"""Sensor model of the twin, which follows from its settings alone."""
 
 from math import inf
 
@@ -11,11 +11,11 @@ EXACT_COUNTS = 16384
 
 
 def twin_sensor_model(robot: RobotParameters, gap: RealityGap, tick: float = 1e-3) -> HopperSensorModel:
-    """How to read the counts of a twin; all zeros are at angle 0.
+    """Sensor model of a twin; all zeros are at angle 0.
 
     Args:
-        robot: What the physics model takes the robot to be.
-        gap: How the twin differs from it.
+        robot: Robot of the physics model.
+        gap: Differences of the twin from it.
         tick: Time from one read to the next [s].
     """
     return HopperSensorModel(
@@ -31,5 +31,5 @@ def twin_sensor_model(robot: RobotParameters, gap: RealityGap, tick: float = 1e-
 
 
 def _finite(counts: float) -> float:
-    """Counts per turn, also of a sensor without quantisation."""
+    """Counts per turn; EXACT_COUNTS for a sensor without quantisation."""
     return counts if counts < inf else EXACT_COUNTS

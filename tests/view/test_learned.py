@@ -1,4 +1,4 @@
-"""A curve is the residual at points that differ in one input only."""
+"""A curve is the residual at points that differ only in one input."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.view.learnt import curve_along
+from stepgap.view.learned import curve_along
 
 
 @pytest.mark.parametrize("index", range(4))

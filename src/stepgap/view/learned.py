@@ -1,4 +1,4 @@
-"""A residual along one of its inputs, the others held constant."""
+"""A residual as a function of one of its inputs, with the others held constant."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from stepgap.learning.residual import Residual
 from stepgap.step import Array, StepSpace
 
 POINTS = 60
-"""Inputs of a curve."""
+"""Number of inputs of a curve."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,10 +17,10 @@ class Curve:
     """Error of the nominal map, actual − nominal, along one input.
 
     Attributes:
-        inputs: Rising; one of them is the present step's; shape (k,).
-        mean: Expected; shape (k, n) [units of the state].
-        margin: Half the band in which 95 % of steps are expected to err; shape (k, n).
-        here: Which of the inputs is the present step's.
+        inputs: Increasing values of the input, including that of the present step; shape (k,).
+        mean: Mean error; shape (k, n) [units of the state].
+        margin: Half-width of the band in which 95 % of the errors are expected; shape (k, n).
+        here: Index of the present step's input.
     """
 
     inputs: Array
@@ -30,13 +30,13 @@ class Curve:
 
 
 def curve_along(residual: Residual, space: StepSpace, point: Array, index: int) -> Curve:
-    """The residual along one coordinate of a point.
+    """The residual as a function of one coordinate of a point.
 
     Args:
-        residual: Conditioned on the history of the step, where it has history inputs.
-        space: Ranges of the coordinates; the curve covers that, and the point.
+        residual: Residual, conditioned on the history of the step if it has history inputs.
+        space: Ranges of the coordinates; the curve covers the range and the point.
         point: State and applied command of the present step; shape (n + m,).
-        index: Which coordinate is varied.
+        index: Index of the varied coordinate.
     """
     quantity, present = (*space.state, *space.command)[index], point[index]
     ends = min(quantity.lower, present), max(quantity.upper, present)

@@ -1,4 +1,4 @@
-"""What a run learnt: the last residual of its folder, and what it says of the steps it was fitted to."""
+"""The learned residual of a run, and its leave-one-out predictions of the steps to which it was fitted."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,12 +11,12 @@ from stepgap.step import Array, Quantity, StepSpace
 
 
 @dataclass(frozen=True, eq=False)
-class Learnt:
-    """A residual and the deployment that used it; it was fitted to the steps of those before.
+class LearnedResidual:
+    """A residual, which was fitted to the steps of earlier deployments, and the deployment that used it.
 
     Attributes:
-        iteration: Number of that deployment.
-        residual: What it was corrected by when it began.
+        iteration: Number of the deployment.
+        residual: Residual at the start of the deployment.
     """
 
     iteration: int
@@ -24,24 +24,24 @@ class Learnt:
 
     @property
     def steps(self) -> int:
-        """Number of steps that the residual was fitted to; 0 of one that keeps none."""
+        """Number of steps to which the residual was fitted; 0 for a residual that does not keep them."""
         return len(self.residual.regressions[0].values)
 
     @cached_property
     def leave_one_out(self) -> list[Prediction]:
-        """What each regression predicts of each of its N values from all others."""
+        """Predictions by each regression of each of its N values from all others."""
         singles = [slice(row, row + 1) for row in range(self.steps)]
         return [regression.left_out(singles) for regression in self.residual.regressions]
 
     @property
     def standardised_errors(self) -> list[Array]:
-        """Distance of each value from its leave-one-out prediction, in standard deviations; shapes (N,)."""
+        """Differences of the values from their leave-one-out predictions, in standard deviations; shapes (N,)."""
         pairs = zip(self.residual.regressions, self.leave_one_out, strict=True)
         return [(regression.values - predicted.mean) / predicted.std for regression, predicted in pairs]
 
 
-def read_learnt(folder: Path, last: int, space: StepSpace) -> Learnt | None:
-    """The residual with which a deployment began; None if no model was saved, as before one with the nominal map.
+def read_learned_residual(folder: Path, last: int, space: StepSpace) -> LearnedResidual | None:
+    """Reads the residual with which a deployment began; None if no model was saved, as for the nominal map.
 
     Args:
         folder: The run folder.
@@ -53,15 +53,15 @@ def read_learnt(folder: Path, last: int, space: StepSpace) -> Learnt | None:
         OSError: It cannot be read.
     """
     residual = read_model(folder, last, space)
-    return None if residual is None else Learnt(last, residual)
+    return None if residual is None else LearnedResidual(last, residual)
 
 
 def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:
-    """Names and units of a residual's inputs; those of the step before are normalised by half their range."""
-    before = [Quantity(f"error of {each.name} before", "half ranges", -1, 1) for each in space.state]
+    """Names and units of a residual's inputs; those of the previous step are normalised by half their range."""
+    previous = [Quantity(f"previous error of {each.name}", "half ranges", -1, 1) for each in space.state]
     if history_inputs.lagged_inputs == "previous_step":
-        before += [Quantity(f"{each.name} before", "half ranges", -1, 1) for each in (*space.command, *space.state)]
+        previous += [Quantity(f"previous {each.name}", "half ranges", -1, 1) for each in (*space.command, *space.state)]
     elif history_inputs.lagged_inputs == "none":
-        before = []
-    time = [Quantity("time", "memories", -1, 1)] if history_inputs.timed else []
-    return [*space.state, *space.command, *before, *time]
+        previous = []
+    time = [Quantity("time", "forgetting times", -1, 1)] if history_inputs.timed else []
+    return [*space.state, *space.command, *previous, *time]

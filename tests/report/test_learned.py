@@ -1,4 +1,4 @@
-"""What a run learnt, as its report says it, on a run of a map with a closed form."""
+"""The learned residual in the report of a run on a map with a closed form."""
 
 import json
 import shutil
@@ -10,8 +10,8 @@ import pytest
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import LAGGED_INPUTS
 from stepgap.report import RunContext, read_run_folder
-from stepgap.report.learnt import input_quantities, read_learnt
-from stepgap.report.learnt_table import coverage_table, learnt_tables
+from stepgap.report.learned import input_quantities, read_learned_residual
+from stepgap.report.learned_table import coverage_table, learned_tables
 from stepgap.report.reference_gait import gait_table, reference_gait
 from stepgap.report.sentences import decimal
 from tests.control.maps import LossyHopper
@@ -23,33 +23,33 @@ SPACE = LossyHopper().space
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_run(tmp_path_factory.mktemp("learnt") / "run")
+    return make_run(tmp_path_factory.mktemp("learned") / "run")
 
 
 def test_the_last_model_and_its_numbers(folder: Path) -> None:
     record, saved = read_run_folder(folder), json.loads((folder / "models" / "iteration_2.json").read_text())
-    learnt = read_learnt(folder, 2, record.space)
-    assert learnt is not None
-    assert len(learnt.residual.regressions) == 2
-    text = learnt_tables(record, learnt)
+    learned = read_learned_residual(folder, 2, record.space)
+    assert learned is not None
+    assert len(learned.residual.regressions) == 2
+    text = learned_tables(record, learned)
     for entry in saved["regressions"]:
         for length, scale in zip(entry["length_scale"], entry["input_scale"], strict=True):
             assert f"<td>{decimal(length * scale)}</td>" in text
         assert f"<td>{decimal(entry['noise_std'])}</td>" in text
     assert "fx [N]" in text
-    for standardised in learnt.standardised_errors:
+    for standardised in learned.standardised_errors:
         assert 0.5 < np.sqrt(np.mean(standardised**2)) < 1.5
     assert "of 40" in coverage_table(record)
 
 
 @pytest.mark.usefixtures("svg_only")
-def test_without_a_model_it_is_said(folder: Path, tmp_path: Path) -> None:
-    assert read_learnt(folder, 0, SPACE) is None
+def test_a_missing_model_is_reported(folder: Path, tmp_path: Path) -> None:
+    assert read_learned_residual(folder, 0, SPACE) is None
     shutil.copytree(folder, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "models")
     page = Page(report_of(tmp_path / "run"))
     check_alone(page)
-    assert "Nothing is said of the model: there is no models/iteration_2.json." in page.text
+    assert "There is no model to describe: there is no models/iteration_2.json." in page.text
 
 
 @pytest.mark.parametrize("part", [0, 1, 100, 1000, -1])
@@ -58,7 +58,7 @@ def test_a_truncated_model_is_refused(folder: Path, tmp_path: Path, part: int) -
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "iteration_2.json").write_bytes(whole[:part])
     with pytest.raises(ValueError, match=r"^[^\n]*iteration_2\.json: not a residual[^\n]*$"):
-        read_learnt(tmp_path, 2, SPACE)
+        read_learned_residual(tmp_path, 2, SPACE)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_a_foreign_model_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "iteration_2.json").write_text(text)
     with pytest.raises(ValueError, match=r"^[^\n]*iteration_2\.json: not a residual[^\n]*$"):
-        read_learnt(tmp_path, 2, SPACE)
+        read_learned_residual(tmp_path, 2, SPACE)
 
 
 @pytest.mark.parametrize("lagged_inputs", LAGGED_INPUTS)
@@ -81,8 +81,8 @@ def test_every_input_has_a_name(lagged_inputs, forgetting_time: float) -> None:
 
 def test_gaits_hold_the_targets(folder: Path) -> None:
     record, nominal = read_run_folder(folder), LossyHopper()
-    learnt = read_learnt(folder, 2, record.space)
-    gait = reference_gait(record, nominal, learnt)
+    learned = read_learned_residual(folder, 2, record.space)
+    gait = reference_gait(record, nominal, learned)
     np.testing.assert_array_equal(gait.targets, TARGETS.targets[::10])
     assert [each.name for each in gait.maps] == ["nominal", "corrected"]
     for target, by_model, by_both in zip(gait.targets, *(each.points for each in gait.maps), strict=True):

@@ -1,4 +1,4 @@
-"""How well a residual predicts what it was fitted to: each error from all others."""
+"""The figure of leave-one-out predictions of a residual: each error predicted from all others."""
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -8,21 +8,21 @@ from matplotlib.ticker import MaxNLocator
 from stepgap.base.normal import INTERVAL_95
 from stepgap.report.colours import BLACK, BLUE, GREY
 from stepgap.report.figures import MOST_VECTORS, WIDTH, axis_label, unit_label
-from stepgap.report.learnt import Learnt
+from stepgap.report.learned import LearnedResidual
 from stepgap.step import StepSpace
 
 FARTHEST = 4.5
-"""Standard deviations beyond which a residual is drawn at the edge."""
+"""Number of standard deviations above which a point is drawn at the edge."""
 
 
-def left_out_figure(space: StepSpace, learnt: Learnt) -> Figure:
-    """Leave-one-out predictions against the errors, and their differences in standard deviations, hop by hop."""
+def left_out_figure(space: StepSpace, learned: LearnedResidual) -> Figure:
+    """Draws leave-one-out predictions against the errors, and their differences in standard deviations, by hop."""
     count = len(space.state)
     figure = Figure(figsize=(WIDTH, 0.4 + 2.3 * count), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(count, 2, squeeze=False, width_ratios=[1, 1.6])
-    regressions, predictions = learnt.residual.regressions, learnt.leave_one_out
-    parts = zip(panels, space.state, regressions, predictions, learnt.standardised_errors, strict=True)
+    regressions, predictions = learned.residual.regressions, learned.leave_one_out
+    parts = zip(panels, space.state, regressions, predictions, learned.standardised_errors, strict=True)
     for (square, wide), quantity, regression, (mean, _), standardised in parts:
         values = regression.values
         dots = {"linestyle": "", "marker": ".", "markersize": 3, "color": BLUE}
@@ -31,13 +31,13 @@ def left_out_figure(space: StepSpace, learnt: Learnt) -> Figure:
         ends = np.array([min(values.min(), mean.min()), max(values.max(), mean.max())])
         square.plot(ends, ends, color=BLACK, linewidth=0.8)
         name = axis_label(quantity, capital=False)
-        square.set(xlabel=f"Map's error of {name}", ylabel=f"Predicted{unit_label(quantity)}")
+        square.set(xlabel=f"Error of the map in {name}", ylabel=f"Predicted{unit_label(quantity)}")
         square.set_aspect("equal", adjustable="datalim")
         square.xaxis.set_major_locator(MaxNLocator(4))
         wide.axhspan(-INTERVAL_95, INTERVAL_95, color="0.92", zorder=0)
         wide.axhline(0, color=GREY, linewidth=0.8)
         wide.plot(np.arange(1, len(standardised) + 1), np.clip(standardised, -FARTHEST, FARTHEST), **dots, **fast)
-        wide.set(xlabel="Hop, in the order recorded", ylabel="(Error − predicted) / std")
+        wide.set(xlabel="Hop, in recorded order", ylabel="(Error − predicted) / std")
         wide.set_ylim(-FARTHEST - 0.3, FARTHEST + 0.3)
         for panel in (square, wide):
             panel.spines[["top", "right"]].set_visible(False)

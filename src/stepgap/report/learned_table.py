@@ -1,0 +1,103 @@
+"""Tables of the learned residual: its parameters with units, and the coverage of its 95 % intervals."""
+
+from typing import Final
+
+import numpy as np
+
+from stepgap.base.normal import INTERVAL_95
+from stepgap.learning.regression import Parameter
+from stepgap.records.run_folder import RunRecord
+from stepgap.report.bands import interval_coverage
+from stepgap.report.html import table, with_unit
+from stepgap.report.learned import LearnedResidual, input_quantities
+from stepgap.report.sentences import decimal
+from stepgap.step import Array
+
+UNIT_NOTES: Final = {
+    "value": "in the unit of each coordinate",
+    "input": "in the unit of each input",
+    "value per input": "in the unit of each coordinate per unit of the input",
+    "": "without unit",
+}
+"""Meaning of the units of a `Parameter`."""
+
+
+def learned_sentences(record: RunRecord, learned: LearnedResidual | None) -> list[str]:
+    """Sentences on the model of the error, and on the meaning of the tables."""
+    if learned is None:
+        last = record.shown_iterations[-1]
+        reason = "deployment 0 used the nominal map" if last == 0 else f"there is no models/iteration_{last}.json"
+        return [f"There is no model to describe: {reason}."]
+    model = f"Deployment {learned.iteration} began with the residual '{learned.residual.name}'"
+    if not learned.steps:
+        return [f"{model}: {learned.residual.model.description}."]
+    parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
+    return [
+        f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of the "
+        f"previous {learned.steps} hops; the yaw-dependent part of the error was removed where it was significant.",
+        *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
+    ]
+
+
+def learned_tables(record: RunRecord, learned: LearnedResidual | None) -> str:
+    """Tables of the parameters: those with a value for each input by input, all others by state coordinate."""
+    if learned is None or not learned.steps:
+        return ""
+    found = [{each.name: each for each in regression.parameters()} for regression in learned.residual.regressions]
+    names = list(dict.fromkeys(name for parameters in found for name in parameters))
+    by_input = [name for name in names if any(np.ndim(each[name].value) for each in found if name in each)]
+    tables = [_by_input(record, learned, [each.get(name) for each in found]) for name in by_input]
+    rest = [name for name in names if name not in by_input]
+    heads = ["coordinate", *rest, "leave-one-out RMSE", "RMS of error / std", "within 95 %"]
+    rows = [
+        [with_unit(quantity), *(_format(each.get(name)) for name in rest), *_left_out(learned, row)]
+        for row, (quantity, each) in enumerate(zip(record.space.state, found, strict=True))
+    ]
+    return "".join(tables) + table("The model of each coordinate, in its unit", heads, rows)
+
+
+def _by_input(record: RunRecord, learned: LearnedResidual, parameters: list[Parameter | None]) -> str:
+    """Table of a parameter with a value for each input, for the regressions of all state coordinates."""
+    (name, _, unit, _), *_ = (parameter for parameter in parameters if parameter)
+    rows = []
+    for row, quantity in enumerate(input_quantities(record.space, learned.residual.history_inputs)):
+        values = learned.residual.regressions[0].points[:, row]
+        known = f"{decimal(values.min())} … {decimal(values.max())}"
+        rows.append([with_unit(quantity), known, *(_format(parameter, row) for parameter in parameters)])
+    heads = ["input", "range of the data", *(f"for {quantity.name}" for quantity in record.space.state)]
+    return table(f"{name[:1].upper()}{name[1:]}, {UNIT_NOTES[unit]}", heads, rows)
+
+
+def _format(parameter: Parameter | None, row: int = 0) -> str:
+    """Text of a number of a parameter; a dash where a regression does not have the parameter."""
+    return decimal(float(np.ravel(parameter.value)[row])) if parameter else "–"
+
+
+def _left_out(learned: LearnedResidual, row: int) -> list[str]:
+    """Errors and coverage of the leave-one-out predictions for a state coordinate."""
+    values, (mean, _) = learned.residual.regressions[row].values, learned.leave_one_out[row]
+    standardised = learned.standardised_errors[row]
+    inside = f"{100 * float(np.mean(np.abs(standardised) <= INTERVAL_95)):.1f} %"
+    return [decimal(_rms(values - mean)), decimal(_rms(standardised)), inside]
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def coverage_table(record: RunRecord) -> str:
+    """Table of the coverage of the 95 % prediction intervals by deployment; empty if there were no intervals."""
+    rows = []
+    for iteration in record.steps.iterations:
+        held = [interval_coverage(record.steps.of_iteration(iteration), row) for row in range(len(record.space.state))]
+        if any(known for _, known in held):
+            rows.append(
+                [str(iteration), *(f"{n} of {known} ({100 * n / known:.1f} %)" if known else "–" for n, known in held)]
+            )
+    if not rows:
+        return ""
+    return table(
+        "Hops that ended within their 95 % prediction interval",
+        ["deployment", *record.space.state_names],
+        rows,
+    )
