@@ -25,6 +25,7 @@ import numpy as np
 from stepgap.bench.timing import machine
 from stepgap.experiment.settings import Experiment
 from stepgap.experiment.tick_recorder import TickRecorder
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import Mode, Order
 from stepgap.rigs.rig import HEALTHY
@@ -124,7 +125,7 @@ class RecordedTwin(Twin):
         """Number of ticks since the start of the recording."""
         return round((self._data.time - self.start.time) / self.sensor_model.tick)
 
-    def keep(self, _tick: Any) -> None:
+    def keep(self, _rows: Rows) -> None:
         """Records the inputs of a tick at its end, when they are still in memory."""
         force = self._force
         self.given.append((*self._ctrl, force[self._motor_1], force[self._motor_2], self._ground_position[2]))
@@ -149,8 +150,8 @@ def tick_cost(settings: Experiment) -> TickCost:
     """Cost of a tick of hopping with the twin of the settings, including all that a run does in a tick."""
     control = HopperControl(settings.robot, settings.gains, settings.command)
     twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(settings.seed))
-    plain = RigPlant(twin, control, TickRecorder(_EVERY).on_tick)
-    recorded = RigPlant(twin, control, twin.keep)
+    plain = RigPlant(twin, control, TickRecorder(_EVERY).on_ticks)
+    recorded = RigPlant(twin, control, twin.keep, at_once=1)
     costs = []
     for _ in range(TURNS):
         loop = _hopping_time(plain, twin)
