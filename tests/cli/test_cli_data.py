@@ -237,7 +237,7 @@ def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
     whole = Path("a.mcap").read_bytes()
     Path("a.mcap").write_bytes(whole[:200_000])
     result = stepgap("recover", "a.mcap", "--out", "b.mcap")
-    assert result.out.splitlines()[0].startswith("a.mcap: it breaks off")
+    assert result.out.splitlines()[0].startswith("a.mcap: it is truncated")
     _, found = read_ticks(Path("b.mcap"))
     assert result.out.splitlines()[1:] == [f"{len(found)} ticks recovered", "b.mcap"]
     np.testing.assert_array_equal(found, ticks[: len(found)])
