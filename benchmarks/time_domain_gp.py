@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.control.step_controller import StepController
 from stepgap.learning.gaussian_process_fit import fit_gaussian_process
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
@@ -42,13 +43,13 @@ def record(steps: int, trajectory_hops: int, seed: int) -> tuple[Array, Array, A
     twin, controller = Twin(robot, RealityGap(), rng), StepController(nominal)
     ticks, ends, rows = [], [], []
 
-    def on_tick(tick: Tick) -> None:
+    def on_ticks(rows: Rows) -> None:
         if started and len(ends) < trajectory_hops:
             true = twin.true_state()
-            ticks.append([true.hip[1], *true.hip_rate, *true.leg, *true.leg_rate, *tick.applied])
+            ticks.append([true.hip[1], *true.hip_rate, *true.leg, *true.leg_rate, *Tick.of(rows[0]).applied])
 
     started = False
-    with RigPlant(twin, HopperControl(robot, gains, bounds), on_tick) as plant:
+    with RigPlant(twin, HopperControl(robot, gains, bounds), on_ticks, at_once=1) as plant:
         state = plant.start()
         started = True
         for _ in range(steps):

@@ -3,14 +3,16 @@
 import numpy as np
 
 from stepgap import CommandBounds, Gains, HopperControl, RealityGap, RigPlant, RobotParameters, Twin
+from stepgap.robots.hopper.tick import Tick
 
-robot, ticks = RobotParameters(), []
+robot, rows = RobotParameters(), []
 twin = Twin(robot, RealityGap(), np.random.default_rng(0))
-with RigPlant(twin, HopperControl(robot, Gains(), CommandBounds()), on_tick=ticks.append) as plant:
+with RigPlant(twin, HopperControl(robot, Gains(), CommandBounds()), on_ticks=rows.extend) as plant:
     state = plant.start()
     print("first apex: {:.3f} m/s, {:.3f} m".format(*state))
     for _ in range(3):
         record = plant.take_step(np.array([-5.0, -5.0]))
         print("next apex:  {:.3f} m/s, {:.3f} m".format(*record.next_state))
+ticks = [Tick.of(row) for row in rows]
 peak = max(ticks, key=lambda tick: abs(tick.applied[0]))
 print(f"{len(ticks)} ticks; largest torque {abs(peak.applied[0]):.1f} N·m in phase {peak.phase.name}")

@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -31,10 +32,10 @@ def measure_twin(nominal: StepMap, robot: RobotParameters, gains: Gains, hops: i
     ticks, errors, rng = [0], [], np.random.default_rng(1)
     twin, bounds = Twin(robot, RealityGap.none(), rng, tick=STEP), CommandBounds()
 
-    def count(_: object) -> None:
-        ticks[-1] += 1
+    def count(rows: Rows) -> None:
+        ticks[-1] += len(rows)
 
-    with RigPlant(twin, HopperControl(robot, gains, bounds), on_tick=count) as plant:
+    with RigPlant(twin, HopperControl(robot, gains, bounds), on_ticks=count) as plant:
         state = plant.start()
         for _ in range(hops):
             ticks.append(0)

@@ -18,6 +18,7 @@ from stepgap.bench.identification import (
     physical_error,
     record_windows,
 )
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -41,13 +42,13 @@ def recorded() -> tuple[list[Tick], list[TrueState]]:
     """Hops of a twin heavier than its model, on a boom with friction, and the truth after each tick."""
     ticks, truth = list[Tick](), list[TrueState]()
 
-    def record(tick: Tick) -> None:
-        ticks.append(tick)
+    def record(rows: Rows) -> None:
+        ticks.extend(map(Tick.of, rows))
         truth.append(twin.true_state())
 
     gap = replace(RealityGap.none(), body_mass_scale=1 + HEAVIER, boom_friction=FRICTION)
     twin = Twin(ROBOT, gap, np.random.default_rng(0))
-    plant = RigPlant(twin, HopperControl(ROBOT, NOMINAL.gains, NOMINAL.bounds), on_tick=record)
+    plant = RigPlant(twin, HopperControl(ROBOT, NOMINAL.gains, NOMINAL.bounds), on_ticks=record, at_once=1)
     plant.start()
     for command in COMMANDS:
         plant.take_step(np.array(command))

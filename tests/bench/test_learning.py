@@ -13,7 +13,6 @@ from stepgap.control import reference
 from stepgap.control.reference import Reference
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.family import DRAWN, random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import StepRecord, StepStatus
@@ -55,8 +54,8 @@ def test_equal_residuals_are_deployed_once(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_deployment_is_recorded_as_it_was_made() -> None:
-    trial, ticks = Trial(NOMINAL, RealityGap(), SHORT, twin=0, seed=0), list[Tick]()
-    log, again = trial.deploy(trial.uncorrected(), 0), trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)
+    trial, ticks = Trial(NOMINAL, RealityGap(), SHORT, twin=0, seed=0), []
+    log, again = trial.deploy(trial.uncorrected(), 0), trial.deploy(trial.uncorrected(), 0, on_ticks=ticks.extend)
     np.testing.assert_array_equal(again.next_state, log.next_state)
     assert len(ticks) > 500 * len(log)
 

@@ -1,7 +1,7 @@
 """Replay of a deployment: the same ticks as recorded, with the true state, and the cases that are refused."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,14 +38,14 @@ def run_of(folder: Path, *arguments: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[float, ...]]]:
+def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Sequence[float]]]:
     """A run folder, and the original ticks of its last deployment."""
-    ticks: list[tuple[float, ...]] = []
-    start, on_tick = RigPlant.start, lambda tick: ticks.append(tick.row())
+    ticks: list[Sequence[float]] = []
+    start = RigPlant.start
 
     def watched_start(plant: RigPlant) -> np.ndarray:
         ticks.clear()
-        plant._on_tick = on_tick
+        plant._on_ticks = ticks.extend
         return start(plant)
 
     with pytest.MonkeyPatch.context() as patch:

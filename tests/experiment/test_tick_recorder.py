@@ -9,11 +9,10 @@ from stepgap.experiment.plants import plant_on, replay_rig
 from stepgap.experiment.settings import read_experiment
 from stepgap.experiment.tick_recorder import HopCount, TickRecorder
 from stepgap.learning.step_log import LoggedStep
+from stepgap.plants.compiled_rig import Rows
 from stepgap.records.summary import Deployment
 from stepgap.robots.hopper.phases import Phase
-from stepgap.robots.hopper.safety import Limited
-from stepgap.robots.hopper.sensors import HopperReading
-from stepgap.robots.hopper.tick import TICK_UNITS, Tick
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.step import StepRecord, StepStatus
 
 NONE = np.zeros(2)
@@ -27,15 +26,16 @@ def deployment(iteration: int) -> Deployment:
     return Deployment(iteration, "none", 2, 0, NONE, NONE, NONE, NONE, NONE)
 
 
-def tick(time: float, phase: Phase) -> Tick:
-    return Tick(time, HopperReading(1, 2, 3, 4, 5.0), phase, 0.1, 0.2, (0.0, 0.0), (0.0, 0.0), Limited(0))
+def tick(time: float, phase: Phase) -> list[float]:
+    return [time, 1, 2, 3, 4, 5.0, phase, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0]
 
 
 def hop(recorder: TickRecorder, ticks: int = 10) -> None:
     """Records a hop: descent, thrust, ascent, and descent in the last tick."""
-    for row in range(ticks - 1):
-        recorder.on_tick(tick(0.001 * row, Phase(1 + row) if row < 3 else Phase.ASCENT))
-    recorder.on_tick(tick(1.0, Phase.DESCENT))
+    rows = [tick(0.001 * row, Phase(1 + row) if row < 3 else Phase.ASCENT) for row in range(ticks - 1)]
+    rows.append(tick(1.0, Phase.DESCENT))
+    for block in rows[:4], rows[4:5], rows[5:]:  # however many come at a time
+        recorder.on_ticks(block)
 
 
 def test_a_tick_is_assigned_to_its_hop(tmp_path: Path) -> None:
@@ -43,12 +43,11 @@ def test_a_tick_is_assigned_to_its_hop(tmp_path: Path) -> None:
     settings, count = read_experiment(tmp_path / "experiment.toml"), HopCount()
     observer, seen = count.observing(Observer()), set()
 
-    def on_tick(tick: Tick) -> None:
-        seen.add((count.iteration, count.hop))
-        count.on_tick(tick)
+    def on_ticks(rows: Rows) -> None:
+        seen.update((count.iteration, hop) for hop in count.on_ticks(rows))
 
     for iteration in range(2):
-        with plant_on(settings, replay_rig(settings, iteration)[0], on_tick) as plant:
+        with plant_on(settings, replay_rig(settings, iteration)[0], on_ticks) as plant:
             plant.start()
             assert seen == {(iteration, 0)}
             for number in (1, 2, 3):

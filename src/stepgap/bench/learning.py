@@ -34,6 +34,7 @@ from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.learning.step_log import StepLog
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.report.bands import hops_to_band
 from stepgap.report.learning import UNCORRECTED, DeploymentRow
@@ -90,11 +91,11 @@ class Trial:
         iteration: int,
         exploration: int = 0,
         most_steps: int | None = None,
-        on_tick: Callable[[Tick], None] | None = None,
+        on_ticks: Callable[[Rows], None] | None = None,
     ) -> StepLog:
         """Steps of a deployment; none if the hop before the first step failed."""
         nominal, log = self.nominal, StepLog(self.nominal.space)
-        plant = RigPlant(self.twin_of(iteration), HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_tick)
+        plant = RigPlant(self.twin_of(iteration), HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_ticks)
         with closing(deploy(learner, plant, self.reference, iteration, exploration)) as steps:
             try:
                 for logged in islice(steps, most_steps):
@@ -120,11 +121,11 @@ def _identified(trial: Trial, log: StepLog) -> StepLog:
 def _sysid(trial: Trial, log: StepLog) -> StepLog:
     from stepgap.bench.identification import identify_from_ticks
 
-    ticks: list[Tick] = []
-    again = trial.deploy(trial.uncorrected(), 0, on_tick=ticks.append)  # exactly the same deployment
+    rows: list[Sequence[float]] = []
+    again = trial.deploy(trial.uncorrected(), 0, on_ticks=rows.extend)  # exactly the same deployment
     if not len(again):
         return trial.deploy(trial.uncorrected(), 1)
-    found = identify_from_ticks(trial.nominal, ticks, trial.twin_of(0).sensor_model)
+    found = identify_from_ticks(trial.nominal, list(map(Tick.of, rows)), trial.twin_of(0).sensor_model)
     return trial.deploy(Learner.start(found, log, LearningSettings(residual="none"), 1), 1)
 
 

@@ -22,13 +22,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from stepgap.base.compiled import as_written
 from stepgap.bench.timing import machine
 from stepgap.experiment.settings import Experiment
 from stepgap.experiment.tick_recorder import TickRecorder
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.plants.tick_control import Mode, Order
-from stepgap.rigs.rig import HEALTHY
-from stepgap.robots.hopper.hop_control import HopControl, HopperControl
+from stepgap.plants.tick_control import Mode
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.hop_tick import tick
 from stepgap.robots.hopper.twin.twin import Twin
 
 _SAMPLING_PERIOD = 1e-3
@@ -52,6 +54,8 @@ TURNS, HOPS = 8, 10
 
 _EVERY = 10
 """Interval of the ticks that a run keeps for its report."""
+
+_STEP = int(Mode.STEP)
 
 COMMAND = np.array([-7.0, -6.0])
 """Command during the measurement of the cost of a tick [N]."""
@@ -124,7 +128,7 @@ class RecordedTwin(Twin):
         """Number of ticks since the start of the recording."""
         return round((self._data.time - self.start.time) / self.sensor_model.tick)
 
-    def keep(self, _tick: Any) -> None:
+    def keep(self, _rows: Rows) -> None:
         """Records the inputs of a tick at its end, when they are still in memory."""
         force = self._force
         self.given.append((*self._ctrl, force[self._motor_1], force[self._motor_2], self._ground_position[2]))
@@ -149,15 +153,15 @@ def tick_cost(settings: Experiment) -> TickCost:
     """Cost of a tick of hopping with the twin of the settings, including all that a run does in a tick."""
     control = HopperControl(settings.robot, settings.gains, settings.command)
     twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(settings.seed))
-    plain = RigPlant(twin, control, TickRecorder(_EVERY).on_tick)
-    recorded = RigPlant(twin, control, twin.keep)
+    plain = RigPlant(twin, control, TickRecorder(_EVERY).on_ticks)
+    recorded = RigPlant(twin, control, twin.keep, at_once=1)
     costs = []
     for _ in range(TURNS):
         loop = _hopping_time(plain, twin)
         _hopping_time(recorded, twin)
         costs.append((loop, twin.bare_time() / twin.ticks))
     loop, physics = np.median(costs, axis=0) * 1e6
-    return TickCost(float(loop), float(physics), _control_cost(control.control(twin), twin))
+    return TickCost(float(loop), float(physics), _control_cost(control, twin))
 
 
 def _hopping_time(plant: RigPlant, twin: RecordedTwin) -> float:
@@ -171,17 +175,33 @@ def _hopping_time(plant: RigPlant, twin: RecordedTwin) -> float:
         return (thread_time() - begin) / twin.ticks
 
 
-def _control_cost(control: HopControl, twin: Twin, calls: int = 20_000) -> float:
-    """CPU time of one call of the control tick from Python, the smallest of several rounds [µs]."""
-    twin.connect()
-    reading, order, spent = twin.read(), Order(Mode.STEP, 1.0, (-7.0, -6.0)), []
+def _control_cost(robot_control: HopperControl, twin: Twin) -> float:
+    """CPU time of a control tick in compiled code, with the readings of some hops; smallest of several rounds [µs]."""
+    blocks, spent = list[Rows](), []
+    with RigPlant(twin, robot_control, blocks.append) as plant:
+        plant.start()
+        for _ in range(HOPS):
+            plant.take_step(COMMAND)
+    rows = np.concatenate(blocks)
     for _ in range(5):
+        memory = robot_control.control(twin).memory
         begin = thread_time()
-        for number in range(calls):
-            control.tick(1e-3 * number, reading, order, (0.0, 0.0), HEALTHY)
+        _repeat_ticks(memory, rows, tuple(COMMAND))
         spent.append(thread_time() - begin)
-    twin.close()
-    return min(spent) / calls * 1e6
+    return min(spent) / len(rows) * 1e6
+
+
+@as_written
+def _repeat_ticks(memory, rows, command):
+    """Computes the ticks of a log once more."""
+    settings, state, row = memory
+    for i in range(len(rows)):
+        time, motor_1, motor_2, yaw, pitch, force = rows[i, :6]
+        applied_1, applied_2 = rows[max(i - 1, 0), 11], rows[max(i - 1, 0), 12]
+        tick(
+            settings, state, row, time, 0.0, motor_1, motor_2, yaw, pitch, force, False, False, 0, False, _STEP, 1.0,
+            command[0], command[1], applied_1, applied_2,
+        )  # fmt: skip
 
 
 def bench_run(settings: Experiment, run: Callable[[], object]) -> dict[str, Any]:
@@ -200,16 +220,16 @@ def bench_run(settings: Experiment, run: Callable[[], object]) -> dict[str, Any]
         run()
     total, samples = process_time() - begin, sum(sampler.counts.values())
     seconds = {part: total * count / samples for part, count in sampler.counts.items()}
-    tick = tick_cost(settings)
+    cost = tick_cost(settings)
     hopping = seconds.pop(HOPPING, 0.0)
-    physics, control = (hopping * part / tick.loop for part in (tick.physics, tick.control))
+    physics, control = (hopping * part / cost.loop for part in (cost.physics, cost.control))
     parts = {"physics": physics, "control tick": control, "rest of the twin": hopping - physics - control}
     return {
         "seconds": {**parts, **{part: seconds.get(part, 0.0) for part in ("planning", "learning", "files", "report")}}
         | {part: seconds.get(part, 0.0) for part in (LOADING, REST)},
         "total": total,
-        "tick": asdict(tick),
-        "hopping_to_physics": tick.loop / tick.physics,
+        "tick": asdict(cost),
+        "hopping_to_physics": cost.loop / cost.physics,
         "run_to_physics": (total - seconds.get(LOADING, 0.0)) / physics,
         "machine": machine(PACKAGES),
     }
@@ -217,14 +237,14 @@ def bench_run(settings: Experiment, run: Callable[[], object]) -> dict[str, Any]
 
 def describe_run(result: Mapping[str, Any]) -> str:
     """The result as a text table."""
-    total, tick = result["total"], result["tick"]
+    total, cost = result["total"], result["tick"]
     lines = [f"{part:18} {seconds:7.2f} s  {seconds / total:6.1%}" for part, seconds in result["seconds"].items()]
     return "\n".join(
         [
             *lines,
             f"{'total':18} {total:7.2f} s",
-            f"A tick of 1 ms takes {tick['loop']:.1f} µs: mj_step {tick['physics']:.1f} µs, the control tick "
-            f"{tick['control']:.2f} µs.",
+            f"A tick of 1 ms takes {cost['loop']:.1f} µs: mj_step {cost['physics']:.1f} µs, the control tick "
+            f"{cost['control']:.2f} µs.",
             f"Hopping takes {result['hopping_to_physics']:.2f} times as long as its mj_step calls alone, "
             f"the whole run without loading {result['run_to_physics']:.2f} times.",
         ]

@@ -22,9 +22,9 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.settings import Experiment
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.learning.step_log import StepLog
+    from stepgap.plants.compiled_rig import Rows
     from stepgap.report import WrittenReport
     from stepgap.robots.hopper.apex_map import ApexMap
-    from stepgap.robots.hopper.tick import Tick
     from stepgap.view.live import LiveView
 
 
@@ -163,19 +163,19 @@ def _choose_plants(ready: Prepared, arm: bool, recorder: "TickRecorder", live: "
     """Chooses the plants of the settings; their ticks go to the recorder and to the live page."""
     from stepgap.experiment.plants import choose_plants
 
-    return choose_plants(ready.settings, ready.reference, arm, ready.folder, _all_of(recorder.on_tick, live))
+    return choose_plants(ready.settings, ready.reference, arm, ready.folder, _all_of(recorder.on_ticks, live))
 
 
-def _all_of(record: "Callable[[Tick], None]", live: "LiveView | None") -> "Callable[[Tick], None]":
-    """Function that passes every tick to the recorder and, if there is one, to the live page."""
+def _all_of(record: "Callable[[Rows], None]", live: "LiveView | None") -> "Callable[[Rows], None]":
+    """Function that passes ticks to the recorder and, if there is one, to the live page."""
     if live is None:
         return record
 
-    def on_tick(tick: "Tick") -> None:
-        record(tick)
-        live.on_tick(tick)
+    def on_ticks(rows: "Rows") -> None:
+        record(rows)
+        live.on_ticks(rows)
 
-    return on_tick
+    return on_ticks
 
 
 def _execute(

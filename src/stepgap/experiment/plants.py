@@ -17,6 +17,7 @@ from stepgap.experiment.loop import MeasureNoiseFloor, deployment_generator
 from stepgap.experiment.noise_floor import measure_noise_floor
 from stepgap.experiment.settings import EMULATED_RING, TWIN, Experiment
 from stepgap.plants.commissioning.check import checked
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
@@ -28,7 +29,6 @@ from stepgap.robots.hopper.direct_ring import DirectRing
 from stepgap.robots.hopper.ethercat import RigSettings
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
-from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin_machine import TwinMachine
@@ -60,7 +60,7 @@ def choose_plants(
     reference: Reference,
     arm: bool,
     folder: Path,
-    on_tick: Callable[[Tick], None] | None = None,
+    on_ticks: Callable[[Rows], None] | None = None,
 ) -> Plants:
     """Chooses the plants of an experiment.
 
@@ -69,7 +69,7 @@ def choose_plants(
         reference: Reference that will be tracked.
         arm: Whether a person allows torque on a rig.
         folder: Folder of the run, into which a rig's ticks are written.
-        on_tick: Called with every tick of a simulation.
+        on_ticks: Called with the log rows of the ticks of a simulation, some at a time.
 
     Raises:
         InputError: No plant can be made with these settings.
@@ -87,11 +87,11 @@ def choose_plants(
         return measure_noise_floor(plant_on(settings, twin), twin, step_map, reference, rng)
 
     if settings.plant == TWIN:
-        return Plants(lambda rng: plant_on(settings, make_twin(rng), on_tick), True, measure)
+        return Plants(lambda rng: plant_on(settings, make_twin(rng), on_ticks), True, measure)
     bus = _bus(settings, twin)
 
     def make_on_ring(rng: np.random.Generator) -> Plant:
-        return plant_on(settings, RingRig(partial(_machine, settings, rng), RING, bus, settings.robot), on_tick)
+        return plant_on(settings, RingRig(partial(_machine, settings, rng), RING, bus, settings.robot), on_ticks)
 
     return Plants(make_on_ring, True, measure)
 
@@ -125,9 +125,9 @@ def _twin(settings: Experiment, ground: GroundProfile, rng: np.random.Generator)
         raise InputError(f"no twin can be made with the settings [robot] and [gap]: {error}") from None
 
 
-def plant_on(settings: Experiment, rig: Rig, on_tick: Callable[[Tick], None] | None = None) -> RigPlant:
+def plant_on(settings: Experiment, rig: Rig, on_ticks: Callable[[Rows], None] | None = None) -> RigPlant:
     """Plant of a simulated rig."""
-    return RigPlant(rig, HopperControl(settings.robot, settings.gains, settings.command), on_tick)
+    return RigPlant(rig, HopperControl(settings.robot, settings.gains, settings.command), on_ticks)
 
 
 def _machine(settings: Experiment, rng: np.random.Generator) -> TwinMachine:

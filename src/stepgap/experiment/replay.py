@@ -11,6 +11,7 @@ from stepgap.base.versions import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, replay_rig
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
@@ -22,7 +23,7 @@ from stepgap.rigs.rig import Health, Reading, Rig, RigFault, SensorModel, Torque
 from stepgap.robots.hopper.hop_control import sensors_of
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.sensors import HopperSensorModel
-from stepgap.robots.hopper.tick import TICK_UNITS, Tick
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.step import Array
@@ -135,7 +136,7 @@ def _hops(folder: Path, settings: Experiment, steps: list[LoggedStep], every: in
     """Yields the rows of each hop after a check that its step equals the recorded one."""
     rig, twin = replay_rig(settings, steps[0].iteration)
     recorder = _Recorder(twin, every)
-    with plant_on(settings, _ObservedRig(rig, recorder.on_read), recorder.on_tick) as plant:
+    with plant_on(settings, _ObservedRig(rig, recorder.on_read), recorder.on_ticks) as plant:
         recorder.step = steps[0].step - 1
         try:
             plant.start()
@@ -183,11 +184,12 @@ class _Recorder:
         if self._count % self._every == 0:
             self._truth = _truth(self._twin)
 
-    def on_tick(self, tick: Tick) -> None:
-        """Called at the end of a tick."""
-        if self._count % self._every == 0:
-            self._rows.append((*tick.row(), self.step, *self._truth))
-        self._count += 1
+    def on_ticks(self, rows: Rows) -> None:
+        """Called at the end of every tick, because an observed rig is not run in compiled code."""
+        for row in rows:
+            if self._count % self._every == 0:
+                self._rows.append((*row, self.step, *self._truth))
+            self._count += 1
 
     def drain(self) -> Array:
         """Returns and forgets the rows since the last call; shape (k, columns)."""

@@ -7,10 +7,14 @@ import numpy as np
 
 from stepgap.experiment.loop import Observer
 from stepgap.learning.step_log import LoggedStep
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.summary import Deployment
 from stepgap.robots.hopper.phases import Phase
-from stepgap.robots.hopper.tick import TICK_UNITS, Tick
+from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.step import Array
+
+_PHASE = list(TICK_UNITS).index("phase")
 
 
 class HopCount:
@@ -24,11 +28,19 @@ class HopCount:
     def __init__(self) -> None:
         self.iteration, self.hop, self._phase = 0, 0, Phase.DESCENT
 
-    def on_tick(self, tick: Tick) -> None:
-        """Called at the end of a tick; the first hop, which ends with the first apex, is not a recorded step."""
-        if self.hop == 0 and tick.phase == Phase.DESCENT != self._phase:
-            self.hop = 1
-        self._phase = tick.phase
+    def on_ticks(self, rows: Rows) -> Array:
+        """Called with ticks at their end; returns the number of the hop of each, shape (k,).
+
+        The first hop, which ends with the first apex, is not a recorded step.
+        """
+        phase = np.asarray(rows)[:, _PHASE]
+        hops = np.full(len(phase), float(self.hop))
+        if self.hop == 0:
+            passed = np.flatnonzero((phase == Phase.DESCENT) & (np.append(self._phase, phase[:-1]) != Phase.DESCENT))
+            if passed.size:
+                hops[passed[0] + 1 :] = self.hop = 1
+            self._phase = phase[-1]
+        return hops
 
     def observing(self, observer: Observer) -> Observer:
         """Observer that first calls the given one, then counts the step or deployment."""
@@ -53,7 +65,7 @@ class TickRecorder:
 
     def __init__(self, every: int):
         self._every, self._hops, self._count, self._before = every, HopCount(), 0, 0
-        self._rows: list[tuple[float, ...]] = []
+        self._rows: list[Array] = []
         self._kept: dict[int, TickTable] = {}
 
     @property
@@ -61,12 +73,12 @@ class TickRecorder:
         """Kept ticks by number of the deployment: the fields of a tick, and `step`, the number of its step."""
         return self._kept
 
-    def on_tick(self, tick: Tick) -> None:
-        """Called at the end of a tick."""
-        if self._count % self._every == 0:
-            self._rows.append((*tick.row(), self._hops.hop))
-        self._count += 1
-        self._hops.on_tick(tick)
+    def on_ticks(self, rows: Rows) -> None:
+        """Called with ticks at their end."""
+        kept = slice(-self._count % self._every, None, self._every)
+        hops = self._hops.on_ticks(rows)
+        self._rows.append(np.column_stack([np.asarray(rows)[kept], hops[kept]]))
+        self._count += len(rows)
 
     def observing(self, observer: Observer) -> Observer:
         """Observer that calls the given one and counts steps and deployments."""
@@ -83,9 +95,10 @@ class TickRecorder:
 
     def _keep(self, iteration: int) -> None:
         """Keeps the ticks of a deployment, if there are any; a deployment that was recorded earlier has none."""
-        rows, self._rows, self._count = np.array(self._rows), [], 0
-        if not len(rows):
+        blocks, self._rows, self._count = self._rows, [], 0
+        if not blocks:
             return
+        rows = np.concatenate(blocks)
         rows[:, -1] += self._before
         self._kept = {number: ticks for number, ticks in self._kept.items() if number == 0}
         self._kept[iteration] = TickTable({**TICK_UNITS, "step": ""}, rows)

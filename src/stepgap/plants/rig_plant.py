@@ -1,10 +1,10 @@
 """A plant with a rig in the calling process: it reads, computes the tick and writes, as fast as the rig can."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
+from stepgap.plants.compiled_rig import CompiledRig, Rows, TickRun
 from stepgap.plants.plant import Plant
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag
 from stepgap.rigs.rig import Rig, RigFault
@@ -13,6 +13,10 @@ from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 STEP_ENDED, FAILED, _UNREADABLE = (
     int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE)
 )  # fmt: skip
+
+
+TICKS_AT_ONCE = 32
+"""Ticks of a compiled rig between two looks at Ctrl-C: about a millisecond of computing."""
 
 
 class RigPlant(Plant):
@@ -25,11 +29,20 @@ class RigPlant(Plant):
     Args:
         rig: The rig.
         robot_control: Control of its robot.
-        on_tick: Called with every tick as the control records it, for logs.
+        on_ticks: Called with the log rows of every tick, of one or more at a time; shape (k, fields), the fields are
+            those of `RobotControl.units`.
+        at_once: Largest number of ticks that a `CompiledRig` runs before `on_ticks` is called.
     """
 
-    def __init__(self, rig: Rig, robot_control: RobotControl, on_tick: Callable[[Any], None] | None = None):
-        self._rig, self._robot_control, self._space, self._on_tick = rig, robot_control, robot_control.space, on_tick
+    def __init__(
+        self,
+        rig: Rig,
+        robot_control: RobotControl,
+        on_ticks: Callable[[Rows], None] | None = None,
+        at_once: int = TICKS_AT_ONCE,
+    ):
+        self._rig, self._robot_control, self._space = rig, robot_control, robot_control.space
+        self._on_ticks, self._at_once = on_ticks, at_once
         self._tick_time = rig.sensor_model.tick
         self._state = np.full(len(self._space.state), np.nan)
         self._begin()
@@ -82,24 +95,37 @@ class RigPlant(Plant):
 
     def _step(self, command: tuple[float, ...]) -> FinishedStep:
         """Runs the ticks of one step, from just after an apex to just after the next; its result."""
-        rig, control, on_tick = self._rig, self._control, self._on_tick
-        order, applied = Order(Mode.STEP, 1.0, command), self._applied
-        try:
-            while self._status == StepStatus.OK:
-                reading = rig.read()
-                torques, flags = control.tick(self._time, reading, order, applied, rig.health)
-                if flags & _UNREADABLE:
-                    raise RigFault(f"a sensor value is not finite: {reading}")
-                applied = rig.write(torques)
-                self._time += self._tick_time
-                if on_tick:
-                    on_tick(control.record(applied))
-                if flags & STEP_ENDED:
-                    self._applied = applied
-                    return control.finished_step()
-                if flags & FAILED:
-                    self._status = control.status
-        except RigFault as fault:
-            self._status, self._fault, applied = StepStatus.STOPPED, str(fault), None
-        rig.close()
+        control, applied = self._control, self._applied
+        order = Order(Mode.STEP, 1.0, command)
+        while self._status == StepStatus.OK:
+            run = self._run(order)
+            self._time, applied = run.time, run.applied
+            if self._on_ticks and len(run.rows):
+                self._on_ticks(run.rows)
+            if applied is None:
+                self._status, self._fault = StepStatus.STOPPED, run.fault
+            elif run.flags & STEP_ENDED:
+                self._applied = applied
+                return control.finished_step()
+            elif run.flags & FAILED:
+                self._status = control.status
+            else:
+                self._applied = applied
+        self._rig.close()
         return control.failed_step(applied)
+
+    def _run(self, order: Order) -> TickRun:
+        """Runs one tick, or some ticks of a rig that runs them in compiled code."""
+        rig = self._rig
+        if isinstance(rig, CompiledRig):
+            return rig.run(self._control, self._time, order, self._applied, self._at_once)
+        try:
+            reading = rig.read()
+            torques, flags = self._control.tick(self._time, reading, order, self._applied, rig.health)
+            if flags & _UNREADABLE:
+                raise RigFault(f"a sensor value is not finite: {reading}")
+            applied = rig.write(torques)
+        except RigFault as fault:
+            return TickRun((), self._time, None, 0, str(fault))
+        row = [self._control.row(applied)] if self._on_ticks else ()
+        return TickRun(row, self._time + self._tick_time, applied, flags, "")

@@ -7,7 +7,7 @@ hidden behind them.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from enum import IntEnum, IntFlag
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, Torques
@@ -114,10 +114,6 @@ class TickControl(ABC):
     @abstractmethod
     def row(self, applied: Torques) -> Sequence[float]:
         """Log row of the last tick, with the torques that were applied [N·m]; fields as in `units`."""
-
-    @abstractmethod
-    def record(self, applied: Torques) -> Any:
-        """Record of the last tick for observers, with the torques that were applied [N·m]."""
 
     @abstractmethod
     def finished_step(self) -> FinishedStep:

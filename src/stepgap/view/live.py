@@ -7,8 +7,9 @@ from typing import Self
 
 from stepgap.experiment.loop import Observer
 from stepgap.experiment.tick_recorder import HopCount
+from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.ticks.tick_ring import TickRing
-from stepgap.robots.hopper.tick import TICK_UNITS, Tick
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.view.motion import TICK_STRIDE
 
 ROWS = 2**16
@@ -31,12 +32,12 @@ class LiveView:
         self._folder, self._host, self._port = folder, host, port
         self._hops, self._count = HopCount(), 0
 
-    def on_tick(self, tick: Tick) -> None:
+    def on_ticks(self, rows: Rows) -> None:
         """Passes every `TICK_STRIDE`-th tick to the page."""
-        if self._count % TICK_STRIDE == 0:
-            self._ring.push((self._hops.iteration, self._hops.hop, *tick.row()))
-        self._count += 1
-        self._hops.on_tick(tick)
+        hops = self._hops.on_ticks(rows)
+        for i in range(-self._count % TICK_STRIDE, len(rows), TICK_STRIDE):
+            self._ring.push((self._hops.iteration, hops[i], *rows[i]))
+        self._count += len(rows)
 
     def observing(self, observer: Observer) -> Observer:
         """Observer that also counts steps and deployments for the ticks."""

@@ -277,8 +277,8 @@ def test_the_next_log_comes_after_the_last(tmp_path):
     ("units", "message"),
     [
         ({}, "of 0 fields"),
-        ({"time": "s", "a b": "m"}, "'a b': a name is"),
-        ({"time": "s", "α": "rad"}, "'α': a name is"),
+        ({"time": "s", "a b": "m"}, "'a b': a name consists"),
+        ({"time": "s", "α": "rad"}, "'α': a name consists"),
         ({"time": "s", "x": "m,s"}, "has a comma"),
         ({f"x{i}": "" for i in range(2001)}, "of 2001 fields"),
     ],

@@ -56,7 +56,7 @@ WRONG = [
     ('name = "right drive"', 'name = "left drive"', "slaves = ['left drive', 'left drive', "),
     ('pdos = "beckhoff-el5101"', 'pdos = "el5101"', "[slaves 4] pdos = 'el5101', but it must be one of none, elmo-cst"),
     ('pdos = "beckhoff-el5101"', "", "[boom_horizontal] slave = 'yaw encoder', but it must be a slave whose PDOs have"),
-    ('name = "foot-force"', 'name = "elmo-cst"', "[pdo_sets 1] name = 'elmo-cst', but it must differ from those"),
+    ('name = "foot-force"', 'name = "elmo-cst"', "[pdo_sets 1] name = 'elmo-cst', but it must differ from the"),
     ("0x6000:11:16 force", "0x6000:11:12 force", "[pdo_sets 1.inputs 1] entries = '0x6000:11:12 force', but it must"),
     ("0x6000:11:16 force", "6000 force", "'6000 force' is not an entry; write it as '0x6041:00:16 statusword'"),
     ('"0x0000:00:16"', '"0x0000:00:3"', "[pdo_sets 1] name = 'foot-force', but it must be a set of PDOs: 0x6000:11:16"),

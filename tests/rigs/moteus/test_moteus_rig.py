@@ -372,11 +372,11 @@ class Counted(Rig):
 
 
 def hops(rig: Rig) -> tuple[list[np.ndarray], list[Tick]]:
-    ticks: list[Tick] = []
-    with RigPlant(rig, HopperControl(ROBOT, Gains(), CommandBounds(), HOPPER.limits), on_tick=ticks.append) as plant:
+    rows = []
+    with RigPlant(rig, HopperControl(ROBOT, Gains(), CommandBounds(), HOPPER.limits), on_ticks=rows.extend) as plant:
         states = [plant.start()]
         states += [plant.take_step(np.array([-5.0, -5.0])).next_state for _ in range(1)]
-    return states, ticks
+    return states, [Tick.of(row) for row in rows]
 
 
 def test_the_twin_hops_with_the_controllers_as_without_them() -> None:

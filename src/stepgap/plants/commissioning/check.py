@@ -234,7 +234,7 @@ def checked(rig_file: Path) -> None:
         raise InputError(f"{file}: the check was not passed; remove the cause, then {remedy}")
     seconds = found.get("seconds")
     if not isinstance(seconds, float) or not seconds >= LEAST_SECONDS:
-        raise InputError(f"{file}: the check took {seconds} s, less than {LEAST_SECONDS:g}; {remedy}")
+        raise InputError(f"{file}: the check measured {seconds} s, less than {LEAST_SECONDS:g}; {remedy}")
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -21,10 +21,8 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParamete
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
-from stepgap.robots.hopper.tick import TICK_UNITS, Tick
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
-
-PHASES = tuple(Phase)
 
 _SCALARS = (*[float64] * 7, boolean, boolean, int64, boolean, int64, *[float64] * 5)
 """Types of the arguments of `tick` after the arrays; integer counts are converted to floats."""
@@ -57,7 +55,6 @@ class HopControl(TickControl):
     def __init__(self, sensor_model: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
         self._settings = as_record(TickSettings(sensor_model, masses_of(robot), joint_law(robot, gains), limits))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
-        self._reading: Reading = HopperReading(0.0, 0.0, 0.0, 0.0, 0.0)
         _compile(self._settings, self._memory, self._row)
 
     def observe(self, reading: HopperReading) -> HopState:
@@ -75,6 +72,11 @@ class HopControl(TickControl):
         """State from which the next tick starts."""
         return from_record(HopState, self._memory)
 
+    @property
+    def memory(self) -> tuple[Record, Record, Array]:
+        """Records of `TickSettings` and `HopState`, and the log row of the last tick, as compiled code takes them."""
+        return self._settings, self._memory, self._row
+
     def tick(
         self,
         time: float,
@@ -86,7 +88,6 @@ class HopControl(TickControl):
     ) -> tuple[Torques, int]:
         """Computes one tick: torques that may be written [N·m], and flags."""
         mode, share, command = order
-        self._reading = reading
         return tick(
             self._settings, self._memory, self._row, time, age, *reading, *health, int(mode), share, *command, *applied
         )  # fmt: skip
@@ -96,13 +97,6 @@ class HopControl(TickControl):
         row = self._row.tolist()
         row[11], row[12] = applied
         return row
-
-    def record(self, applied: Torques) -> Tick:
-        """Record of the last tick, for viewers."""
-        row = self._row.tolist()
-        limited = Limited(int(row[13])) if row[13] else Limited.NOTHING  # creating a flag takes 0.5 µs
-        reading = HopperReading._make(self._reading)
-        return Tick(row[0], reading, PHASES[int(row[6])], row[7], row[8], (row[9], row[10]), applied, limited)
 
     def finished_step(self) -> FinishedStep:
         """The hop that ended with the last tick."""

@@ -1,8 +1,8 @@
 """Record of one tick of the control loop, for logs and viewers."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.rigs.rig import Torques
@@ -28,7 +28,7 @@ TICK_UNITS: Mapping[str, str] = MappingProxyType(
         "limited": "",
     }
 )
-"""Fields of a tick as `Tick.row` gives them, with their units; `phase` and `limited` are the numbers of the enums."""
+"""Fields of a tick in the order of a log row, with their units; `phase` and `limited` are the numbers of the enums."""
 
 
 LOG_UNITS: Mapping[str, str] = MappingProxyType({**TICK_UNITS, **LOOP_UNITS})
@@ -58,15 +58,17 @@ class Tick(NamedTuple):
     applied: Torques
     limited: Limited
 
-    def row(self) -> tuple[float, ...]:
-        """Numbers of this tick in the order of `TICK_UNITS`."""
-        return (
-            self.time,
-            *self.reading,
-            self.phase,
-            self.alpha_1,
-            self.alpha_2,
-            *self.asked,
-            *self.applied,
-            self.limited,
+    @classmethod
+    def of(cls, row: Sequence[float]) -> Self:
+        """Converts a log row with the fields of `TICK_UNITS`."""
+        time, *reading, phase, alpha_1, alpha_2, asked_1, asked_2, applied_1, applied_2, limited = map(float, row)
+        return cls(
+            time,
+            HopperReading(*reading),
+            Phase(int(phase)),
+            alpha_1,
+            alpha_2,
+            (asked_1, asked_2),
+            (applied_1, applied_2),
+            Limited(int(limited)),
         )

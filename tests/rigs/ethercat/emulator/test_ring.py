@@ -368,7 +368,7 @@ def test_an_emergency_message_stops_nothing():
 
 
 def test_a_fault_names_a_slave():
-    with pytest.raises(ValueError, match="those are drive_1, drive_2"):
+    with pytest.raises(ValueError, match="the slaves are drive_1, drive_2"):
         Bench(DriveFault(1, "drive_3"))
 
 

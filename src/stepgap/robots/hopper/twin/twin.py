@@ -3,10 +3,8 @@
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
 
-from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
-from itertools import repeat
 from math import acos, asin, ceil, cos, exp, inf, isfinite, pi, sin, sqrt
 from typing import Self
 
@@ -16,11 +14,16 @@ from numpy.typing import NDArray
 
 from stepgap.base.compiled_record import as_record
 from stepgap.base.ranges import require
-from stepgap.rigs.rig import Rig, RigFault, Torques
+from stepgap.plants.compiled_rig import CompiledRig, TickRun
+from stepgap.plants.tick_control import Order, TickControl
+from stepgap.rigs.rig import RigFault, Torques
+from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.robots.hopper.twin.devices import (
     OUT_OF_REACH,
+    READ,
     TOO_FAST,
     Devices,
     boom_angles,
@@ -30,6 +33,7 @@ from stepgap.robots.hopper.twin.devices import (
 )
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.run_ticks import NO_NUMBER, NO_TORQUE, run_ticks
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.step import Array
 
@@ -44,6 +48,17 @@ START_LENGTH = Gains().landing_length
 
 OVERSPEED = 400.0
 """Motor speed at which the drives trip [rad/s], ten times that of a hop; at little more, MuJoCo would diverge."""
+
+NO_NOISE = np.zeros((512, 2))
+"""Torque noise of a twin without any: as many ticks as are drawn at once, and motors."""
+
+MESSAGES = {
+    OUT_OF_REACH: "the motion is no longer within the boom's reach",
+    TOO_FAST: f"a motor turned faster than {OVERSPEED:g} rad/s",
+    NO_NUMBER: "a sensor value is not finite",
+    NO_TORQUE: "the control computed a torque that is not finite",
+}
+"""Faults by the outcome of a tick."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +96,7 @@ class TrueState:
     qpos: NDArray[np.float64]
 
 
-class Twin(Rig):
+class Twin(CompiledRig):
     """The MuJoCo hopper: a robot that differs from its physics model by a `RealityGap`.
 
     It starts with the leg straight down at landing length. The hip is held in the air for a while, so that the
@@ -129,7 +144,7 @@ class Twin(Rig):
         self._model = build_model(robot, gap, tick / self._substeps)
         self._data = mujoco.MjData(self._model)
         self._bind()
-        self._noise = self._draw_noise()
+        self._noise, self._noise_used = NO_NOISE, len(NO_NOISE)
         self._connected, self._fault, self._hold_remaining = False, "", 0
         self._set_floor_yaw(floor_yaw)
         lowest = START_LENGTH + robot.foot_length + max(self._ground.height(floor_yaw), 0.0)
@@ -200,10 +215,8 @@ class Twin(Rig):
         if not self._connected:
             raise RigFault("the twin is not connected")
         counts, outcome = read_counts(self._devices, self._qpos, self._qvel, self._touch)
-        if outcome == OUT_OF_REACH:
-            raise self._trip("the motion is no longer within the boom's reach")
-        if outcome == TOO_FAST:
-            raise self._trip(f"a motor turned faster than {OVERSPEED:g} rad/s")
+        if outcome != READ:
+            raise self._trip(MESSAGES[outcome])
         return HopperReading(*counts)
 
     def write(self, torques: Torques) -> tuple[float, float]:
@@ -221,7 +234,7 @@ class Twin(Rig):
             self._devices,
             torque_1,
             torque_2,
-            next(self._noise),
+            self._next_noise(1)[0],
             self._ctrl,
             self._force,
             self._touch,
@@ -232,11 +245,39 @@ class Twin(Rig):
         if applied[0] != applied[0]:
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
         mujoco.mj_step(self._model, self._data, self._substeps)
-        if self._hold_remaining > 0:
-            self._hold_remaining -= 1
-            if self._hold_remaining == 0:
-                self._release()
+        self._count_ticks(1)
         return applied
+
+    def run(self, control: TickControl, time: float, order: Order, applied: Torques, most: int) -> TickRun:
+        """Runs ticks of a `HopControl` in compiled code, at most until the hip is released or a block of noise ends."""
+        if not isinstance(control, HopControl):
+            raise TypeError(f"a hopper's twin needs a HopControl, not {type(control).__name__}")
+        if self._fault or not self._connected:
+            return TickRun((), time, None, 0, self._fault or "the twin is not connected")
+        noise = self._next_noise(min(most, self._hold_remaining or most))
+        rows = np.empty((len(noise), len(TICK_UNITS)))
+        done, outcome, flags, time, applied_1, applied_2 = run_ticks(
+            control.memory,
+            self._devices,
+            (self._qpos, self._qvel, self._touch),
+            (self._ctrl, self._force),
+            (self._ground.waves, self._foot, self._ground_position),
+            (self._model._address, self._data._address, self._substeps),
+            noise,
+            rows,
+            time,
+            self._sensor_model.tick,
+            int(order.mode),
+            order.share,
+            *order.command,
+            *applied,
+        )
+        self._noise_used -= len(noise) - done
+        self._count_ticks(done)
+        if outcome != READ:
+            fault = self._trip(MESSAGES[outcome])
+            return TickRun(rows[:done], time, None, 0, str(fault))
+        return TickRun(rows[:done], time, (applied_1, applied_2), flags, "")
 
     def fork(self, rng: np.random.Generator, floor_yaw: float = 0.0) -> Self:
         """Returns a copy in exactly the same motion, including the state of the drives; this twin is unchanged.
@@ -250,9 +291,9 @@ class Twin(Rig):
         twin._model, twin._data, twin._rng = copy(self._model), copy(self._data), rng
         twin._bind()
         twin._set_floor_yaw(self._floor_yaw + floor_yaw)
-        twin._noise = twin._draw_noise()
+        twin._noise, twin._noise_used = NO_NOISE, len(NO_NOISE)
         if self._gap.torque_noise > 0:
-            twin._force[[self._motor_1, self._motor_2]] = self._gap.torque_noise * next(twin._noise)
+            twin._force[[self._motor_1, self._motor_2]] = self._gap.torque_noise * twin._next_noise(1)[0]
         return twin
 
     def close(self) -> None:
@@ -338,11 +379,22 @@ class Twin(Rig):
         self._model.opt.gravity[:] = gravity(self._robot, self._gap, floor_yaw)
         self._devices = as_record(self._devices_at(floor_yaw))
 
-    def _draw_noise(self) -> Iterator[Array]:
-        """Yields standard normal numbers, one for each motor, without end; zeros where the motors have no noise."""
-        while self._gap.torque_noise > 0:
-            yield from self._rng.standard_normal((512, 2))  # in blocks, because single draws take 1 µs
-        yield from repeat(np.zeros(2))
+    def _next_noise(self, most: int) -> Array:
+        """Standard normal numbers for the next ticks and each motor; zeros without noise; shape (k, 2), k ≤ most."""
+        if self._noise_used == len(self._noise):
+            if self._gap.torque_noise > 0:
+                self._noise = self._rng.standard_normal(NO_NOISE.shape)  # a single draw would take a microsecond
+            self._noise_used = 0
+        noise = self._noise[self._noise_used : self._noise_used + most]
+        self._noise_used += len(noise)
+        return noise
+
+    def _count_ticks(self, count: int) -> None:
+        """Releases the hip when its last tick of being held is over."""
+        if self._hold_remaining > 0:
+            self._hold_remaining -= count
+            if self._hold_remaining == 0:
+                self._release()
 
 
 def _leg_triangle(robot: RobotParameters, length: float) -> tuple[float, float]:

@@ -1,0 +1,78 @@
+"""Control, drives, physics and sensors of the twin, tick after tick, as one compiled function."""
+
+# pyright: reportAttributeAccessIssue=false
+# (Numba makes its types at run time.)
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from llvmlite import binding
+from numba import types
+
+from stepgap.base.compiled import as_written
+from stepgap.plants.tick_control import TickFlag
+from stepgap.robots.hopper.hop_tick import UNREADABLE, tick
+from stepgap.robots.hopper.twin.devices import READ, drive, read_counts
+
+NO_NUMBER, NO_TORQUE = 3, 4
+"""How a tick ended, besides the outcomes of a reading: a sensor value or a torque is not finite."""
+
+_ENDS_STEP = int(TickFlag.STEP_ENDED | TickFlag.FAILED)
+
+# Compiled code finds MuJoCo's function by its name in the library that the Python package has loaded.
+binding.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
+_mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
+
+
+@as_written
+def run_ticks(
+    control, devices, motion, drives, ground, physics, noise, rows, time, tick_time, mode, share, force_x, force_y,
+    applied_1, applied_2,
+):  # fmt: skip
+    """Runs ticks until a step ends or fails, at most as many as `rows` has.
+
+    Args:
+        control: Records of `TickSettings` and `HopState`, and a row of the tick log.
+        devices: Record of `Devices`.
+        motion: MuJoCo's coordinates, their rates, and the contact force.
+        drives: Commands to MuJoCo's actuators, and forces on its coordinates from outside.
+        ground: Waves of the ground, position of the foot, position of the ground.
+        physics: Addresses of MuJoCo's model and data, and the number of physics steps in a tick.
+        noise: Standard normal numbers for each tick and motor; shape (k, 2).
+        rows: Rows of the tick log, which are filled; shape (k, 14).
+        time: When the first tick begins [s].
+        tick_time: Time from one tick to the next [s].
+        mode: This and the other arguments are fields of `TickInputs`.
+
+    Returns:
+        Number of ticks, how the last one ended, its flags, the time of the next tick, and the torques applied.
+    """
+    settings, memory, row = control
+    qpos, qvel, touch = motion
+    ctrl, force = drives
+    waves, foot, ground_position = ground
+    model, data, substeps = physics
+    flags = 0
+    for i in range(len(rows)):
+        counts, outcome = read_counts(devices, qpos, qvel, touch)
+        if outcome != READ:
+            return i, outcome, flags, time, applied_1, applied_2
+        torques, flags = tick(
+            settings, memory, row, time, 0.0, counts[0], counts[1], counts[2], counts[3], counts[4], False, False, 0,
+            False, mode, share, force_x, force_y, applied_1, applied_2,
+        )  # fmt: skip
+        if flags & UNREADABLE:
+            return i, NO_NUMBER, flags, time, applied_1, applied_2
+        applied = drive(devices, torques[0], torques[1], noise[i], ctrl, force, touch, waves, foot, ground_position)
+        if np.isnan(applied[0]):
+            return i, NO_TORQUE, flags, time, applied_1, applied_2
+        applied_1, applied_2 = applied
+        for _ in range(substeps):
+            _mj_step(model, data)
+        time += tick_time
+        rows[i] = row
+        rows[i, 11], rows[i, 12] = applied_1, applied_2
+        if flags & _ENDS_STEP:
+            return i + 1, READ, flags, time, applied_1, applied_2
+    return len(rows), READ, flags, time, applied_1, applied_2
