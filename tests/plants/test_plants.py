@@ -14,6 +14,7 @@ from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepFailed, StepStatus
+from tests.plants.single_ticks import SingleTicks
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 COMMAND = np.array([-4.0, -3.0])
@@ -156,16 +157,14 @@ def test_torque_that_the_drives_refuse_reduces_the_applied_command():
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_sensor_value_that_is_not_finite_stops_the_robot(sensor, bad):
     """Also the contact force, which enters no torque: without it no landing is detected."""
-    twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
-    read, broken = twin.read, False
-    twin.read = lambda: read()._replace(**{sensor: bad} if broken else {})
-    with RigPlant(twin, CONTROL) as plant:
+    rig = SingleTicks(Twin(ROBOT, RealityGap(), np.random.default_rng(0)))
+    with RigPlant(rig, CONTROL) as plant:
         plant.start()
-        broken = True
+        rig.wrong = {sensor: bad}
         record = plant.take_step(COMMAND)
         assert (record.status, plant.fault[:30]) == (StepStatus.STOPPED, "a sensor value is not finite: ")
         with pytest.raises(RigFault):
-            twin.write((0.0, 0.0))
+            rig.write((0.0, 0.0))
 
 
 def test_every_tick_is_reported_with_torques_within_the_limit():

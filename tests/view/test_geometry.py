@@ -82,7 +82,7 @@ def test_every_joint_has_its_position_in_mujoco(stiffness: float) -> None:
         np.testing.assert_allclose(joints.foot, true.foot, **near)
         compared += 1
 
-    with RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds()), compare) as plant:
+    with RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds()), compare, at_once=1) as plant:
         plant.start()
         plant.take_step(np.array([2.0, -5.0]))
     assert compared > 500

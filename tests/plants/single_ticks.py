@@ -1,0 +1,32 @@
+"""A rig whose ticks are called one by one, in contrast to the compiled run of the twin."""
+
+from stepgap.rigs.rig import Rig, Torques
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.twin.twin import Twin
+
+
+class SingleTicks(Rig):
+    """A twin without its compiled run.
+
+    Attributes:
+        wrong: Sensor values that replace those of the twin, by name.
+    """
+
+    def __init__(self, twin: Twin):
+        self._twin, self.wrong = twin, dict[str, float]()
+
+    @property
+    def sensor_model(self) -> HopperSensorModel:
+        return self._twin.sensor_model
+
+    def connect(self) -> None:
+        self._twin.connect()
+
+    def read(self) -> HopperReading:
+        return self._twin.read()._replace(**self.wrong)
+
+    def write(self, torques: Torques) -> Torques:
+        return self._twin.write(torques)
+
+    def close(self) -> None:
+        self._twin.close()
