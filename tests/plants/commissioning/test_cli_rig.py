@@ -108,7 +108,7 @@ def test_table_exit_code_and_file_of_a_check_agree(stepgap: Command, rig_file: P
     assert f"ticks                 {timing['ticks']}, one every 10000 µs\n" in result.out
     assert f"at most     {1e6 * timing['worst']:.1f} µs\n" in result.out
     assert f"frames lost           {found['lost_frames']}\n" in result.out
-    with pytest.raises(InputError, match=r"the check took 0\.3 s, less than 5" if found["passed"] else "not passed"):
+    with pytest.raises(InputError, match=r"measured 0\.3 s, less than 5" if found["passed"] else "not passed"):
         checked(rig_file)
 
 
