@@ -25,7 +25,8 @@ from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick import Tick
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.robots.hopper.twin.twin import TrueState, Twin
+from stepgap.robots.hopper.twin.true_state import TrueState
+from stepgap.robots.hopper.twin.twin import Twin
 
 NOMINAL = ApexMap()
 ROBOT = NOMINAL.robot

@@ -94,15 +94,15 @@ def test_it_mixes_with_single_calls_and_with_forks() -> None:
 
 
 def break_force(rig: Twin) -> None:
-    rig._touch[0] = np.nan
+    rig._views.touch[0] = np.nan
 
 
 def break_motion(rig: Twin) -> None:
-    rig._qpos[0] = np.nan
+    rig._views.qpos[0] = np.nan
 
 
 def break_speed(rig: Twin) -> None:
-    rig._qvel[rig._motor_1] = 2 * OVERSPEED
+    rig._views.qvel[rig._motors[0]] = 2 * OVERSPEED
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_a_fault_ends_the_run_with_the_torque_off(fault: Callable[[Twin], None],
         record = plant.take_step(np.array([-5.0, -5.0]))
         assert (record.status, plant.fault) == (StepStatus.STOPPED, message)
         assert np.isnan(record.next_state).all()
-        assert not rig._ctrl.any()
+        assert not rig._views.ctrl.any()
         assert rig.run(CONTROL.control(rig), 0.0, ORDER, (0.0, 0.0), 5).fault == message
 
 

@@ -65,7 +65,7 @@ def replace_pose(pose: HopperPose, **changes: float) -> HopperPose:
 def test_every_joint_has_its_position_in_mujoco(stiffness: float) -> None:
     gap = replace(RealityGap(), boom_stiffness=stiffness)
     twin = Twin(ROBOT, gap, np.random.default_rng(3))
-    data, compared = twin._view_data, 0
+    data, compared = twin._scratch, 0
 
     def compare(_: object) -> None:
         nonlocal compared

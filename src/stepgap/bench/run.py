@@ -130,14 +130,14 @@ class RecordedTwin(Twin):
 
     def keep(self, _rows: Rows) -> None:
         """Records the inputs of a tick at its end, when they are still in memory."""
-        force = self._force
-        self.given.append((*self._ctrl, force[self._motor_1], force[self._motor_2], self._ground_position[2]))
+        views = self._views
+        self.given.append((*views.ctrl, *views.force[self._motors], views.ground[2]))
 
     def bare_time(self) -> float:
         """CPU time of `mj_step` over the recorded ticks [s]; asserts that the motion is the same."""
         data = copy(self.start)
         ctrl, force, ground = data.ctrl, data.qfrc_applied, data.mocap_pos[0]
-        first, second, model, steps = self._motor_1, self._motor_2, self._model, self._substeps
+        (first, second), model, steps = self._motors, self._model, self._substeps
         begin = thread_time()
         for ctrl[0], ctrl[1], force[first], force[second], ground[2] in self.given:
             pass

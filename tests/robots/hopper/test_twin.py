@@ -375,7 +375,7 @@ def test_torque_noise_has_the_declared_standard_deviation_and_correlation_time(m
     noise = []
     for _ in range(4000):
         twin.write((0.0, 0.0))
-        noise.append(twin._data.qfrc_applied[twin._motor_1])
+        noise.append(twin._data.qfrc_applied[twin._motors[0]])
     assert np.std(noise) == pytest.approx(0.2, rel=0.06)
     expected = np.exp(-1e-3 / memory) if memory else 0.0
     assert np.corrcoef(noise[:-1], noise[1:])[0, 1] == pytest.approx(expected, abs=0.05)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stepgap.base.compiled import as_written
+from stepgap.step import Array
 
 READ, OUT_OF_REACH, TOO_FAST = 0, 1, 2
 """Outcomes of a reading."""
@@ -56,17 +57,39 @@ class Devices(NamedTuple):
     noise_fresh: float
 
 
+class Views(NamedTuple):
+    """Views of MuJoCo's memory, because a look-up through its own interface takes 1 µs.
+
+    Attributes:
+        qpos: MuJoCo's coordinates.
+        qvel: Their rates.
+        touch: Contact force; shape (1,) [N].
+        ctrl: Commands to the actuators; shape (2,) [N·m].
+        force: External forces on the coordinates; those on the motors are the torque noise [N·m].
+        foot: Position of the foot in MuJoCo's frame; shape (3,) [m].
+        ground: Position of the ground; shape (3,) [m].
+        waves: Wave number per turn, phase [rad] and amplitude [m] of each wave of the ground; shape (w, 3).
+    """
+
+    qpos: Array
+    qvel: Array
+    touch: Array
+    ctrl: Array
+    force: Array
+    foot: Array
+    ground: Array
+    waves: Array
+
+
 @as_written
-def read_counts(devices, qpos, qvel, touch):
+def read_counts(devices, views):
     """Returns the encoder counts of motors and boom, the contact force [N], and the outcome of the reading.
 
     Args:
         devices: Record of `Devices`.
-        qpos: MuJoCo's coordinates.
-        qvel: Their rates.
-        touch: The contact force; shape (1,) [N].
+        views: `Views`.
     """
-    rig = devices[0]
+    rig, qpos, qvel = devices[0], views.qpos, views.qvel
     yaw, pitch = boom_angles(rig, qpos)
     motor_1 = (qpos[rig.motor_1] + rig.offset_1) * rig.motor_scale
     motor_2 = (qpos[rig.motor_2] + rig.offset_2) * rig.motor_scale
@@ -82,7 +105,7 @@ def read_counts(devices, qpos, qvel, touch):
         yaw = np.rint(yaw)
     if rig.pitch_rounds:
         pitch = np.rint(pitch)
-    return (motor_1, motor_2, yaw, pitch, touch[0]), outcome
+    return (motor_1, motor_2, yaw, pitch, views.touch[0]), outcome
 
 
 @as_written
@@ -95,7 +118,7 @@ def boom_angles(devices, qpos):
 
 
 @as_written
-def drive(devices, torque_1, torque_2, noise, ctrl, force, touch, waves, foot, ground):
+def drive(devices, torque_1, torque_2, noise, views):
     """Passes to MuJoCo the torques of a tick, their noise and, while the foot is in the air, the ground's height.
 
     Args:
@@ -103,17 +126,12 @@ def drive(devices, torque_1, torque_2, noise, ctrl, force, touch, waves, foot, g
         torque_1: Torque commanded to motor 1 [N·m].
         torque_2: Torque commanded to motor 2 [N·m].
         noise: A standard normal number for each motor; shape (2,).
-        ctrl: Commands of the actuators [N·m].
-        force: External forces on MuJoCo's coordinates; those on the motors are the noise [N·m].
-        touch: The contact force; shape (1,) [N].
-        waves: Waves of the ground, as in `ground_under`.
-        foot: Position of the foot in MuJoCo's frame [m]; shape (3,).
-        ground: Position of the ground [m]; shape (3,).
+        views: `Views`.
 
     Returns:
         The torques within the drives' limit [N·m]; NaN, and nothing passed to MuJoCo, if one is not finite.
     """
-    rig = devices[0]
+    rig, ctrl, force, waves = devices[0], views.ctrl, views.force, views.waves
     if not (np.isfinite(torque_1) and np.isfinite(torque_2)):
         return np.nan, np.nan
     limit = rig.torque_limit
@@ -121,8 +139,8 @@ def drive(devices, torque_1, torque_2, noise, ctrl, force, touch, waves, foot, g
     ctrl[0], ctrl[1] = _saturated(rig, torque_1), _saturated(rig, torque_2)
     force[rig.motor_1] = rig.noise_kept * force[rig.motor_1] + rig.noise_fresh * noise[0]
     force[rig.motor_2] = rig.noise_kept * force[rig.motor_2] + rig.noise_fresh * noise[1]
-    if len(waves) > 0 and touch[0] == 0.0:
-        ground[2] = ground_under(devices, waves, foot)
+    if len(waves) > 0 and views.touch[0] == 0.0:
+        views.ground[2] = ground_under(devices, waves, views.foot)
     return torque_1, torque_2
 
 

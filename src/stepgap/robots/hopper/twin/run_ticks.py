@@ -27,17 +27,14 @@ _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 @as_written
 def run_ticks(
-    control, devices, motion, drives, ground, physics, noise, rows, time, tick_time, mode, share, force_x, force_y,
-    applied_1, applied_2,
+    control, devices, views, physics, noise, rows, time, tick_time, mode, share, force_x, force_y, applied_1, applied_2,
 ):  # fmt: skip
     """Runs ticks until a step ends or fails, at most as many as `rows` has.
 
     Args:
         control: Records of `TickSettings` and `HopState`, and a row of the tick log.
         devices: Record of `Devices`.
-        motion: MuJoCo's coordinates, their rates, and the contact force.
-        drives: Commands to MuJoCo's actuators, and forces on its coordinates from outside.
-        ground: Waves of the ground, position of the foot, position of the ground.
+        views: `Views`.
         physics: Addresses of MuJoCo's model and data, and the number of physics steps in a tick.
         noise: Standard normal numbers for each tick and motor; shape (k, 2).
         rows: Rows of the tick log, which are filled; shape (k, 14).
@@ -49,13 +46,10 @@ def run_ticks(
         Number of ticks, how the last one ended, its flags, the time of the next tick, and the torques applied.
     """
     settings, memory, row = control
-    qpos, qvel, touch = motion
-    ctrl, force = drives
-    waves, foot, ground_position = ground
     model, data, substeps = physics
     flags = 0
     for i in range(len(rows)):
-        counts, outcome = read_counts(devices, qpos, qvel, touch)
+        counts, outcome = read_counts(devices, views)
         if outcome != READ:
             return i, outcome, flags, time, applied_1, applied_2
         torques, flags = tick(
@@ -64,7 +58,7 @@ def run_ticks(
         )  # fmt: skip
         if flags & UNREADABLE:
             return i, NO_NUMBER, flags, time, applied_1, applied_2
-        applied = drive(devices, torques[0], torques[1], noise[i], ctrl, force, touch, waves, foot, ground_position)
+        applied = drive(devices, torques[0], torques[1], noise[i], views)
         if np.isnan(applied[0]):
             return i, NO_TORQUE, flags, time, applied_1, applied_2
         applied_1, applied_2 = applied

@@ -4,8 +4,7 @@
 # (MuJoCo ships no types for its compiled part.)
 
 from copy import copy
-from dataclasses import dataclass
-from math import acos, asin, ceil, cos, exp, inf, isfinite, pi, sin, sqrt
+from math import acos, asin, ceil, exp, inf, isfinite, pi, sin, sqrt
 from typing import Self
 
 import mujoco
@@ -26,14 +25,14 @@ from stepgap.robots.hopper.twin.devices import (
     READ,
     TOO_FAST,
     Devices,
-    boom_angles,
+    Views,
     drive,
-    ground_under,
     read_counts,
 )
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.run_ticks import NO_NUMBER, NO_TORQUE, run_ticks
+from stepgap.robots.hopper.twin.true_state import TrueState, true_state
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.step import Array
 
@@ -59,41 +58,6 @@ MESSAGES = {
     NO_TORQUE: "the control computed a torque that is not finite",
 }
 """Faults by the outcome of a tick."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrueState:
-    """True state of the twin, for tests and viewers, never for a controller.
-
-    Attributes:
-        time: Time since connecting [s].
-        held: Whether the hip is still held.
-        hip: Distance travelled along the circle and height of the hip, boom deflection included [m, m].
-        hip_rate: Rate of `hip` [m/s, m/s].
-        boom: Yaw and pitch at the boom's root [rad, rad].
-        leg: Angles of the top links driven by motor 1 and 2 [rad, rad].
-        leg_rate: Rate of `leg` [rad/s, rad/s].
-        deflection: Horizontal and vertical deflection of the boom's tip [m, m].
-        foot: Position of the foot in MuJoCo's frame; shape (3,) [m].
-        ground_height: Height of the ground under the foot [m].
-        contact_force: Vertical ground force on the foot [N].
-        closure_error: Distance between the two bottom links at their common joint [m].
-        qpos: MuJoCo's coordinates, for a viewer.
-    """
-
-    time: float
-    held: bool
-    hip: NDArray[np.float64]
-    hip_rate: NDArray[np.float64]
-    boom: NDArray[np.float64]
-    leg: NDArray[np.float64]
-    leg_rate: NDArray[np.float64]
-    deflection: NDArray[np.float64]
-    foot: NDArray[np.float64]
-    ground_height: float
-    contact_force: float
-    closure_error: float
-    qpos: NDArray[np.float64]
 
 
 class Twin(CompiledRig):
@@ -153,21 +117,28 @@ class Twin(CompiledRig):
         self._vertical_coordinate(start_height)
 
     def _bind(self) -> None:
-        """Binds views of MuJoCo's memory, because a look-up through its own interface takes 1 µs."""
+        """Takes views of MuJoCo's memory."""
         model, data = self._model, self._data
-        self._view_data = mujoco.MjData(model)  # for `true_state`, which must not change the motion
-        self._qpos, self._qvel, self._touch = data.qpos, data.qvel, data.sensordata
-        self._ctrl, self._force = data.ctrl, data.qfrc_applied
-        self._foot, self._ground_position = data.geom("foot").xpos, data.mocap_pos[0]
-        self._motor_1, self._motor_2 = (int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2))
+        self._scratch = mujoco.MjData(model)
+        self._views = Views(
+            qpos=data.qpos,
+            qvel=data.qvel,
+            touch=data.sensordata,
+            ctrl=data.ctrl,
+            force=data.qfrc_applied,
+            foot=data.geom("foot").xpos,
+            ground=data.mocap_pos[0],
+            waves=self._ground.waves,
+        )
+        self._motors = [int(model.joint(f"motor_{motor}").qposadr[0]) for motor in (1, 2)]
 
     def _devices_at(self, floor_yaw: float) -> Devices:
         """Sensors and motors, with the floor turned under the robot by an angle [rad]."""
         gap, sensors = self._gap, self._sensor_model
         kept = exp(-sensors.tick / gap.torque_noise_time) if gap.torque_noise_time > 0 else 0.0
         return Devices(
-            motor_1=self._motor_1,
-            motor_2=self._motor_2,
+            motor_1=self._motors[0],
+            motor_2=self._motors[1],
             offset_1=gap.motor_offset_1,
             offset_2=gap.motor_offset_2,
             motor_scale=sensors.motor_counts / (2 * pi),
@@ -198,7 +169,7 @@ class Twin(CompiledRig):
         mujoco.mj_resetData(model, data)
         data.qpos[:] = self._start_pose()
         model.eq("hold_boom_vertical").data[0] = data.qpos[1]
-        self._ground_position[2] = self._ground.height(self._floor_yaw)
+        self._views.ground[2] = self._ground.height(self._floor_yaw)
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
         self._connected, self._fault = True, ""
@@ -214,7 +185,7 @@ class Twin(CompiledRig):
         """
         if not self._connected:
             raise RigFault("the twin is not connected")
-        counts, outcome = read_counts(self._devices, self._qpos, self._qvel, self._touch)
+        counts, outcome = read_counts(self._devices, self._views)
         if outcome != READ:
             raise self._trip(MESSAGES[outcome])
         return HopperReading(*counts)
@@ -230,18 +201,7 @@ class Twin(CompiledRig):
         if self._fault or not self._connected:
             raise RigFault(self._fault or "the twin is not connected")
         torque_1, torque_2 = torques
-        applied = drive(
-            self._devices,
-            torque_1,
-            torque_2,
-            self._next_noise(1)[0],
-            self._ctrl,
-            self._force,
-            self._touch,
-            self._ground.waves,
-            self._foot,
-            self._ground_position,
-        )
+        applied = drive(self._devices, torque_1, torque_2, self._next_noise(1)[0], self._views)
         if applied[0] != applied[0]:
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
         mujoco.mj_step(self._model, self._data, self._substeps)
@@ -259,9 +219,7 @@ class Twin(CompiledRig):
         done, outcome, flags, time, applied_1, applied_2 = run_ticks(
             control.memory,
             self._devices,
-            (self._qpos, self._qvel, self._touch),
-            (self._ctrl, self._force),
-            (self._ground.waves, self._foot, self._ground_position),
+            self._views,
             (self._model._address, self._data._address, self._substeps),
             noise,
             rows,
@@ -293,7 +251,7 @@ class Twin(CompiledRig):
         twin._set_floor_yaw(self._floor_yaw + floor_yaw)
         twin._noise, twin._noise_used = NO_NOISE, len(NO_NOISE)
         if self._gap.torque_noise > 0:
-            twin._force[[self._motor_1, self._motor_2]] = self._gap.torque_noise * twin._next_noise(1)[0]
+            twin._views.force[self._motors] = self._gap.torque_noise * twin._next_noise(1)[0]
         return twin
 
     def close(self) -> None:
@@ -302,37 +260,9 @@ class Twin(CompiledRig):
         self._connected = False
 
     def true_state(self) -> TrueState:
-        """True state, for tests and viewers, never for a controller; does not change the motion."""
-        model, data = self._model, self._view_data
-        data.qpos[:], data.qvel[:] = self._data.qpos, self._data.qvel
-        mujoco.mj_kinematics(model, data)
-        elastic = self._gap.boom_stiffness < inf
-        deflection, deflection_rate = (data.qpos[2:4].copy(), data.qvel[2:4]) if elastic else (np.zeros(2), np.zeros(2))
-        hip, hip_rate = data.qpos[:2] + deflection, data.qvel[:2] + deflection_rate
-        if self._gap.boom_arc:
-            radius, (yaw, pitch) = self._sensor_model.boom_length, data.qpos[:2]
-            x, z = deflection
-            hip = np.array([radius * yaw + x, self._gap.boom_pivot_height + radius * sin(pitch) + z * cos(pitch)])
-            turning = np.array([radius, radius * cos(pitch) - z * sin(pitch)])
-            hip_rate = turning * data.qvel[:2] + deflection_rate * [1, cos(pitch)]
-        motors = [self._motor_1, self._motor_2]
-        foot = data.geom("foot").xpos.copy()
-        gap = data.site("front_joint").xpos - data.site("rear_joint").xpos
-        return TrueState(
-            time=self._data.time,
-            held=self._hold_remaining > 0,
-            hip=hip,
-            hip_rate=hip_rate,
-            boom=np.array(boom_angles(self._devices[0], self._data.qpos)),
-            leg=data.qpos[motors],
-            leg_rate=data.qvel[motors],
-            deflection=deflection,
-            foot=foot,
-            ground_height=ground_under(self._devices, self._ground.waves, foot),
-            contact_force=self._touch[0],
-            closure_error=float(np.linalg.norm(gap)),
-            qpos=data.qpos.copy(),
-        )
+        """True state, for tests and viewers, never for a controller; it does not change the motion."""
+        time, held = self._data.time, self._hold_remaining > 0
+        return true_state(self._model, self._scratch, self._gap, self._devices, self._views, time, held)
 
     def model_xml(self) -> str:
         """The twin as MJCF with visible shapes and its hip free, for any MuJoCo viewer (keyframe `start`)."""
