@@ -3,7 +3,8 @@
 # pyright: reportAttributeAccessIssue=false
 # (Numba makes its types at run time.)
 
-from pathlib import Path
+import sys
+from ctypes import CDLL, c_void_p, cast
 
 import mujoco
 import numpy as np
@@ -20,8 +21,9 @@ NO_NUMBER, NO_TORQUE = 3, 4
 
 _ENDS_STEP = int(TickFlag.STEP_ENDED | TickFlag.FAILED)
 
-# Compiled code finds MuJoCo's function by its name in the library that the Python package has loaded.
-binding.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
+# Compiled code finds MuJoCo's C function by its name; its address is that in the library which Python has loaded.
+_library = CDLL(sys.modules[mujoco.mj_step.__module__].__file__)
+binding.add_symbol("mj_step", cast(_library.mj_step, c_void_p).value)
 _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 
