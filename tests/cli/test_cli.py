@@ -183,7 +183,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("report", ["FOLDER"]),
         ("report none", ["none/steps.csv: no such file"]),
         ("report folder", ["folder/steps.csv: no such file"]),
-        ("report folder --gains.stiffness 3", ["--gains.stiffness: this verb takes no settings"]),
+        ("report folder --gains.stiffness 3", ["--gains.stiffness: this command takes no settings"]),
         ("gait --speed nan", ["--speed nan --height 0.58: both must be finite numbers"]),
         ("gait --height inf", ["--speed 0.2 --height inf: both must be finite numbers"]),
         ("gait --speed fast", ["--speed", "fast"]),

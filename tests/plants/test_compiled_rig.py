@@ -7,7 +7,7 @@ import pytest
 
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import NO_COMMAND, Mode, Order, TickControl
-from stepgap.rigs.rig import Rig, Torques
+from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -33,6 +33,7 @@ def hops(rig: Rig, commands: np.ndarray, at_once: int = 32) -> tuple[np.ndarray,
             for command in commands:
                 records.append(plant.take_step(command))
                 if records[-1].status != StepStatus.OK:
+                    records.append(plant.take_step(command))  # again, although the robot fell
                     break
         return np.array(rows), records, plant.fault
 
@@ -93,6 +94,31 @@ def test_it_mixes_with_single_calls_and_with_forks() -> None:
     assert forks[0].read() == forks[1].read() != mixed.read()
 
 
+@pytest.mark.parametrize("at_once", [1, 7, 10_000])
+def test_a_fault_while_it_runs_is_that_of_the_single_calls(at_once: int) -> None:
+    """The motors become so strong after some hops that they exceed the largest speed."""
+    gap = RealityGap(torque_scale=40.0, delay=0.0)
+    singly, expected, fault = broken_off(SingleTicks(twin(3, gap)), 1)
+    rows, record, message = broken_off(twin(3, gap), at_once)
+    np.testing.assert_array_equal(rows, singly)
+    assert (record, message) == (expected, fault)
+
+
+def broken_off(rig: Rig, at_once: int) -> tuple[np.ndarray, str, str]:
+    """All ticks of a robot that breaks off in its first hop, the error, and the message of the rig."""
+    rows = []
+    plant = RigPlant(rig, CONTROL, rows.extend, at_once)
+    with pytest.raises(RigFault) as error:
+        plant.start()
+    plant.stop()
+    return np.array(rows), str(error.value), plant.fault
+
+
+def test_at_least_one_tick_runs_at_once() -> None:
+    with pytest.raises(ValueError, match="at_once = 0, but it must be at least 1"):
+        RigPlant(twin(), CONTROL, at_once=0)
+
+
 def break_force(rig: Twin) -> None:
     rig._views.touch[0] = np.nan
 
@@ -108,7 +134,7 @@ def break_speed(rig: Twin) -> None:
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        (break_force, "a sensor value is not finite"),
+        (break_force, "a sensor value is not finite: HopperReading("),
         (break_motion, "the motion is no longer within the boom's reach"),
         (break_speed, f"a motor turned faster than {OVERSPEED:g} rad/s"),
     ],
@@ -119,10 +145,11 @@ def test_a_fault_ends_the_run_with_the_torque_off(fault: Callable[[Twin], None],
         plant.start()
         fault(rig)
         record = plant.take_step(np.array([-5.0, -5.0]))
-        assert (record.status, plant.fault) == (StepStatus.STOPPED, message)
+        assert record.status == StepStatus.STOPPED
+        assert plant.fault.startswith(message)
         assert np.isnan(record.next_state).all()
         assert not rig._views.ctrl.any()
-        assert rig.run(CONTROL.control(rig), 0.0, ORDER, (0.0, 0.0), 5).fault == message
+        assert rig.run(CONTROL.control(rig), 0.0, ORDER, (0.0, 0.0), 5).fault in (message, "the twin is not connected")
 
 
 def test_it_runs_the_control_of_a_hopper_only() -> None:

@@ -63,13 +63,13 @@ def test_the_page(served: str, watched_page: Watched) -> None:
     page.wait_for_timeout(500)
     watched_page.keep_screenshot("view_learned")
 
-    choose(watched_page, "Deployment", "0: uncorrected map")
+    choose(watched_page, "Deployment", "0: nominal map")
     expect(body).to_contain_text("The robot is released.")
     choose(watched_page, "Overlay", "1: corrected map")
     choose(watched_page, "Speed", "16")
     page.get_by_text("Pause / play").click()
     expect(body).to_contain_text(re.compile(f"Step {STEPS}"))
-    expect(body).to_contain_text("this deployment began with the uncorrected map")
+    expect(body).to_contain_text("this deployment began with the nominal map")
     watched_page.keep_screenshot("view_uncorrected")
 
 

@@ -10,7 +10,6 @@ alone.
 # (MuJoCo ships no types for its compiled part.)
 
 import signal
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
@@ -80,16 +79,20 @@ class TickCost:
 
 
 class Sampler:
-    """Counts samples by the first of `PARTS` to which one of the running functions belongs."""
+    """Divides CPU time [s] between the first of `PARTS` to which one of the running functions belongs.
+
+    A sample stands for the time since the last one, because a signal waits until compiled code returns to Python.
+    """
 
     def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
+        self.seconds: dict[str, float] = {}
+        self._last = 0.0
         self._names: dict[str, list[str]] = {}
 
     @contextmanager
     def running(self) -> Iterator[None]:
         """Samples after every millisecond of CPU time."""
-        before = signal.signal(signal.SIGPROF, self._sample)
+        before, self._last = signal.signal(signal.SIGPROF, self._sample), process_time()
         signal.setitimer(signal.ITIMER_PROF, _SAMPLING_PERIOD, _SAMPLING_PERIOD)
         try:
             yield
@@ -102,7 +105,9 @@ class Sampler:
         while frame:
             files.add(frame.f_code.co_filename)
             frame = frame.f_back
-        self.counts[self._part(files)] += 1
+        part, now = self._part(files), process_time()
+        self.seconds[part] = self.seconds.get(part, 0.0) + now - self._last
+        self._last = now
 
     def _part(self, files: set[str]) -> str:
         for part, patterns in PARTS:
@@ -218,8 +223,8 @@ def bench_run(settings: Experiment, run: Callable[[], object]) -> dict[str, Any]
     sampler, begin = Sampler(), process_time()
     with sampler.running():
         run()
-    total, samples = process_time() - begin, sum(sampler.counts.values())
-    seconds = {part: total * count / samples for part, count in sampler.counts.items()}
+    total, sampled = process_time() - begin, sum(sampler.seconds.values())
+    seconds = {part: total * share / sampled for part, share in sampler.seconds.items()}
     cost = tick_cost(settings)
     hopping = seconds.pop(HOPPING, 0.0)
     physics, control = (hopping * part / cost.loop for part in (cost.physics, cost.control))

@@ -80,11 +80,11 @@ def _run_verb(arguments: Sequence[str], program: list[str]) -> None:
     if "overrides" in ignored:
         bound.arguments["overrides"] = overrides
     elif overrides:
-        raise InputError(f"--{overrides[0][0]}: this verb takes no settings")
+        raise InputError(f"--{overrides[0][0]}: this command takes no settings")
     if "program" in ignored:
         bound.arguments["program"] = program
     elif program:
-        raise InputError(f"-- {program[0]}: this verb runs no other command")
+        raise InputError(f"-- {program[0]}: this command runs no other program")
     verb(*bound.args, **bound.kwargs)
 
 
@@ -97,7 +97,7 @@ def _is_bad_input(error: Exception) -> bool:
 def _line_of(error: Exception) -> str:
     """Message of an error, with its type if neither StepGap nor the system explains it."""
     if isinstance(error, cyclopts.UnusedCliTokensError) and error.unused_tokens:
-        return f"{' '.join(error.unused_tokens)}: too many arguments; --help shows those of this verb"
+        return f"{' '.join(error.unused_tokens)}: too many arguments; --help shows those of this command"
     about_a_file = isinstance(error, OSError) and error.filename is not None  # such as a full disk
     if _is_bad_input(error) or about_a_file or isinstance(error, StepGapError):
         return f"{message_of(error)}{_hint(error)}"

@@ -31,7 +31,11 @@ class TickRun(NamedTuple):
 
 
 class CompiledRig(Rig):
-    """A rig whose time can stand still, and which calls the control of its robot without returning to Python."""
+    """A rig whose time can stand still, and which calls the control of its robot without returning to Python.
+
+    A subclass that changes `read` or `write` must change `run`, too; to observe or change single ticks, wrap the rig
+    in another `Rig`.
+    """
 
     @abstractmethod
     def run(self, control: TickControl, time: float, order: Order, applied: Torques, most: int) -> TickRun:

@@ -4,16 +4,19 @@ from collections.abc import Callable
 
 import numpy as np
 
+from stepgap.base.ranges import require
 from stepgap.plants.compiled_rig import CompiledRig, Rows, TickRun
 from stepgap.plants.plant import Plant
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag
-from stepgap.rigs.rig import Rig, RigFault
+from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
 STEP_ENDED, FAILED, _UNREADABLE = (
     int(flag) for flag in (TickFlag.STEP_ENDED, TickFlag.FAILED, TickFlag.UNREADABLE)
 )  # fmt: skip
 
+
+NO_TORQUES = (0.0, 0.0)
 
 TICKS_AT_ONCE = 32
 """Ticks of a compiled rig between two looks at Ctrl-C: about a millisecond of computing."""
@@ -42,6 +45,7 @@ class RigPlant(Plant):
         at_once: int = TICKS_AT_ONCE,
     ):
         self._rig, self._robot_control, self._space = rig, robot_control, robot_control.space
+        require(at_once >= 1, "at_once", at_once, "be at least 1")
         self._on_ticks, self._at_once = on_ticks, at_once
         self._tick_time = rig.sensor_model.tick
         self._state = np.full(len(self._space.state), np.nan)
@@ -50,7 +54,8 @@ class RigPlant(Plant):
     def _begin(self) -> None:
         """Resets control and time for a new deployment."""
         self._control = self._robot_control.control(self._rig)
-        self._time, self._applied, self._status, self._fault = 0.0, (0.0, 0.0), StepStatus.OK, ""
+        self._time, self._status, self._fault = 0.0, StepStatus.OK, ""
+        self._applied: Torques | None = NO_TORQUES
 
     @property
     def space(self) -> StepSpace:
@@ -95,33 +100,29 @@ class RigPlant(Plant):
 
     def _step(self, command: tuple[float, ...]) -> FinishedStep:
         """Runs the ticks of one step, from just after an apex to just after the next; its result."""
-        control, applied = self._control, self._applied
-        order = Order(Mode.STEP, 1.0, command)
+        control, order = self._control, Order(Mode.STEP, 1.0, command)
         while self._status == StepStatus.OK:
-            run = self._run(order)
-            self._time, applied = run.time, run.applied
+            run = self._run(order, self._applied or NO_TORQUES)
+            self._time, self._applied = run.time, run.applied
             if self._on_ticks and len(run.rows):
                 self._on_ticks(run.rows)
-            if applied is None:
+            if run.applied is None:
                 self._status, self._fault = StepStatus.STOPPED, run.fault
             elif run.flags & STEP_ENDED:
-                self._applied = applied
                 return control.finished_step()
             elif run.flags & FAILED:
                 self._status = control.status
-            else:
-                self._applied = applied
         self._rig.close()
-        return control.failed_step(applied)
+        return control.failed_step(self._applied)
 
-    def _run(self, order: Order) -> TickRun:
-        """Runs one tick, or some ticks of a rig that runs them in compiled code."""
+    def _run(self, order: Order, applied: Torques) -> TickRun:
+        """Runs one tick, or some ticks of a rig that runs them in compiled code, after torques that were applied."""
         rig = self._rig
         if isinstance(rig, CompiledRig):
-            return rig.run(self._control, self._time, order, self._applied, self._at_once)
+            return rig.run(self._control, self._time, order, applied, self._at_once)
         try:
             reading = rig.read()
-            torques, flags = self._control.tick(self._time, reading, order, self._applied, rig.health)
+            torques, flags = self._control.tick(self._time, reading, order, applied, rig.health)
             if flags & _UNREADABLE:
                 raise RigFault(f"a sensor value is not finite: {reading}")
             applied = rig.write(torques)

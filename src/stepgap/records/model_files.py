@@ -43,7 +43,10 @@ def read_model(folder: Path, iteration: int, space: StepSpace) -> Residual | Non
     if text is None:
         return None
     try:
-        residual = residual_from_dict(json.loads(text))
+        data = json.loads(text)
+        if isinstance(data, dict) and "features" in data:
+            raise ValueError("written by a former version; run the experiment again")
+        residual = residual_from_dict(data)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, np.linalg.LinAlgError) as error:
         short = " ".join(str(error).split())[:120]
         raise ValueError(f"{path}: not a residual ({short}); it must be the file that the run wrote") from None

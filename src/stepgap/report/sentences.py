@@ -21,7 +21,7 @@ def headline(record: RunRecord) -> str:
     if (last.errors["rmse"] < first.errors["rmse"]).all():
         return f"It tracked: {to_end}, and every tracking error is smaller than in deployment {first.iteration}."
     if first.falls:
-        return f"It tracked to the end: {to_end}, where {_ended(record, first)}."
+        return f"It tracked to the end: {to_end}, whereas {_ended(record, first)}."
     if np.isnan(last.errors["rmse"] - first.errors["rmse"]).any():
         return f"No fall, but not every tracking error is known: {to_end}."
     return f"No fall, but not better in every coordinate: {to_end}."
@@ -116,11 +116,9 @@ def _floor(record: RunRecord) -> list[str]:
 
 
 def _paper_result() -> str:
-    factors = [
-        f"{paper.NO_GP['rmse'][name] / paper.WITH_GP['rmse'][name]:.1f} times in {name}" for name in paper.STATE_NAMES
-    ]
+    factors = [f"{paper.NO_GP['rmse'][name] / paper.WITH_GP['rmse'][name]:.1f} in {name}" for name in paper.STATE_NAMES]
     return (
-        f"For comparison: on the paper's hardware RMSE fell {' and '.join(factors)} with "
+        f"For comparison: on the paper's hardware the RMSE decreased by a factor of {' and '.join(factors)} with "
         f"{paper.LAST_ITERATION} redeployments."
     )
 

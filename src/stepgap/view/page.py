@@ -195,7 +195,7 @@ class Page:
         if iteration > 0:
             return f"{iteration}: corrected map"
         learns = self._source.settings.learning.steps_to_learn(0)
-        return "0: learning from the start" if learns else "0: uncorrected map"
+        return "0: learning from the start" if learns else "0: nominal map"
 
     def _show_motion(self) -> None:
         source, player = self._source, self.player
@@ -235,7 +235,7 @@ class Page:
     def _show_learned(self, steps: list[LoggedStep], number: int) -> None:
         residual = self._source.residual(self.iteration, number)
         if residual is None:
-            self._model_note.content = "Nothing: this deployment began with the uncorrected map." * (number > 0)
+            self._model_note.content = "Nothing: this deployment began with the nominal map." * (number > 0)
             for plot in self._learned:
                 plot.clear()
             return

@@ -22,8 +22,11 @@ NO_NUMBER, NO_TORQUE = 3, 4
 _ENDS_STEP = int(TickFlag.STEP_ENDED | TickFlag.FAILED)
 
 # Compiled code finds MuJoCo's C function by its name; its address is that in the library which Python has loaded.
-_library = CDLL(sys.modules[mujoco.mj_step.__module__].__file__)
-binding.add_symbol("mj_step", cast(_library.mj_step, c_void_p).value)
+try:
+    _library = CDLL(sys.modules[mujoco.mj_step.__module__].__file__)
+    binding.add_symbol("mj_step", cast(_library.mj_step, c_void_p).value)
+except (OSError, AttributeError) as error:
+    raise ImportError(f"MuJoCo {mujoco.__version__} has no C function mj_step for the twin; install 3.17") from error
 _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 

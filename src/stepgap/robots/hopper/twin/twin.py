@@ -54,8 +54,7 @@ NO_NOISE = np.zeros((512, 2))
 MESSAGES = {
     OUT_OF_REACH: "the motion is no longer within the boom's reach",
     TOO_FAST: f"a motor turned faster than {OVERSPEED:g} rad/s",
-    NO_NUMBER: "a sensor value is not finite",
-    NO_TORQUE: "the control computed a torque that is not finite",
+    NO_TORQUE: "torques must be finite",
 }
 """Faults by the outcome of a tick."""
 
@@ -209,7 +208,10 @@ class Twin(CompiledRig):
         return applied
 
     def run(self, control: TickControl, time: float, order: Order, applied: Torques, most: int) -> TickRun:
-        """Runs ticks of a `HopControl` in compiled code, at most until the hip is released or a block of noise ends."""
+        """Runs ticks of a `HopControl` in compiled code, at most until the hip is released or a block of noise ends.
+
+        The first call of all may compile; the time of the twin stands still meanwhile.
+        """
         if not isinstance(control, HopControl):
             raise TypeError(f"a hopper's twin needs a HopControl, not {type(control).__name__}")
         if self._fault or not self._connected:
@@ -230,11 +232,12 @@ class Twin(CompiledRig):
             *order.command,
             *applied,
         )
-        self._noise_used -= len(noise) - done
+        self._noise_used -= len(noise) - done - (outcome == NO_TORQUE)
         self._count_ticks(done)
+        if outcome == NO_NUMBER:
+            return TickRun(rows[:done], time, None, 0, f"a sensor value is not finite: {self.read()}")
         if outcome != READ:
-            fault = self._trip(MESSAGES[outcome])
-            return TickRun(rows[:done], time, None, 0, str(fault))
+            return TickRun(rows[:done], time, None, 0, str(self._trip(MESSAGES[outcome])))
         return TickRun(rows[:done], time, (applied_1, applied_2), flags, "")
 
     def fork(self, rng: np.random.Generator, floor_yaw: float = 0.0) -> Self:
