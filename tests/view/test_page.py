@@ -78,7 +78,7 @@ def test_what_was_learned_is_drawn_along_the_chosen_input(page: Page) -> None:
     page.player.show(2)
     page.update(0.0)
     assert not np.isfinite(page._learned[0]._chart.data[-1]).any()
-    assert "uncorrected" in page._model_note.content
+    assert "nominal map" in page._model_note.content
 
 
 def test_deployment_overlay_and_speed_can_be_chosen(page: Page) -> None:
