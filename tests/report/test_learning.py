@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepgap.report.bands import PAPER_BAND, hops_to_band
+from stepgap.experiment.bands import PAPER_BAND, hops_to_band
 from stepgap.report.learning import BEYOND_NOISE, DeploymentRow, describe_learning, learning_picture, summarise_learning
 
 

@@ -29,6 +29,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.bench.baselines import IntegralCorrection, identify
 from stepgap.bench.timing import Announce
 from stepgap.control.reference import Reference
+from stepgap.experiment.bands import hops_to_band
 from stepgap.experiment.deployment import AdaptiveMap, deploy, summarise
 from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.learner import Learner
@@ -36,7 +37,6 @@ from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.report.bands import hops_to_band
 from stepgap.report.learning import UNCORRECTED, DeploymentRow
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.apex_map import ApexMap

@@ -18,9 +18,9 @@ ALSO_WRITTEN = ("reference.csv", "warm_start.csv", "report.html", "figures", "re
 """Other files and folders that a run may write into its folder."""
 
 
-def dated_folder() -> Path:
+def dated_folder(home: str = "runs") -> Path:
     """Default folder of a run, named after date and time."""
-    return Path("runs") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    return Path(home) / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
 
 
 def start_folder(folder: Path, settings: Experiment, reference: Reference, known: StepLog) -> None:

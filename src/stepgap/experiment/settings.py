@@ -33,6 +33,9 @@ from stepgap.step import StepSpace
 PAPER = "paper"
 """Name of the built-in reference."""
 
+PATHS = ("reference", "rig", "warm_start")
+"""Settings that name a file or a folder."""
+
 TWIN, EMULATED_RING = "twin", "emulated-ring"
 """Simulated plants; all others are names of rigs."""
 
@@ -96,17 +99,18 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
     """
     experiment = Experiment()
     if path is not None:
-        experiment = _changed(experiment, read_toml(path, "an experiment"), lambda name: f"{path}: {with_table(name)}")
-        if experiment.reference != PAPER:
-            experiment = replace(experiment, reference=str(path.parent / experiment.reference))
-        if experiment.rig:
-            experiment = replace(experiment, rig=str(path.parent / experiment.rig))
-        if experiment.warm_start:
-            experiment = replace(experiment, warm_start=str(path.parent / experiment.warm_start))
-    table: dict[str, Any] = {}
-    for name, value in overrides:
-        _set(table, name.replace("-", "_").split("."), _parse_value(value))
-    return _changed(experiment, table, lambda name: f"--{SHORT_OPTIONS.get(name, name)}")
+        table = read_toml(path, "an experiment")
+        experiment = changed_experiment(experiment, table, lambda name: f"{path}: {with_table(name)}")
+        paths = {name: in_folder(path.parent, name, getattr(experiment, name)) for name in PATHS}
+        experiment = replace(experiment, **paths)
+    changes = nested((name.replace("-", "_"), _parse_value(value)) for name, value in overrides)
+    return changed_experiment(experiment, changes, lambda name: f"--{SHORT_OPTIONS.get(name, name)}")
+
+
+def in_folder(folder: Path, name: str, value: str) -> str:
+    """The value of a setting in `PATHS` that is given in a file of this folder, relative to which paths are."""
+    named = bool(value) and not (name == "reference" and value == PAPER)
+    return str(folder / value) if named else value
 
 
 def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
@@ -152,22 +156,29 @@ def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
     return known
 
 
-def write_experiment(folder: Path, experiment: Experiment, reference: Reference, known: StepLog | None = None) -> None:
-    """Writes all settings to `experiment.toml`, with which the experiment can be repeated.
+def experiment_files(experiment: Experiment, reference: Reference, known: StepLog | None = None) -> dict[str, str]:
+    """Texts by file name of a folder with which an experiment can be repeated: all settings are in `experiment.toml`.
 
-    A reference from a file and earlier steps are copied into the folder, so that the folder is complete. The file of a
-    rig is not copied: it belongs to the machine on which it was checked.
+    A reference from a file and earlier steps are among the files, so that the folder is complete. The file of a rig is
+    not: it belongs to the machine on which it was checked.
     """
+    files = {}
     if experiment.rig:
         experiment = replace(experiment, rig=str(Path(experiment.rig).resolve()))
     if experiment.reference != PAPER:
         rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
-        write_whole(folder / "reference.csv", "\n".join(rows) + "\n")
+        files["reference.csv"] = "\n".join(rows) + "\n"
         experiment = replace(experiment, reference="reference.csv")
     if known:
-        write_whole(folder / WARM_START, text_of(known))
+        files[WARM_START] = text_of(known)
         experiment = replace(experiment, warm_start=WARM_START)
-    write_whole(folder / "experiment.toml", tomli_w.dumps(to_table(experiment)))
+    return {**files, "experiment.toml": tomli_w.dumps(to_table(experiment))}
+
+
+def write_experiment(folder: Path, experiment: Experiment, reference: Reference, known: StepLog | None = None) -> None:
+    """Writes the files of `experiment_files`."""
+    for name, text in experiment_files(experiment, reference, known).items():
+        write_whole(folder / name, text)
 
 
 def _parse_value(text: str) -> Any:
@@ -179,23 +190,37 @@ def _parse_value(text: str) -> Any:
     return table["value"] if len(table) == 1 else text
 
 
-def _set(table: dict[str, Any], keys: list[str], value: Any) -> None:
-    """Sets the entry of nested tables at the given keys."""
-    for key in keys[:-1]:
-        inner = table.get(key)
-        table[key] = inner if isinstance(inner, dict) else {}
-        table = table[key]
-    table[keys[-1]] = value
+def nested(entries: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """The nested tables of entries with dotted names."""
+    tables: dict[str, Any] = {}
+    for name, value in entries:
+        *outer, last = name.split(".")
+        table = tables
+        for key in outer:
+            inner = table.get(key)
+            table[key] = inner if isinstance(inner, dict) else {}
+            table = table[key]
+        table[last] = value
+    return tables
 
 
-def _changed(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -> Experiment:
-    """The experiment with the values of a TOML table; InputError if the result is not valid."""
-    experiment = merge(*_with_preset(experiment, table, locate), locate, more=("gap.preset",))
+def changed_experiment(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -> Experiment:
+    """The experiment with the values of a TOML table.
+
+    Raises:
+        InputError: A setting is wrong, or settings do not fit together; messages name a key by `locate`.
+    """
+    experiment = merged_experiment(experiment, table, locate)
     try:
         experiment.gains.check(experiment.robot)
     except ValueError as error:
         raise located(error, locate, "gains.") from None
     return experiment
+
+
+def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -> Experiment:
+    """As `changed_experiment`, but without the check whether settings of different tables fit together."""
+    return merge(*_with_preset(experiment, table, locate), locate, more=("gap.preset",))
 
 
 def _with_preset(

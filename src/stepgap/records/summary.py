@@ -157,7 +157,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
     entries = fields.get("iterations")
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{source}: iterations is {_short(entries)}, but it must be a list of deployments")
-    deployments = [_deployment(entry, names, f"iterations[{row}]", source) for row, entry in enumerate(entries)]
+    deployments = [parse_deployment(entry, names, f"iterations[{row}]", source) for row, entry in enumerate(entries)]
     numbers = [deployment.iteration for deployment in deployments]
     if numbers != sorted(set(numbers)):
         raise ValueError(f"{source}: iterations are numbered {_short(numbers)}, but their numbers must increase")
@@ -205,7 +205,12 @@ def read_text(path: Path, largest: int) -> str | None:
         raise ValueError(f"{path}: not a text file ({error.reason}); it must be the file that the run wrote") from None
 
 
-def _deployment(entry: Any, names: tuple[str, ...], key: str, source: str) -> Deployment:
+def parse_deployment(entry: Any, names: tuple[str, ...], key: str, source: str) -> Deployment:
+    """The deployment of an entry as `deployment_entry` makes it.
+
+    Raises:
+        ValueError: It is not such an entry; the message names source, key and rule.
+    """
     fields, source = _fields(entry, key, source), f"{source}: {key}"
     residual = fields.get("residual")
     if not isinstance(residual, str) or len(residual) > LONGEST_RESIDUAL_NAME:

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from stepgap.experiment.bands import hops_to_band, tracking_errors
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.bands import hops_to_band, tracking_errors
 from stepgap.report.drawing import draw_figure
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
 from stepgap.report.sentences import decimal, headline

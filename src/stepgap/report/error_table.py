@@ -4,10 +4,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from stepgap.experiment.bands import PAPER_BAND, WINDOW, hops_to_band, tracking_errors, window_errors
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURES
-from stepgap.report.bands import PAPER_BAND, WINDOW, hops_to_band, tracking_errors, window_errors
 from stepgap.report.html import safe, table, with_unit
 from stepgap.report.sentences import decimal
 from stepgap.step import Array

@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 
 from stepgap.base.normal import INTERVAL_95
+from stepgap.experiment.bands import interval_coverage
 from stepgap.learning.regression import Parameter
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.bands import interval_coverage
 from stepgap.report.html import table, with_unit
 from stepgap.report.learned import LearnedResidual, input_quantities
 from stepgap.report.sentences import decimal

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from stepgap.report.bands import PAPER_BAND, WINDOW
+from stepgap.experiment.bands import PAPER_BAND, WINDOW
 from stepgap.report.colours import BLUE, GREY
 
 DeploymentRow = dict[str, Any]

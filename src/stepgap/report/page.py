@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+from stepgap.experiment.bands import interval_coverage
 from stepgap.records import paper
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.bands import interval_coverage
 from stepgap.report.drawing import Drawing
 from stepgap.report.error_table import band_table, error_table
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section

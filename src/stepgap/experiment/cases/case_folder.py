@@ -1,0 +1,190 @@
+"""The folder of a plan: which cases are claimed, and the results of the finished ones.
+
+The files hold the whole state, so that any process may end at any time. A result is stored by atomic rename. A claim is
+a lock of the operating system on the byte of the file `claims` whose position is the case's number: the lock ends with
+its process, so that a killed process leaves no claim behind, and 10⁵ cases need no further files.
+"""
+
+import errno
+import fcntl
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any, Self
+
+from stepgap.base.errors import InputError
+from stepgap.base.files import naming, write_whole
+from stepgap.experiment.cases.plan import CaseResult, Plan
+
+LARGEST_RESULT = 2**26
+"""Largest result of a case that is read [bytes]."""
+
+_IN_A_FOLDER = 1000
+"""Number of results in one folder, since file systems become slow with many more."""
+
+
+class CaseFolder:
+    """The cases of a plan in a folder, which several processes may use at the same time. Use it as a context manager.
+
+    Args:
+        path: The folder; it is created if it does not exist.
+        plan: The plan, whose files are written into a new folder.
+        join: Whether the folder may hold cases of this plan already.
+
+    Raises:
+        InputError: The folder holds another plan, or other files with the names of the plan's files.
+        OSError: A file cannot be read or written.
+    """
+
+    def __init__(self, path: Path, plan: Plan, join: bool):
+        self.path, self._plan = path, plan
+        path.mkdir(parents=True, exist_ok=True)
+        self._claims = os.open(path / "claims", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            with self.alone():
+                self._check_or_write(join)
+        except BaseException:
+            os.close(self._claims)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        os.close(self._claims)
+
+    def _check_or_write(self, join: bool) -> None:
+        """Writes the files of the plan, or checks that the folder holds the same plan."""
+        files = self._plan.files
+        there = [name for name in files if (self.path / name).exists()]
+        if not there:
+            if (self.path / "cases").exists():
+                raise InputError(f"{self.path}: holds cases of an unknown plan; choose another --out")
+            for name, text in reversed(files.items()):  # the first one last: it says that all are there
+                write_whole(self.path / name, text)
+            return
+        first = next(iter(files))
+        for name, text in files.items():
+            found = _text_of(self.path / name)
+            if found is None and first not in there:
+                write_whole(self.path / name, text)  # a process ended while it wrote them
+            elif found != text:
+                raise InputError(
+                    f"{self.path / name}: already there, but of another plan than this one; choose another --out"
+                )
+        if first not in there:
+            write_whole(self.path / first, files[first])
+        elif not join:
+            raise InputError(f"{self.path}: already holds these cases; continue them by --resume")
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Excludes the other processes that use the folder, for changes of files that all share."""
+        position = len(self._plan)
+        self._lock(fcntl.LOCK_EX, position)
+        try:
+            yield
+        finally:
+            self._lock(fcntl.LOCK_UN, position)
+
+    def finished(self) -> set[int]:
+        """Numbers of the cases that have a result."""
+        groups = (self.path / "cases").iterdir() if (self.path / "cases").is_dir() else ()
+        names = (entry.name for group in groups if group.is_dir() for entry in os.scandir(group))
+        numbers = (name.removesuffix(".json") for name in names if name.endswith(".json"))
+        return {int(number) for number in numbers if number.isdecimal() and int(number) < len(self._plan)}
+
+    def claim(self, number: int) -> bool:
+        """Claims a case for this process; False if another process has it, or it has a result."""
+        if self._result(number).exists() or not self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB, number):
+            return False
+        if self._result(number).exists():  # stored between the two lines above
+            self._lock(fcntl.LOCK_UN, number)
+            return False
+        return True
+
+    def store(self, number: int, result: CaseResult) -> None:
+        """Stores the result of a claimed case, after the files to keep, and gives up the claim.
+
+        Raises:
+            OSError: A file cannot be written; the case has no result then.
+        """
+        for name, text in result.files.items():
+            write_whole(self.kept(number) / checked_name(name), text)
+        write_whole(self._result(number), result.text())
+        self._lock(fcntl.LOCK_UN, number)
+
+    def read(self, number: int) -> CaseResult:
+        """Reads the result of a finished case.
+
+        Raises:
+            InputError: The file is not a result.
+            OSError: It cannot be read.
+        """
+        path = self._result(number)
+        with path.open("rb") as file:
+            content = file.read(LARGEST_RESULT + 1)
+        try:
+            if len(content) > LARGEST_RESULT:
+                raise ValueError("it is too large")
+            found = json.loads(content)
+            if not isinstance(found, Mapping) or not isinstance(found.get("failed"), str) or "result" not in found:
+                raise ValueError("it must hold failed and result")
+        except (ValueError, RecursionError) as error:
+            raise InputError(
+                f"{path}: not the result of a case ({error!s:.100}); remove this file and continue with --resume"
+            ) from None
+        seconds = found.get("seconds")
+        return CaseResult(found["result"], found["failed"], float(seconds) if isinstance(seconds, int | float) else 0.0)
+
+    def results(self, progress: Callable[[int, int], None] = lambda done, total: None) -> Iterator[tuple[int, Any]]:
+        """Yields numbers and results of the finished cases in ascending order."""
+        numbers = sorted(self.finished())
+        for done, number in enumerate(numbers, start=1):
+            yield number, self.read(number)
+            progress(done, len(numbers))
+
+    def forget(self, number: int) -> None:
+        """Removes the result of a case, so that it is computed again."""
+        self._result(number).unlink(missing_ok=True)
+
+    def kept(self, number: int) -> Path:
+        """Folder of the files that are kept of a case."""
+        return self.path / "runs" / f"{number:08d}"
+
+    def _result(self, number: int) -> Path:
+        return self.path / "cases" / f"{number // _IN_A_FOLDER:05d}" / f"{number:08d}.json"
+
+    def _lock(self, operation: int, position: int) -> bool:
+        """Locks or unlocks a byte of `claims`; False if another process has it."""
+        try:
+            fcntl.lockf(self._claims, operation, 1, position)
+        except OSError as error:
+            if error.errno in (errno.EACCES, errno.EAGAIN):
+                return False
+            if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):  # a file system without locks
+                raise
+        return True
+
+
+def checked_name(name: str) -> str:
+    """The path of a file below its folder.
+
+    Raises:
+        InputError: It leads out of the folder.
+    """
+    path = PurePosixPath(name)
+    if path.is_absolute() or not path.parts or ".." in path.parts or "\0" in name:
+        raise InputError(f"{name!r:.60}: must be the name of a file below the folder of its case")
+    return name
+
+
+def _text_of(path: Path) -> str | None:
+    """Text of a file; None if it does not exist or is not a text."""
+    try:
+        with naming(path):
+            return path.read_text(encoding="utf-8")
+    except (FileNotFoundError, UnicodeDecodeError):
+        return None

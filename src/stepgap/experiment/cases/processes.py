@@ -1,0 +1,129 @@
+"""Processes of this machine that compute cases."""
+
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
+from multiprocessing import connection, get_context, parent_process
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any, final
+
+from stepgap.base.errors import StepGapError
+
+ATTEMPTS = 3
+"""Number of processes that may end during one call before the call fails."""
+
+
+class ProcessEnded(StepGapError):
+    """The process of a call ended before the call, and so did those that tried it again."""
+
+
+@final
+class Processes(Executor):
+    """An executor like `ProcessPoolExecutor` whose calls survive the end of a process.
+
+    A process that ends, such as by a crash in compiled code or for lack of memory, is replaced, and its call is made
+    again; the standard library's executor would give up all calls. No process outlives this one.
+
+    Args:
+        count: Number of processes.
+    """
+
+    def __init__(self, count: int):
+        self._threads = ThreadPoolExecutor(count, thread_name_prefix="case")
+        self._idle: SimpleQueue[_Process] = SimpleQueue()
+        self._all = [_Process() for _ in range(count)]
+        for process in self._all:
+            self._idle.put(process)
+        self._closed = False
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Calls a function of a module in one of the processes.
+
+        The future raises the function's error, or `ProcessEnded`.
+        """
+        return self._threads.submit(self._call, fn, args, kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Ends the processes; with `wait`, after all calls."""
+        self._closed = not wait
+        if self._closed:
+            self._kill()
+        self._threads.shutdown(wait=True, cancel_futures=cancel_futures or not wait)
+        self._kill()
+
+    def _kill(self) -> None:
+        for process in self._all:
+            process.kill()
+
+    def _call(self, *call: Any) -> Any:
+        process = self._idle.get()
+        try:
+            for _ in range(ATTEMPTS):
+                try:
+                    return process.call(call)
+                except EOFError:
+                    ended = process.kill()
+                    if self._closed:
+                        break
+            raise ProcessEnded(f"its process ended {ATTEMPTS} times, the last time with exit code {ended}")
+        finally:
+            self._idle.put(process)
+
+
+class _Process:
+    """A process that is started when it is first needed, and again after its end."""
+
+    def __init__(self) -> None:
+        self._process: Any = None
+
+    def call(self, call: Any) -> Any:
+        """Makes a call; raises EOFError if the process ends during the call."""
+        if self._process is None:
+            context = get_context("spawn")
+            self._pipe, theirs = context.Pipe()
+            self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+            self._process.start()
+            theirs.close()
+        try:
+            self._pipe.send(call)
+            value, error = self._pipe.recv()
+        except ConnectionError:
+            raise EOFError from None
+        if error is not None:
+            raise error
+        return value
+
+    def kill(self) -> int | None:
+        """Ends the process, if there is one, and returns its exit code."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        self._pipe.close()
+        process.kill()
+        process.join()
+        return process.exitcode
+
+
+def _serve(pipe: connection.Connection) -> None:
+    """Answers calls until the other end is closed or its process ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the first one decides
+    Thread(target=_end_with_parent, daemon=True).start()
+    with suppress(EOFError, ConnectionError):
+        while True:
+            function, args, kwargs = pipe.recv()
+            try:
+                answer = function(*args, **kwargs), None
+            except Exception as error:
+                answer = None, error
+            pipe.send(answer)
+
+
+def _end_with_parent() -> None:
+    """Ends this process when its parent has ended, even during a call."""
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)

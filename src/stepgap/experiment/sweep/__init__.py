@@ -1,0 +1,1 @@
+"""Sweeps: many experiments whose settings differ along axes."""

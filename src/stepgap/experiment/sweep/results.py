@@ -1,0 +1,55 @@
+"""The table of a sweep, made from the results of its cases; and results of other folders that are added."""
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from stepgap.base.errors import InputError
+from stepgap.base.files import write_whole
+from stepgap.experiment.cases.case_folder import CaseFolder
+from stepgap.experiment.sweep.sweep import Sweep
+from stepgap.records.results_table import RESULTS, columns_of, rows_of, table_text
+
+Progress = Callable[[int, int], None]
+"""Called with the numbers of finished and of all items."""
+
+
+def write_results(sweep: Sweep, folder: CaseFolder, progress: Progress = lambda done, total: None) -> Path:
+    """Writes the table of all finished cases and returns its path.
+
+    Raises:
+        InputError: The result of a case is not valid.
+        OSError: A file cannot be read or written.
+    """
+    path = folder.path / RESULTS
+    with folder.alone():
+        write_whole(path, table_text(columns_of(sweep.names, sweep.space), _rows(sweep, folder, progress)))
+    return path
+
+
+def _rows(sweep: Sweep, folder: CaseFolder, progress: Progress) -> Iterator[list[str]]:
+    for number, found in folder.results(progress):
+        try:
+            yield from rows_of(number, sweep.settings(number), found.result, found.failed, sweep.space)
+        except ValueError as error:
+            raise InputError(f"{folder.path}: {error}") from None
+
+
+def merge_results(folder: CaseFolder, others: Sequence[CaseFolder]) -> int:
+    """Copies the results that only other folders of the same plan have, with the kept files; returns their number.
+
+    Raises:
+        InputError: A result is not valid.
+        OSError: A file cannot be read or written.
+    """
+    copied = 0
+    for other in others:
+        for number in sorted(other.finished() - folder.finished()):
+            if not folder.claim(number):
+                continue
+            result = other.read(number)
+            if other.kept(number).is_dir():
+                shutil.copytree(other.kept(number), folder.kept(number), symlinks=True, dirs_exist_ok=True)
+            folder.store(number, result)
+            copied += 1
+    return copied

@@ -1,0 +1,146 @@
+"""A sweep: one experiment for every combination of the points of its axes.
+
+Every kind of axis, whether a list, an evenly spaced grid, a Sobol' sequence, random twins or seeds, is a list of points, and a
+point gives values to one or several settings. Case i is the i-th combination, in which the last axis changes fastest, so
+that a case is made when it is needed and a sweep of 10⁵ cases takes no memory.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import prod
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import tomli_w
+
+from stepgap.base.random_streams import random_stream
+from stepgap.experiment.settings import (
+    PATHS,
+    Experiment,
+    changed_experiment,
+    experiment_files,
+    in_folder,
+    load_known,
+    load_reference,
+    nested,
+)
+from stepgap.robots.hopper.twin.family import random_gap
+from stepgap.step import StepSpace
+
+SWEEP_FILE = "sweep.toml"
+"""File in the folder of a sweep with its axes."""
+
+TWIN_NUMBER, SEED = "twin", "seed"
+"""Names of the axes of random twins and of seeds."""
+
+Keep = Literal["runs", "steps", "nothing"]
+"""Files of a case that are kept: those of its run, its settings and steps, or none."""
+
+KEEP: tuple[Keep, ...] = get_args(Keep)
+"""All values of `Keep`."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Points along which settings change together.
+
+    Attributes:
+        names: Dotted names of settings, or `twin`.
+        points: Values of these settings at each point.
+    """
+
+    names: tuple[str, ...]
+    points: tuple[tuple[Any, ...], ...]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A base experiment and the axes along which its settings change; it is a `Plan`.
+
+    Attributes:
+        base: Settings of all cases that no axis changes.
+        axes: The axes; the last one changes fastest.
+        keep: Files of a case that are kept.
+        folder: Folder to which the paths of settings on an axis are relative.
+    """
+
+    base: Experiment
+    axes: tuple[Axis, ...]
+    keep: Keep = "runs"
+    folder: Path = Path()
+
+    def __len__(self) -> int:
+        return prod(len(axis.points) for axis in self.axes)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all settings on the axes, in their order."""
+        return tuple(name for axis in self.axes for name in axis.names)
+
+    @property
+    def space(self) -> StepSpace:
+        """State and command of the robot."""
+        return self.base.command.space()
+
+    def settings(self, number: int) -> dict[str, Any]:
+        """Values of the settings on the axes in a case, by name."""
+        index = np.unravel_index(number, [len(axis.points) for axis in self.axes])
+        points = [axis.points[i] for axis, i in zip(self.axes, index, strict=True)]
+        return dict(zip(self.names, (value for point in points for value in point), strict=True))
+
+    def experiment(self, number: int) -> Experiment:
+        """Settings of a case.
+
+        Raises:
+            InputError: They are not valid together.
+        """
+        changed = with_changes(self.base, self.settings(number), self.folder)
+        return changed_experiment(*changed, lambda name: f"case {number}: {name}")
+
+    @cached_property
+    def files(self) -> Mapping[str, str]:
+        """Texts of a folder from which the sweep can be read again, by file name."""
+        space = self.space
+        base = experiment_files(self.base, load_reference(self.base, space), load_known(self.base, space))
+        axes = [
+            {
+                "names": list(axis.names),
+                "points": [
+                    [self._absolute(*pair) for pair in zip(axis.names, point, strict=True)] for point in axis.points
+                ],
+            }
+            for axis in self.axes
+        ]
+        return {SWEEP_FILE: tomli_w.dumps({"keep": self.keep, "resolved": axes}), **base}
+
+    def case(self, number: int) -> str:
+        """Files of the experiment of a case, and what to keep, as TOML."""
+        experiment, space = self.experiment(number), self.space
+        files = experiment_files(experiment, load_reference(experiment, space), load_known(experiment, space))
+        return tomli_w.dumps({"keep": self.keep, "files": files})
+
+    def _absolute(self, name: str, value: Any) -> Any:
+        return str(Path(in_folder(self.folder, name, value)).resolve()) if _is_path(name, value) else value
+
+
+def with_changes(base: Experiment, changes: Mapping[str, Any], folder: Path) -> tuple[Experiment, dict[str, Any]]:
+    """An experiment and a TOML table of its changes; the gap of a random twin is in the experiment already.
+
+    Args:
+        base: The experiment.
+        changes: Values by dotted name; `twin` is the number of a random twin, whose gap replaces that of the experiment
+            before the other settings change.
+        folder: Folder to which paths are relative.
+    """
+    table = {
+        name: in_folder(folder, name, value) if _is_path(name, value) else value for name, value in changes.items()
+    }
+    if TWIN_NUMBER in table:
+        base = replace(base, gap=random_gap(random_stream(table.pop(TWIN_NUMBER))))
+    return base, nested(table.items())
+
+
+def _is_path(name: str, value: Any) -> bool:
+    return name in PATHS and isinstance(value, str) and in_folder(Path("x"), name, value) != value

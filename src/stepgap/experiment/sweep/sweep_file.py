@@ -1,0 +1,211 @@
+"""Reading of a sweep from its TOML file, with errors that name the key and what would be right."""
+
+from collections.abc import Mapping, Sequence
+from itertools import chain
+from math import log2, prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from stepgap.base.errors import InputError
+from stepgap.base.plugins import suggestion
+from stepgap.base.random_streams import random_stream
+from stepgap.base.ranges import format_value
+from stepgap.base.settings_file import read_toml
+from stepgap.experiment.plants import SIMULATED
+from stepgap.experiment.settings import Experiment, merged_experiment, read_experiment
+from stepgap.experiment.sweep.sweep import KEEP, SEED, SWEEP_FILE, TWIN_NUMBER, Axis, Sweep, with_changes
+
+MOST_CASES = 10**6
+"""Largest number of cases of a sweep."""
+
+_KEYS = ("base", "seeds", "twins", "keep", "axes", "sobol")
+_RANGE = ("from", "to", "points", "scale")
+_SCALES = ("linear", "log")
+
+
+def read_sweep(path: Path) -> Sweep:
+    """Reads a sweep from its file, or the sweep of a folder from the file in it.
+
+    Raises:
+        InputError: The file is wrong; the message names the file, the key and what would be right.
+    """
+    table = read_toml(path, "a sweep")
+    if path.name == SWEEP_FILE and "resolved" in table:
+        return _resolved(path, table)
+    _check_keys(table, _KEYS, f"{path}: ")
+    base = read_experiment(path.parent / _text(table["base"], f"{path}: base") if "base" in table else None)
+    if base.plant not in SIMULATED:
+        raise InputError(f"{path}: base: plant '{base.plant}' is a rig; a sweep needs one of {', '.join(SIMULATED)}")
+    keep = table.get("keep", KEEP[0])
+    if keep not in KEEP:
+        raise InputError(f"{path}: keep = {format_value(keep)}, but it must be one of {', '.join(KEEP)}")
+    axes = [
+        *_twins(table, path),
+        *_sobol(table, path),
+        *_axes(table, path),
+        Axis((SEED,), tuple((seed,) for seed in _integers(table.get("seeds", [base.seed]), f"{path}: seeds"))),
+    ]
+    _check(base, axes, path)
+    return Sweep(base, tuple(axes), keep, path.parent)
+
+
+def _resolved(path: Path, table: Mapping[str, Any]) -> Sweep:
+    """The sweep of a folder, as `Sweep.files` writes it."""
+    try:
+        axes = tuple(Axis(tuple(each["names"]), tuple(map(tuple, each["points"]))) for each in table["resolved"])
+        if table["keep"] not in KEEP or not all(
+            len(point) == len(axis.names) for axis in axes for point in axis.points
+        ):
+            raise ValueError
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: not the file that a sweep wrote; give the sweep's own file") from None
+    base = read_experiment(path.parent / "experiment.toml")
+    _check(base, axes, path)
+    return Sweep(base, axes, table["keep"], path.parent)
+
+
+def _check(base: Experiment, axes: Sequence[Axis], path: Path) -> None:
+    """Raises InputError if a setting is on two axes, a value is not valid, or there are too many cases."""
+    names = [name for axis in axes for name in axis.names]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path}: {name} is on two axes; it must be on one")
+    count = prod(len(axis.points) for axis in axes)
+    if count > MOST_CASES:
+        raise InputError(f"{path}: these axes have {count} combinations, but there must be at most {MOST_CASES}")
+    for axis in axes:
+        for point in axis.points:
+            for name, value in zip(axis.names, point, strict=True):
+                _check_value(base, name, value, path)
+
+
+def _check_value(base: Experiment, name: str, value: Any, path: Path) -> None:
+    if name == "plant" and value not in SIMULATED:
+        raise InputError(f"{path}: plant = {format_value(value)}, but it must be one of {', '.join(SIMULATED)}")
+    if name == "rig":
+        raise InputError(f"{path}: rig: a sweep cannot use a rig; its plants are {', '.join(SIMULATED)}")
+    if name in (TWIN_NUMBER, SEED):
+        _integers([value], f"{path}: {name}")
+    merged_experiment(*with_changes(base, {name: value}, path.parent), lambda key: f"{path}: [axes] {key}")
+
+
+def _twins(table: Mapping[str, Any], path: Path) -> list[Axis]:
+    if "twins" not in table:
+        return []
+    value = table["twins"]
+    numbers = list(range(value)) if type(value) is int and 0 < value <= MOST_CASES else value
+    wanted = "the number of random twins, such as 20, or a list of their numbers"
+    return [Axis((TWIN_NUMBER,), tuple((number,) for number in _integers(numbers, f"{path}: twins", wanted)))]
+
+
+def _axes(table: Mapping[str, Any], path: Path) -> list[Axis]:
+    """Axes of single settings, each with a list of values or a range."""
+    found = []
+    for name, value in _flat(_as_table(table.get("axes", {}), f"{path}: axes")):
+        place = f"{path}: [axes] {name}"
+        values = _evenly(value, place) if isinstance(value, Mapping) else value
+        if not isinstance(values, list) or not values:
+            wanted = "a list of values that is not empty, or a range such as { from = 0.5, to = 1, points = 6 }"
+            raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}")
+        if len(set(map(repr, values))) < len(values):
+            raise InputError(f"{place} = {format_value(value)}, but its values must differ")
+        found.append(Axis((name,), tuple((each,) for each in values)))
+    return found
+
+
+def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
+    """The axis of a Sobol' sequence: scrambled points that cover the ranges of several settings evenly."""
+    if "sobol" not in table:
+        return []
+    place = f"{path}: [sobol]"
+    sobol = _as_table(table["sobol"], place)
+    _check_keys(sobol, ("points", "seed", "ranges"), f"{place} ")
+    points, seed = sobol.get("points"), sobol.get("seed", 0)
+    if type(points) is not int or not 1 <= points <= MOST_CASES or points & (points - 1):
+        near = f", such as {2 ** round(log2(points))}" if type(points) is int and 1 < points <= MOST_CASES else ""
+        raise InputError(
+            f"{place} points = {format_value(points)}, but it must be a power of 2{near}: others are unbalanced"
+        )
+    (seed,) = _integers([seed], f"{place} seed")
+    ranges = list(_flat(_as_table(sobol.get("ranges", {}), f"{place} ranges")))
+    if not ranges:
+        raise InputError(f'{place} ranges: missing; give ranges such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]')
+    fractions = qmc.Sobol(len(ranges), rng=random_stream(seed)).random(points)
+    columns = [
+        _scaled(fractions[:, column], *_limits(value, f"{path}: [sobol.ranges] {name}"))
+        for column, (name, value) in enumerate(ranges)
+    ]
+    return [Axis(tuple(name for name, _ in ranges), tuple(zip(*columns, strict=True)))]
+
+
+def _evenly(value: Mapping[str, Any], place: str) -> list[float]:
+    """Values at equal distances in a range, or with equal ratios if the scale is log."""
+    _check_keys(value, _RANGE, f"{place} ")
+    points = value.get("points")
+    if type(points) is not int or not 2 <= points <= MOST_CASES:
+        raise InputError(f"{place}: points = {format_value(points)}, but it must be an integer from 2")
+    limits = _limits({key: each for key, each in value.items() if key != "points"}, place)
+    return _scaled(np.linspace(0, 1, points), *limits)
+
+
+def _limits(value: Any, place: str) -> tuple[float, float, bool]:
+    """Ends of a range, and whether its scale is logarithmic."""
+    table = dict(zip(("from", "to"), value, strict=True)) if isinstance(value, list) and len(value) == 2 else value
+    wanted = 'a range such as [0.6, 1.0] or { from = 1e3, to = 1e5, scale = "log" }'
+    if not isinstance(table, Mapping):
+        raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}")
+    _check_keys(table, ("from", "to", "scale"), f"{place} ")
+    lower, upper, scale = table.get("from"), table.get("to"), table.get("scale", _SCALES[0])
+    if not all(type(end) in (int, float) and np.isfinite(end) for end in (lower, upper)) or not lower < upper:
+        raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}, the smaller number first")
+    if scale not in _SCALES or (scale == "log" and lower <= 0):
+        raise InputError(f"{place}: scale = {format_value(scale)}, but it must be linear, or log for positive numbers")
+    return float(lower), float(upper), scale == "log"
+
+
+def _scaled(fractions: np.ndarray, lower: float, upper: float, logarithmic: bool) -> list[float]:
+    """Values at fractions of a range, rounded to 12 digits."""
+    values = lower * (upper / lower) ** fractions if logarithmic else lower + (upper - lower) * fractions
+    return [float(f"{value:.12g}") for value in values]
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> "chain[tuple[str, Any]]":
+    """Entries of nested tables by dotted name; a table with the keys of a range is a value."""
+    return chain.from_iterable(
+        _flat(value, f"{prefix}{key}.")
+        if isinstance(value, Mapping) and not set(value) & {"from", "to"}
+        else [(prefix + key, value)]
+        for key, value in table.items()
+    )
+
+
+def _check_keys(table: Mapping[str, Any], known: Sequence[str], place: str) -> None:
+    for key in table:
+        if key not in known:
+            meant = suggestion(key, known)
+            raise InputError(f"{place}{key}: unknown key; {meant or 'the keys here are ' + ', '.join(known)}")
+
+
+def _as_table(value: Any, place: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"{place} = {format_value(value)}, but it must be a table")
+    return value
+
+
+def _text(value: Any, place: str) -> str:
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{place} = {format_value(value)}, but it must be the file of an experiment")
+    return value
+
+
+def _integers(
+    values: Any, place: str, wanted: str = "a list of different integers from 0, such as [1, 2, 3]"
+) -> list[int]:
+    """A list of different integers that are not negative."""
+    valid = isinstance(values, list) and values and all(type(each) is int and 0 <= each < 2**63 for each in values)
+    if not valid or len(set(values)) < len(values):
+        raise InputError(f"{place} = {format_value(values)}, but it must be {wanted}")
+    return values
