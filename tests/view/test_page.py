@@ -126,8 +126,10 @@ def test_riding_along_the_robot_stays_in_view(page: Page) -> None:
 
 
 def test_watching_ends_with_the_run_and_frees_the_port(run_folder: Path) -> None:
-    server = start_server(HERE, None)
-    port, source = server.get_port(), Source(run_folder)
+    with socket.socket() as free:  # a port that no other test takes, unlike the first of the server's own
+        free.bind((HERE, 0))
+        port = free.getsockname()[1]
+    server, source = start_server(HERE, port), Source(run_folder)
     page = Page(server, source)
     running = iter([True, True, False])
     watch(server, page, lambda: next(running))
