@@ -62,7 +62,7 @@ class CaseFolder:
         if not there:
             if (self.path / "cases").exists():
                 raise InputError(f"{self.path}: holds cases of an unknown plan; choose another --out")
-            for name, text in reversed(files.items()):  # the first one last: it says that all are there
+            for name, text in reversed(list(files.items())):  # the first one last: it says that all are there
                 write_whole(self.path / name, text)
             return
         first = next(iter(files))

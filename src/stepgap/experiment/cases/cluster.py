@@ -27,8 +27,8 @@ def dask_executor(address: str, processes: int) -> Iterator[Executor]:
     """Connects to a dask scheduler; yields an executor whose calls run on its workers.
 
     Args:
-        address: Address of the scheduler, such as tcp://node7:8786, or its scheduler file; `local` starts a scheduler and
-            workers on this machine.
+        address: Address of the scheduler, such as tcp://node7:8786, or its scheduler file; `local` starts a scheduler
+            and workers on this machine.
         processes: Number of workers of a local cluster.
 
     Raises:
@@ -54,9 +54,7 @@ def _client(target: object, address: str) -> Iterator["Client"]:
     try:
         if isinstance(target, str) and Path(target).suffix == ".json":
             if not Path(target).is_file():
-                raise InputError(
-                    f"--dask {address}: no such scheduler file; `dask scheduler --scheduler-file` writes it"
-                )
+                raise InputError(f"--dask {address}: no such file; `dask scheduler --scheduler-file` writes it")
             client = Client(scheduler_file=os.fspath(target), timeout=_WAIT)
         else:
             client = Client(target, timeout=_WAIT)

@@ -59,7 +59,7 @@ class Processes(Executor):
             process.kill()
 
     def _call(self, *call: Any) -> Any:
-        process = self._idle.get()
+        process, ended = self._idle.get(), None
         try:
             for _ in range(ATTEMPTS):
                 try:

@@ -1,13 +1,12 @@
 """A sweep: one experiment for every combination of the points of its axes.
 
-Every kind of axis, whether a list, an evenly spaced grid, a Sobol' sequence, random twins or seeds, is a list of points, and a
-point gives values to one or several settings. Case i is the i-th combination, in which the last axis changes fastest, so
-that a case is made when it is needed and a sweep of 10⁵ cases takes no memory.
+An axis of any kind, a list, an evenly spaced grid, a Sobol' sequence, random twins or seeds, is a list of points,
+and a point gives values to one or several settings. Case i is the i-th combination, in which the last axis changes
+fastest. A case is made when it is needed, so that a sweep of 10⁵ cases takes little memory.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import prod
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -99,19 +98,14 @@ class Sweep:
         changed = with_changes(self.base, self.settings(number), self.folder)
         return changed_experiment(*changed, lambda name: f"case {number}: {name}")
 
-    @cached_property
+    @property
     def files(self) -> Mapping[str, str]:
         """Texts of a folder from which the sweep can be read again, by file name."""
         space = self.space
         base = experiment_files(self.base, load_reference(self.base, space), load_known(self.base, space))
         axes = [
-            {
-                "names": list(axis.names),
-                "points": [
-                    [self._absolute(*pair) for pair in zip(axis.names, point, strict=True)] for point in axis.points
-                ],
-            }
-            for axis in self.axes
+            {"names": list(axis.names), "points": list(map(list, axis.points))}
+            for axis in map(self._with_absolute_paths, self.axes)
         ]
         return {SWEEP_FILE: tomli_w.dumps({"keep": self.keep, "resolved": axes}), **base}
 
@@ -121,8 +115,11 @@ class Sweep:
         files = experiment_files(experiment, load_reference(experiment, space), load_known(experiment, space))
         return tomli_w.dumps({"keep": self.keep, "files": files})
 
-    def _absolute(self, name: str, value: Any) -> Any:
-        return str(Path(in_folder(self.folder, name, value)).resolve()) if _is_path(name, value) else value
+    def _with_absolute_paths(self, axis: Axis) -> Axis:
+        def absolute(name: str, value: Any) -> Any:
+            return str((self.folder / value).resolve()) if _is_path(name, value) else value
+
+        return replace(axis, points=tuple(tuple(map(absolute, axis.names, point)) for point in axis.points))
 
 
 def with_changes(base: Experiment, changes: Mapping[str, Any], folder: Path) -> tuple[Experiment, dict[str, Any]]:
@@ -134,7 +131,7 @@ def with_changes(base: Experiment, changes: Mapping[str, Any], folder: Path) -> 
             before the other settings change.
         folder: Folder to which paths are relative.
     """
-    table = {
+    table: dict[str, Any] = {
         name: in_folder(folder, name, value) if _is_path(name, value) else value for name, value in changes.items()
     }
     if TWIN_NUMBER in table:

@@ -1,12 +1,12 @@
 """Reading of a sweep from its TOML file, with errors that name the key and what would be right."""
 
-from collections.abc import Mapping, Sequence
-from itertools import chain
-from math import log2, prod
+from collections.abc import Iterator, Mapping, Sequence
+from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from stepgap.base.errors import InputError
@@ -16,14 +16,15 @@ from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import read_toml
 from stepgap.experiment.plants import SIMULATED
 from stepgap.experiment.settings import Experiment, merged_experiment, read_experiment
-from stepgap.experiment.sweep.sweep import KEEP, SEED, SWEEP_FILE, TWIN_NUMBER, Axis, Sweep, with_changes
+from stepgap.experiment.sweep.sweep import KEEP, SEED, TWIN_NUMBER, Axis, Sweep, with_changes
 
 MOST_CASES = 10**6
 """Largest number of cases of a sweep."""
 
+LARGEST_END = 1e300
+"""Largest end of a range."""
+
 _KEYS = ("base", "seeds", "twins", "keep", "axes", "sobol")
-_RANGE = ("from", "to", "points", "scale")
-_SCALES = ("linear", "log")
 
 
 def read_sweep(path: Path) -> Sweep:
@@ -33,13 +34,13 @@ def read_sweep(path: Path) -> Sweep:
         InputError: The file is wrong; the message names the file, the key and what would be right.
     """
     table = read_toml(path, "a sweep")
-    if path.name == SWEEP_FILE and "resolved" in table:
+    if "resolved" in table:
         return _resolved(path, table)
     _check_keys(table, _KEYS, f"{path}: ")
     base = read_experiment(path.parent / _text(table["base"], f"{path}: base") if "base" in table else None)
     if base.plant not in SIMULATED:
         raise InputError(f"{path}: base: plant '{base.plant}' is a rig; a sweep needs one of {', '.join(SIMULATED)}")
-    keep = table.get("keep", KEEP[0])
+    keep: Any = table.get("keep", KEEP[0])
     if keep not in KEEP:
         raise InputError(f"{path}: keep = {format_value(keep)}, but it must be one of {', '.join(KEEP)}")
     axes = [
@@ -56,9 +57,8 @@ def _resolved(path: Path, table: Mapping[str, Any]) -> Sweep:
     """The sweep of a folder, as `Sweep.files` writes it."""
     try:
         axes = tuple(Axis(tuple(each["names"]), tuple(map(tuple, each["points"]))) for each in table["resolved"])
-        if table["keep"] not in KEEP or not all(
-            len(point) == len(axis.names) for axis in axes for point in axis.points
-        ):
+        whole = all(axis.points and {len(axis.names)} == set(map(len, axis.points)) for axis in axes)
+        if table["keep"] not in KEEP or not whole:
             raise ValueError
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{path}: not the file that a sweep wrote; give the sweep's own file") from None
@@ -123,63 +123,72 @@ def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
     place = f"{path}: [sobol]"
     sobol = _as_table(table["sobol"], place)
     _check_keys(sobol, ("points", "seed", "ranges"), f"{place} ")
-    points, seed = sobol.get("points"), sobol.get("seed", 0)
+    points = sobol.get("points")
     if type(points) is not int or not 1 <= points <= MOST_CASES or points & (points - 1):
-        near = f", such as {2 ** round(log2(points))}" if type(points) is int and 1 < points <= MOST_CASES else ""
-        raise InputError(
-            f"{place} points = {format_value(points)}, but it must be a power of 2{near}: others are unbalanced"
-        )
-    (seed,) = _integers([seed], f"{place} seed")
-    ranges = list(_flat(_as_table(sobol.get("ranges", {}), f"{place} ranges")))
+        rule = "a power of 2, such as 64, because only then is the sequence balanced"
+        raise InputError(f"{place} points = {format_value(points)}, but it must be {rule}")
+    (seed,) = _integers([sobol.get("seed", 0)], f"{place} seed")
+    ranges = dict(_flat(_as_table(sobol.get("ranges", {}), f"{place} ranges")))
     if not ranges:
-        raise InputError(f'{place} ranges: missing; give ranges such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]')
+        raise InputError(f'{place} ranges: missing; give some, such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]')
     fractions = qmc.Sobol(len(ranges), rng=random_stream(seed)).random(points)
     columns = [
-        _scaled(fractions[:, column], *_limits(value, f"{path}: [sobol.ranges] {name}"))
-        for column, (name, value) in enumerate(ranges)
+        _range(value, f"{path}: [sobol.ranges] {name}").at(fractions[:, column])
+        for column, (name, value) in enumerate(ranges.items())
     ]
-    return [Axis(tuple(name for name, _ in ranges), tuple(zip(*columns, strict=True)))]
+    return [Axis(tuple(ranges), tuple(zip(*columns, strict=True)))]
+
+
+class _Range(NamedTuple):
+    """An interval of a setting, on a linear or a logarithmic scale."""
+
+    lower: float
+    upper: float
+    logarithmic: bool
+
+    def at(self, fractions: NDArray[np.float64]) -> list[float]:
+        """Values at fractions of the interval, rounded to 12 digits."""
+        if self.logarithmic:
+            values = self.lower * (self.upper / self.lower) ** fractions
+        else:
+            values = self.lower + (self.upper - self.lower) * fractions
+        return [float(f"{value:.12g}") for value in values]
 
 
 def _evenly(value: Mapping[str, Any], place: str) -> list[float]:
     """Values at equal distances in a range, or with equal ratios if the scale is log."""
-    _check_keys(value, _RANGE, f"{place} ")
     points = value.get("points")
     if type(points) is not int or not 2 <= points <= MOST_CASES:
         raise InputError(f"{place}: points = {format_value(points)}, but it must be an integer from 2")
-    limits = _limits({key: each for key, each in value.items() if key != "points"}, place)
-    return _scaled(np.linspace(0, 1, points), *limits)
+    interval = _range({key: each for key, each in value.items() if key != "points"}, place)
+    return interval.at(np.linspace(0, 1, points))
 
 
-def _limits(value: Any, place: str) -> tuple[float, float, bool]:
-    """Ends of a range, and whether its scale is logarithmic."""
-    table = dict(zip(("from", "to"), value, strict=True)) if isinstance(value, list) and len(value) == 2 else value
+def _range(value: Any, place: str) -> _Range:
+    """The interval `[lower, upper]` or `{ from, to, scale }`."""
+    pair = isinstance(value, list) and len(value) == 2
+    table: Any = {"from": value[0], "to": value[1]} if pair else value
     wanted = 'a range such as [0.6, 1.0] or { from = 1e3, to = 1e5, scale = "log" }'
     if not isinstance(table, Mapping):
         raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}")
     _check_keys(table, ("from", "to", "scale"), f"{place} ")
-    lower, upper, scale = table.get("from"), table.get("to"), table.get("scale", _SCALES[0])
-    if not all(type(end) in (int, float) and np.isfinite(end) for end in (lower, upper)) or not lower < upper:
+    ends: list[Any] = [table.get(key) for key in ("from", "to")]
+    numbers = [float(end) for end in ends if type(end) in (int, float) and abs(end) < LARGEST_END]
+    if len(numbers) < 2 or not numbers[0] < numbers[1]:
         raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}, the smaller number first")
-    if scale not in _SCALES or (scale == "log" and lower <= 0):
+    scale = table.get("scale", "linear")
+    if scale not in ("linear", "log") or (scale == "log" and numbers[0] <= 0):
         raise InputError(f"{place}: scale = {format_value(scale)}, but it must be linear, or log for positive numbers")
-    return float(lower), float(upper), scale == "log"
+    return _Range(numbers[0], numbers[1], scale == "log")
 
 
-def _scaled(fractions: np.ndarray, lower: float, upper: float, logarithmic: bool) -> list[float]:
-    """Values at fractions of a range, rounded to 12 digits."""
-    values = lower * (upper / lower) ** fractions if logarithmic else lower + (upper - lower) * fractions
-    return [float(f"{value:.12g}") for value in values]
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> "chain[tuple[str, Any]]":
+def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Entries of nested tables by dotted name; a table with the keys of a range is a value."""
-    return chain.from_iterable(
-        _flat(value, f"{prefix}{key}.")
-        if isinstance(value, Mapping) and not set(value) & {"from", "to"}
-        else [(prefix + key, value)]
-        for key, value in table.items()
-    )
+    for key, value in table.items():
+        if isinstance(value, Mapping) and not {"from", "to"} & set(value):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
 
 
 def _check_keys(table: Mapping[str, Any], known: Sequence[str], place: str) -> None:
@@ -201,9 +210,10 @@ def _text(value: Any, place: str) -> str:
     return value
 
 
-def _integers(
-    values: Any, place: str, wanted: str = "a list of different integers from 0, such as [1, 2, 3]"
-) -> list[int]:
+_NUMBERS = "a list of different integers from 0, such as [1, 2, 3]"
+
+
+def _integers(values: Any, place: str, wanted: str = _NUMBERS) -> list[int]:
     """A list of different integers that are not negative."""
     valid = isinstance(values, list) and values and all(type(each) is int and 0 <= each < 2**63 for each in values)
     if not valid or len(set(values)) < len(values):
