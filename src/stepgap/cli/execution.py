@@ -47,7 +47,7 @@ class Execution:
     quiet: Flag = False
 
 
-HERE = Execution()
+THIS_MACHINE = Execution()
 
 
 def shard_of(execution: Execution) -> "Shard | None":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.cli.execution import HERE, Execution, execute_cases, merge_folders, opened, shard_of, stopping
+from stepgap.cli.execution import THIS_MACHINE, Execution, execute_cases, merge_folders, opened, shard_of, stopping
 from stepgap.cli.options import Flag
 from stepgap.cli.terminal import announces_compilation
 
@@ -23,7 +23,7 @@ def sweep(
     /,
     *,
     out: Path | None = None,
-    execution: Execution = HERE,
+    execution: Execution = THIS_MACHINE,
     merge: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
     plan: Flag = False,
 ) -> None:
