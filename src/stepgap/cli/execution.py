@@ -49,6 +49,9 @@ class Execution:
 
 THIS_MACHINE = Execution()
 
+_FAILURES_SHOWN = 5
+"""Number of failed cases whose reasons are printed; all are in the table."""
+
 
 def shard_of(execution: Execution) -> "Shard | None":
     """The given shard, or that of a job array; None for all cases."""
@@ -96,13 +99,13 @@ def execute_cases(
     """Computes the cases that have no result yet, and displays the progress."""
     from stepgap.experiment.cases.execution import execute
 
-    finished = folder.finished()
+    finished, chosen = folder.finished(), shard.numbers(len(plan)) if shard else range(len(plan))
     if execution.retry_failed:
-        for number, found in folder.results():
-            if found.failed:
+        for number in finished.intersection(chosen):
+            if folder.read(number).failed:
                 folder.forget(number)
                 finished.discard(number)
-    numbers = [number for number in (shard.numbers(len(plan)) if shard else range(len(plan))) if number not in finished]
+    numbers = [number for number in chosen if number not in finished]
     if not numbers:
         return
     with (
@@ -118,7 +121,8 @@ def _executor(execution: Execution, cases: int) -> "Iterator[tuple[Executor, int
     from stepgap.experiment.cases.cluster import LARGEST_BACKLOG, dask_executor
     from stepgap.experiment.cases.processes import Processes
 
-    count = min(execution.processes or len(os.sched_getaffinity(0)), cases)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = min(execution.processes or cores, cases)
     with ExitStack() as stack:
         if execution.dask:
             executor, at_once = stack.enter_context(dask_executor(execution.dask, count)), LARGEST_BACKLOG
@@ -147,7 +151,7 @@ def _progress(cases: int, quiet: bool) -> "Iterator[Callable[[int, CaseResult], 
             nonlocal done, failed
             done, failed = done + 1, failed + bool(result.failed)
             bar(done, cases)
-            if result.failed and not quiet:
+            if result.failed and failed <= _FAILURES_SHOWN and not quiet:
                 warn(f"case {number} failed: {result.failed}")
             if not quiet and not sys.stderr.isatty() and (done % every == 0 or done == cases):
                 minutes = (perf_counter() - begin) * (cases - done) / done / 60

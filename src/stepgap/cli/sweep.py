@@ -108,5 +108,5 @@ def write_tables(found: "Sweep", folder: "CaseFolder") -> "list[Path]":
 
 def describe_plan(found: "Sweep") -> str:
     """Axes and number of cases of a sweep, as text."""
-    lines = [f"{len(axis.points):7} points of {', '.join(axis.names)}" for axis in found.axes]
+    lines = [f"{len(axis.points):7} × {', '.join(axis.names)}" for axis in found.axes]
     return "\n".join([*lines, f"{len(found):7} cases"])

@@ -60,8 +60,8 @@ class CaseFolder:
         files = self._plan.files
         there = [name for name in files if (self.path / name).exists()]
         if not there:
-            if (self.path / "cases").exists():
-                raise InputError(f"{self.path}: holds cases of an unknown plan; choose another --out")
+            if others := sorted(entry.name for entry in self.path.iterdir() if entry.name != "claims"):
+                raise InputError(f"{self.path}: holds other files, such as {others[0]}; choose another --out")
             for name, text in reversed(list(files.items())):  # the first one last: it says that all are there
                 write_whole(self.path / name, text)
             return

@@ -7,7 +7,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing import connection, get_context, parent_process
 from queue import SimpleQueue
-from threading import Thread
+from threading import Event, Thread
 from typing import Any, final
 
 from stepgap.base.errors import StepGapError
@@ -34,10 +34,10 @@ class Processes(Executor):
     def __init__(self, count: int):
         self._threads = ThreadPoolExecutor(count, thread_name_prefix="case")
         self._idle: SimpleQueue[_Process] = SimpleQueue()
-        self._all = [_Process() for _ in range(count)]
+        self._closed = Event()
+        self._all = [_Process(self._closed) for _ in range(count)]
         for process in self._all:
             self._idle.put(process)
-        self._closed = False
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Calls a function of a module in one of the processes.
@@ -47,46 +47,51 @@ class Processes(Executor):
         return self._threads.submit(self._call, fn, args, kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Ends the processes; with `wait`, after all calls."""
-        self._closed = not wait
-        if self._closed:
-            self._kill()
+        """Ends the processes: with `wait` after all calls, otherwise at once, so that unfinished calls fail."""
+        if not wait:
+            self._closed.set()
+            for process in self._all:
+                process.interrupt()
         self._threads.shutdown(wait=True, cancel_futures=cancel_futures or not wait)
-        self._kill()
-
-    def _kill(self) -> None:
         for process in self._all:
-            process.kill()
+            process.end()
 
     def _call(self, *call: Any) -> Any:
-        process, ended = self._idle.get(), None
+        process, code = self._idle.get(), None
         try:
             for _ in range(ATTEMPTS):
                 try:
                     return process.call(call)
                 except EOFError:
-                    ended = process.kill()
-                    if self._closed:
-                        break
-            raise ProcessEnded(f"its process ended {ATTEMPTS} times, the last time with exit code {ended}")
+                    code = process.end()
+                if self._closed.is_set():
+                    raise ProcessEnded("it was stopped")
+            raise ProcessEnded(f"its process ended {ATTEMPTS} times, the last time with exit code {code}")
         finally:
             self._idle.put(process)
 
 
 class _Process:
-    """A process that is started when it is first needed, and again after its end."""
+    """A process that is started when it is first needed, and again after its end. One thread at a time uses it.
 
-    def __init__(self) -> None:
+    Args:
+        closed: Whether calls are refused; set it before `interrupt`.
+    """
+
+    def __init__(self, closed: Event):
+        self._closed = closed
         self._process: Any = None
 
     def call(self, call: Any) -> Any:
-        """Makes a call; raises EOFError if the process ends during the call."""
+        """Makes a call; raises EOFError if the process ends during the call, or calls are refused."""
         if self._process is None:
             context = get_context("spawn")
             self._pipe, theirs = context.Pipe()
             self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
             self._process.start()
             theirs.close()
+        if self._closed.is_set():  # not before the start, which could come after an interrupt
+            raise EOFError
         try:
             self._pipe.send(call)
             value, error = self._pipe.recv()
@@ -96,15 +101,21 @@ class _Process:
             raise error
         return value
 
-    def kill(self) -> int | None:
-        """Ends the process, if there is one, and returns its exit code."""
-        process, self._process = self._process, None
-        if process is None:
+    def interrupt(self) -> None:
+        """Kills the process; any thread may call this."""
+        process = self._process
+        if process is not None and process.is_alive():
+            process.kill()
+
+    def end(self) -> int | None:
+        """Kills the process, if there is one, and returns its exit code."""
+        if self._process is None:
             return None
+        self._process.kill()
+        self._process.join()
+        code, self._process = self._process.exitcode, None
         self._pipe.close()
-        process.kill()
-        process.join()
-        return process.exitcode
+        return code
 
 
 def _serve(pipe: connection.Connection) -> None:
