@@ -58,6 +58,8 @@ def test_a_claim_excludes_other_processes_and_ends_with_its_process(folder: Case
 
 
 def test_only_the_same_plan_continues_a_folder(folder: CaseFolder) -> None:
+    assert folder.claim(0)
+    folder.store(0, CaseResult(1))
     with pytest.raises(InputError, match="--resume"):
         CaseFolder(folder.path, PLAN, join=False)
     before = (folder.path / "plan.toml").read_bytes()

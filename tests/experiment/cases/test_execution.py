@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 from time import sleep
@@ -38,7 +38,7 @@ def outcomes(folder: CaseFolder) -> list[object]:
 
 
 @pytest.mark.parametrize("make", [Processes, ThreadPoolExecutor])
-def test_a_case_that_fails_does_not_stop_the_others(folder: CaseFolder, make: type[Executor]) -> None:
+def test_a_case_that_fails_does_not_stop_the_others(folder: CaseFolder, make: Callable[[int], Executor]) -> None:
     stored: list[int] = []
     with make(2) as executor:
         execute(PLAN, folder, range(5), fail_at_one, executor, 2, lambda number, _: stored.append(number))

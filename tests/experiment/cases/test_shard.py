@@ -11,7 +11,7 @@ from stepgap.experiment.cases.shard import Shard, parse_shard, shard_of_job_arra
 @given(st.integers(1, 50), st.integers(0, 300))
 def test_every_case_is_in_exactly_one_shard(count: int, cases: int) -> None:
     parts = [list(Shard(index, count).numbers(cases)) for index in range(1, count + 1)]
-    assert sorted(sum(parts, [])) == list(range(cases))
+    assert sorted(number for part in parts for number in part) == list(range(cases))
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 

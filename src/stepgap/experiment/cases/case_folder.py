@@ -31,7 +31,7 @@ class CaseFolder:
     Args:
         path: The folder; it is created if it does not exist.
         plan: The plan, whose files are written into a new folder.
-        join: Whether the folder may hold cases of this plan already.
+        join: Whether the folder may hold results of this plan already.
 
     Raises:
         InputError: The folder holds another plan, or other files with the names of the plan's files.
@@ -76,8 +76,8 @@ class CaseFolder:
                 )
         if first not in there:
             write_whole(self.path / first, files[first])
-        elif not join:
-            raise InputError(f"{self.path}: already holds these cases; continue them by --resume")
+        elif not join and self.finished():
+            raise InputError(f"{self.path}: already holds results of these cases; continue by --resume")
 
     @contextmanager
     def alone(self) -> Iterator[None]:
