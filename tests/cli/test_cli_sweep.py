@@ -191,5 +191,6 @@ def test_bad_input_is_one_line_and_writes_nothing(here: Path, stepgap: Command) 
     refused(stepgap(*sweep, "x", "--processes", 0), "processes")
     refused(stepgap(*sweep, "x", "--dask", "none.json"), "none.json: no such file")
     refused(stepgap(*sweep, "s.toml"), "s.toml")
+    assert [path.name for folder in ("used", "other") for path in Path(folder).iterdir()] == ["notes.txt", "sweep.toml"]
     assert not Path("x/cases").exists()
     assert (Path("used/notes.txt").read_text(), Path("other/sweep.toml").read_text()) == ("mine", "keep = 'runs'")

@@ -15,11 +15,14 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Self
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import naming, write_whole
+from stepgap.base.files import write_whole
 from stepgap.experiment.cases.plan import CaseResult, Plan
 
 LARGEST_RESULT = 2**26
 """Largest result of a case that is read [bytes]."""
+
+CLAIMS = "claims"
+"""File on whose bytes the claims are locks; it is empty."""
 
 _IN_A_FOLDER = 1000
 """Number of results in one folder, since file systems become slow with many more."""
@@ -40,11 +43,13 @@ class CaseFolder:
 
     def __init__(self, path: Path, plan: Plan, join: bool):
         self.path, self._plan = path, plan
+        self._missing(join)  # before anything is written
         path.mkdir(parents=True, exist_ok=True)
-        self._claims = os.open(path / "claims", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        self._claims = os.open(path / CLAIMS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         try:
             with self.alone():
-                self._check_or_write(join)
+                for name in self._missing(join):
+                    write_whole(path / name, plan.files[name])
         except BaseException:
             os.close(self._claims)
             raise
@@ -55,29 +60,25 @@ class CaseFolder:
     def __exit__(self, *exc_info: object) -> None:
         os.close(self._claims)
 
-    def _check_or_write(self, join: bool) -> None:
-        """Writes the files of the plan, or checks that the folder holds the same plan."""
-        files = self._plan.files
-        there = [name for name in files if (self.path / name).exists()]
-        if not there:
-            if others := sorted(entry.name for entry in self.path.iterdir() if entry.name != "claims"):
-                raise InputError(f"{self.path}: holds other files, such as {others[0]}; choose another --out")
-            for name, text in reversed(list(files.items())):  # the first one last: it says that all are there
-                write_whole(self.path / name, text)
-            return
-        first = next(iter(files))
-        for name, text in files.items():
-            found = _text_of(self.path / name)
-            if found is None and first not in there:
-                write_whole(self.path / name, text)  # a process ended while it wrote them
-            elif found != text:
+    def _missing(self, join: bool) -> list[str]:
+        """Files of the plan that are not in the folder yet, in the order in which they are written.
+
+        The first file of the plan is written last: it says that all are there.
+        """
+        texts = {name: _text_of(self.path / name) for name in self._plan.files}
+        complete = next(iter(texts.values())) is not None
+        for name, text in self._plan.files.items():
+            if texts[name] != text and (complete or texts[name] is not None):
                 raise InputError(
                     f"{self.path / name}: already there, but of another plan than this one; choose another --out"
                 )
-        if first not in there:
-            write_whole(self.path / first, files[first])
-        elif not join and self.finished():
+        if not any(texts.values()) and self.path.is_dir():
+            others = sorted(entry.name for entry in self.path.iterdir() if entry.name != CLAIMS)
+            if others:
+                raise InputError(f"{self.path}: holds other files, such as {others[0]}; choose another --out")
+        if complete and not join and self.finished():
             raise InputError(f"{self.path}: already holds results of these cases; continue by --resume")
+        return [name for name in reversed(list(texts)) if texts[name] is None]
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -184,7 +185,8 @@ def checked_name(name: str) -> str:
 def _text_of(path: Path) -> str | None:
     """Text of a file; None if it does not exist or is not a text."""
     try:
-        with naming(path):
-            return path.read_text(encoding="utf-8")
-    except (FileNotFoundError, UnicodeDecodeError):
+        return path.read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
         return None
+    except UnicodeDecodeError:
+        return "\0"  # no text of a plan
