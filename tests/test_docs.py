@@ -10,6 +10,8 @@ import pytest
 from stepgap.base.settings_file import read_toml
 from stepgap.cli.app import app, split_overrides, split_program
 from stepgap.experiment.settings import read_experiment
+from stepgap.experiment.sweep.sweep import Sweep
+from stepgap.experiment.sweep.sweep_file import read_sweep
 from stepgap.records.columns import read_columns
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
 from tests.cli.command_line import Command
@@ -40,7 +42,19 @@ SETTINGS = [
     for page, text in TEXTS.items()
     for number, block in enumerate(re.findall(r"```toml\n(.*?)```", text, re.DOTALL))
 ]
-READERS = {"quickstart.md": read_experiment, "fit.md": lambda file: read_columns(file, {})}
+
+
+def read_sweep_with_base(file: Path) -> Sweep:
+    """The sweep of a file with the default experiment beside it."""
+    (file.parent / "experiment.toml").touch()
+    return read_sweep(file)
+
+
+READERS = {
+    "sweep.md": read_sweep_with_base,
+    "quickstart.md": read_experiment,
+    "fit.md": lambda file: read_columns(file, {}),
+}
 MENTIONED = sorted({found for text in TEXTS.values() for found in re.findall(r"`(?:\./go )?(stepgap [^`]+)`", text)})
 EXAMPLE_IN_TABLE = re.compile(r"\| `([^`|]+)` \|$", re.MULTILINE)
 

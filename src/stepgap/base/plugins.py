@@ -1,7 +1,9 @@
 """Plug-ins by name: the entry points of a group, of this package and of others."""
 
+import sys
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -10,6 +12,12 @@ from stepgap.base.settings_file import InputError
 
 def plugin_names(group: str) -> tuple[str, ...]:
     """Names of all installed plug-ins of a group, in alphabetical order; imports none of them."""
+    return _plugin_names(group, tuple(sys.path))
+
+
+@cache
+def _plugin_names(group: str, path: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the plug-ins on a search path; to find them takes milliseconds, and all settings need them."""
     return tuple(sorted(entry_points(group=group).names))
 
 
