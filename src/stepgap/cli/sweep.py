@@ -80,11 +80,9 @@ def _new_folder(shard: "Shard | None") -> Path:
 def _finish(found: "Sweep", folder: "CaseFolder", shard: "Shard | None", quiet: bool) -> None:
     """Writes table and report, and prints their paths; a shard leaves this to the last one."""
     count = len(folder.finished())
-    if shard and count < len(found):
-        if not quiet:
-            print(f"{folder.path}: {count} of {len(found)} cases are finished", file=sys.stderr)
-        return
-    if count:
+    if count < len(found) and not quiet:
+        print(f"{folder.path}: {count} of {len(found)} cases are finished", file=sys.stderr)
+    if count == len(found) or (count and not shard):
         for path in write_tables(found, folder):
             print(path)
 

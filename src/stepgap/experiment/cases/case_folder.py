@@ -73,8 +73,8 @@ class CaseFolder:
                     f"{self.path / name}: already there, but of another plan than this one; choose another --out"
                 )
         if not any(texts.values()) and self.path.is_dir():
-            others = sorted(entry.name for entry in self.path.iterdir() if entry.name != CLAIMS)
-            if others:
+            ours = {CLAIMS, *(f"{name}.partial" for name in texts)}
+            if others := sorted(entry.name for entry in self.path.iterdir() if entry.name not in ours):
                 raise InputError(f"{self.path}: holds other files, such as {others[0]}; choose another --out")
         if complete and not join and self.finished():
             raise InputError(f"{self.path}: already holds results of these cases; continue by --resume")
