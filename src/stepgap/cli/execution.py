@@ -36,6 +36,8 @@ class Execution:
         dask: Compute on a dask cluster: the address of its scheduler, its scheduler file, or local.
         resume: Continue the cases in --out that are not finished.
         retry_failed: Compute failed cases again, too.
+        merge: Folders of the same cases whose results are added, such as those of shards without a common folder;
+            nothing is computed.
         quiet: Print only the paths of the results.
     """
 
@@ -44,6 +46,7 @@ class Execution:
     dask: str | None = None
     resume: Flag = False
     retry_failed: Flag = False
+    merge: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, show_default=False)] = ()
     quiet: Flag = False
 
 
@@ -69,14 +72,25 @@ def shard_of(execution: Execution) -> "Shard | None":
 
 
 @contextmanager
-def opened(path: Path, plan: "Plan", join: bool) -> "Iterator[CaseFolder]":
-    """The folder of a plan; errors of the file system are one line."""
+def opened(path: Path, plan: "Plan", execution: Execution, shard: "Shard | None") -> "Iterator[CaseFolder]":
+    """The folder of a plan, which a shard shares with others; errors of the file system are one line.
+
+    Args:
+        path: The folder.
+        plan: Describes the cases.
+        execution: Its options may allow the folder to hold results already.
+        shard: Part of the cases, None for all.
+    """
     from stepgap.experiment.cases.case_folder import CaseFolder
 
+    name = next(iter(plan.files))
+    for other in execution.merge:
+        if not (other / name).is_file():
+            raise InputError(f"--merge {other}: contains no {name}, so there are no results to add")
     try:
-        folder = CaseFolder(path, plan, join)
+        folder = CaseFolder(path, plan, execution.resume or bool(execution.merge) or shard is not None)
     except OSError as error:
-        raise InputError(f"{message_of(error)}; choose another --out") from None
+        raise InputError(f"{message_of(error)}; choose another folder") from None
     with folder:
         yield folder
 
@@ -96,9 +110,12 @@ def stopping(command: str) -> "Iterator[None]":
 def execute_cases(
     plan: "Plan", folder: "CaseFolder", compute: "Compute", execution: Execution, shard: "Shard | None"
 ) -> None:
-    """Computes the cases that have no result yet, and displays the progress."""
+    """Computes the cases that have no result yet, and displays the progress; or adds the results of other folders."""
     from stepgap.experiment.cases.execution import execute
 
+    if execution.merge:
+        _merge_folders(plan, folder, execution.merge)
+        return
     finished, chosen = folder.finished(), shard.numbers(len(plan)) if shard else range(len(plan))
     if execution.retry_failed:
         for number in finished.intersection(chosen):
@@ -160,7 +177,7 @@ def _progress(cases: int, quiet: bool) -> "Iterator[Callable[[int, CaseResult], 
         yield on_result
 
 
-def merge_folders(plan: "Plan", folder: "CaseFolder", others: "Iterable[Path]") -> None:
+def _merge_folders(plan: "Plan", folder: "CaseFolder", others: "Iterable[Path]") -> None:
     """Adds the results of other folders of the same plan."""
     from stepgap.experiment.cases.case_folder import CaseFolder
     from stepgap.experiment.sweep.results import merge_results
@@ -168,9 +185,6 @@ def merge_folders(plan: "Plan", folder: "CaseFolder", others: "Iterable[Path]") 
     for path in others:
         if path.resolve() == folder.path.resolve():
             continue
-        name = next(iter(plan.files))
-        if not (path / name).is_file():
-            raise InputError(f"--merge {path}: contains no {name}, so there are no results to add")
         try:
             with CaseFolder(path, plan, join=True) as other:
                 merge_results(folder, [other])

@@ -2,12 +2,10 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from stepgap.base.errors import InputError
-from stepgap.cli.execution import THIS_MACHINE, Execution, execute_cases, merge_folders, opened, shard_of, stopping
+from stepgap.cli.execution import THIS_MACHINE, Execution, execute_cases, opened, shard_of, stopping
 from stepgap.cli.options import Flag
 from stepgap.cli.terminal import announces_compilation
 
@@ -24,7 +22,6 @@ def sweep(
     *,
     out: Path | None = None,
     execution: Execution = THIS_MACHINE,
-    merge: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
     plan: Flag = False,
 ) -> None:
     """Run many experiments whose settings differ along axes: a parameter sweep, with a table and a report of all.
@@ -32,35 +29,30 @@ def sweep(
     Args:
         file: TOML file of the sweep, as docs/sweep.md describes it. [default: with --resume, the sweep in --out]
         out: Folder for the results. [default: a new one in sweeps/]
-        merge: Folders of the same sweep whose results are added, such as those of shards without a common folder.
         plan: Check the sweep and print the number of cases, but run none.
     """
     from stepgap.experiment.sweep.sweep_case import run_case
     from stepgap.experiment.sweep.sweep_file import read_sweep
 
-    path = _sweep_file(file, out, execution, merge)
+    path = _sweep_file(file, out, execution)
     found = read_sweep(path)
     if plan:
         print(describe_plan(found))
         return
     shard = shard_of(execution)
     folder = out or _new_folder(shard)
-    join = execution.resume or merge is not None or shard is not None
-    with opened(folder, found, join) as cases, stopping(f"stepgap sweep --out {folder} --resume"):
-        if merge:
-            merge_folders(found, cases, merge)
-        else:
-            execute_cases(found, cases, run_case, execution, shard)
+    with opened(folder, found, execution, shard) as cases, stopping(f"stepgap sweep --out {folder} --resume"):
+        execute_cases(found, cases, run_case, execution, shard)
         _finish(found, cases, shard, execution.quiet)
 
 
-def _sweep_file(file: Path | None, out: Path | None, execution: Execution, merge: list[Path] | None) -> Path:
+def _sweep_file(file: Path | None, out: Path | None, execution: Execution) -> Path:
     """File of the sweep: the given one, or that in a folder which is continued."""
     from stepgap.experiment.sweep.sweep import SWEEP_FILE
 
     if file:
         return file
-    folder = out if execution.resume else merge[0] if merge else None
+    folder = out if execution.resume else execution.merge[0] if execution.merge else None
     if folder is None:
         raise InputError("SWEEP.toml: missing; give the file of a sweep, or --resume with the --out of one")
     if not (folder / SWEEP_FILE).is_file():

@@ -70,12 +70,12 @@ class CaseFolder:
         for name, text in self._plan.files.items():
             if texts[name] != text and (complete or texts[name] is not None):
                 raise InputError(
-                    f"{self.path / name}: already there, but of another plan than this one; choose another --out"
+                    f"{self.path / name}: already there, but of another plan than this one; choose another folder"
                 )
         if not any(texts.values()) and self.path.is_dir():
             ours = {CLAIMS, *(f"{name}.partial" for name in texts)}
             if others := sorted(entry.name for entry in self.path.iterdir() if entry.name not in ours):
-                raise InputError(f"{self.path}: holds other files, such as {others[0]}; choose another --out")
+                raise InputError(f"{self.path}: holds other files, such as {others[0]}; choose another folder")
         if complete and not join and self.finished():
             raise InputError(f"{self.path}: already holds results of these cases; continue by --resume")
         return [name for name in reversed(list(texts)) if texts[name] is None]
