@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from stepgap.base.files import append_text, naming, write_whole
+from stepgap.base.files import naming, write_whole
 from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 
@@ -17,16 +17,6 @@ def test_a_full_disk_leaves_the_old_file_and_the_error_names_it(tmp_path: Path) 
     assert caught.value.filename == str(path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
     assert path.read_text() == "old"
-
-
-def test_an_error_of_appending_names_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "rows.jsonl"
-    append_text(path, "one\n")
-    append_text(path, "two\n")
-    assert path.read_text() == "one\ntwo\n"
-    with largest_file(10), pytest.raises(OSError, match=FILE_TOO_LARGE) as caught:
-        append_text(path, "three\n")
-    assert caught.value.filename == str(path)
 
 
 def test_only_errors_without_a_file_name_get_one(tmp_path: Path) -> None:

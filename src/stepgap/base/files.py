@@ -42,13 +42,3 @@ def write_whole(path: Path, content: str | bytes) -> None:
             partial.unlink(missing_ok=True)  # a part of the content would only fill the disk
             raise
         partial.replace(path)
-
-
-def append_text(path: Path, text: str) -> None:
-    """Appends text to a file, which is created if it is missing.
-
-    Raises:
-        OSError: It cannot be written.
-    """
-    with naming(path), path.open("a", encoding="utf-8") as file:
-        file.write(text)

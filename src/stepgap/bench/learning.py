@@ -6,28 +6,20 @@ deployment K draws from `random_stream(T, seed, K)` for every method, so methods
 """
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from math import tau
-from multiprocessing import get_context
-from pathlib import Path
-from time import perf_counter
-from typing import Any, NamedTuple
 
 import mujoco.sysid
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.base.errors import InputError
-from stepgap.base.files import append_text, write_whole
 from stepgap.base.normal import INTERVAL_95
 from stepgap.base.random_streams import random_stream
 from stepgap.bench.baselines import IntegralCorrection, identify
-from stepgap.bench.timing import Announce
 from stepgap.control.reference import Reference
 from stepgap.experiment.bands import hops_to_band
 from stepgap.experiment.deployment import AdaptiveMap, deploy, summarise
@@ -226,92 +218,3 @@ def count_covered(steps: StepLog) -> tuple[Array, int]:
     known = np.isfinite(steps.predicted).all(axis=1) & (steps.std > 0).all(axis=1)
     inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL_95 * steps.std
     return inside[known].sum(axis=0), int(known.sum())
-
-
-BEGINNING = '[{"twin": '
-"""Beginning of every line of a record."""
-
-
-class Job(NamedTuple):
-    """A twin, a seed, and the methods to measure."""
-
-    twin: int
-    seed: int
-    methods: tuple[str, ...]
-
-
-def bench_learning(
-    reference: Reference,
-    twins: int,
-    seeds: int,
-    methods: Sequence[str],
-    record: Path,
-    workers: int,
-    announce: Announce = lambda line: None,
-) -> list[DeploymentRow]:
-    """Measures the methods and adds the results to the record, which may already contain some of them.
-
-    Args:
-        reference: Reference to track.
-        twins: Number of twins.
-        seeds: Number of seeds per twin.
-        methods: Names of methods.
-        record: File of JSON lines, each with the rows of one twin and seed; it need not exist.
-        workers: Number of processes; 1 means this process only.
-        announce: Called with a line of progress.
-
-    Returns:
-        All requested rows, measured or recorded.
-    """
-    known = _read(record)
-    done = {(row["twin"], row["seed"], row["method"]) for row in known}
-    pairs = [(twin, seed) for seed in range(seeds) for twin in range(twins)]
-    jobs = [Job(*pair, tuple(method for method in methods if (*pair, method) not in done)) for pair in pairs]
-    jobs = [job for job in jobs if job.methods]
-    begin = perf_counter()
-    append_text(record, "")  # fails now, not after hours, if the file cannot be written
-    for number, rows in enumerate(_measured(reference, jobs, workers), start=1):
-        append_text(record, json.dumps(rows) + "\n")
-        remaining = (perf_counter() - begin) * (len(jobs) - number) / number
-        announce(f"{number} of {len(jobs)} done, {remaining / 60:.0f} min remaining")
-        known += rows
-    rows = {(row["twin"], row["seed"], row["method"]): row for row in known}
-    return [rows[*pair, method] for method in (UNCORRECTED, *methods) for pair in pairs]
-
-
-def _measured(reference: Reference, jobs: Sequence[Job], workers: int) -> Iterator[list[DeploymentRow]]:
-    """Yields the rows of each job in the order of completion."""
-    if workers == 1:
-        yield from (measure_twin(reference, *job) for job in jobs)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        try:
-            for job in as_completed([pool.submit(measure_twin, reference, *job) for job in jobs]):
-                yield job.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _read(record: Path) -> list[DeploymentRow]:
-    """Reads the recorded rows; removes a last line that was not completely written from the file.
-
-    Raises:
-        InputError: The file is not such a record; it is not changed.
-    """
-    if not record.exists():
-        return []
-    try:
-        content = record.read_text(encoding="utf-8")
-        whole = content[: content.rfind("\n") + 1]
-        if any(not (line.startswith(BEGINNING) or BEGINNING.startswith(line)) for line in content.splitlines()):
-            raise ValueError
-        rows = [row for line in whole.splitlines() for row in _rows(line)]
-    except ValueError:
-        raise InputError(f"--out {record}: not a record of this benchmark; choose another name") from None
-    if whole != content:
-        write_whole(record, whole)
-    return rows
-
-
-def _rows(line: str) -> Iterable[dict[str, Any]]:
-    return json.loads(line)

@@ -1,23 +1,19 @@
 """The verbs of `stepgap bench`."""
 
 import json
-import os
 import sys
 from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import App, Parameter, validators
+from cyclopts import App
 
-from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, free_name, writing
-from stepgap.cli.options import Flag, Integer, Overrides, add_verb
+from stepgap.cli.bench_learning import bench_learning_
+from stepgap.cli.options import Flag, Overrides, add_verb
 from stepgap.cli.terminal import announces_compilation
-
-Count = Annotated[Integer, Parameter(validator=validators.Number(gte=1, lte=1000))]
-"""Number of repetitions."""
 
 
 @announces_compilation
@@ -84,73 +80,6 @@ def bench_run_(experiment: Path | None = None, /, *, out: Path | None = None, ov
     _write_json(file, result)
 
 
-@announces_compilation
-def bench_learning_(
-    *,
-    twins: Count = 20,
-    seeds: Count = 3,
-    methods: str | None = None,
-    quick: Flag = False,
-    out: Path = Path("bench_learning.jsonl"),
-) -> None:
-    """Compare ways to learn on random twins: errors, hops needed, falls, intervals; about an hour of one core.
-
-    Args:
-        twins: Number of random twins.
-        seeds: Number of seeds of each twin.
-        methods: Names of the methods, as NAME,NAME. [default: all]
-        quick: Take half a minute: 2 twins, 1 seed, and only the methods linear and gp.
-        out: File of JSON lines with all measurements, to which a second call adds the missing ones; the summary and the
-            figure get the same name with other endings.
-    """
-    from stepgap.base.files import write_whole
-    from stepgap.bench.learning import SKIPPED, bench_learning
-    from stepgap.control.reference import paper_reference
-    from stepgap.report.learning import describe_learning, learning_picture, summarise_learning
-
-    chosen = _chosen_methods(methods, quick)
-    summary_file, picture_file = _summary_files(out)
-    if quick:
-        twins, seeds = 2, 1
-    workers = os.cpu_count() or 1
-    rows = bench_learning(paper_reference(), twins, seeds, chosen, out, workers, _print_line)
-    summary = summarise_learning(rows)
-    print(describe_learning(summary))
-    for name, reason in SKIPPED.items():
-        print(f"{name} skipped: {reason}")
-    write_whole(summary_file, json.dumps(summary, indent=1))
-    write_whole(picture_file, learning_picture(rows, "png"))
-    for file in (out, summary_file, picture_file):
-        print(file)
-
-
-def _chosen_methods(methods: str | None, quick: bool) -> list[str]:
-    """Names of the compared methods.
-
-    Raises:
-        InputError: One of them is unknown or cannot be used here.
-    """
-    from stepgap.bench.learning import SKIPPED, default_methods
-    from stepgap.bench.learning import methods as known_methods
-
-    chosen = methods.split(",") if methods else ["linear", "gp"] if quick else default_methods()
-    if unknown := [name for name in chosen if name not in known_methods()]:
-        missing = SKIPPED.get(unknown[0], f"it must be one of {', '.join(known_methods())}")
-        raise InputError(f"--methods {unknown[0]}: {missing}")
-    return chosen
-
-
-def _summary_files(out: Path) -> tuple[Path, Path]:
-    """Files of the summary and of the figure; a second call with the same `out` replaces them."""
-    if not out.parent.is_dir() or out.suffix != ".jsonl":
-        raise InputError(f"--out {out}: give a name that ends with .jsonl in a folder that exists")
-    files = out.with_suffix(".json"), out.with_suffix(".png")
-    if not out.exists():
-        for file in files:
-            check_new(file, "--out")
-    return files
-
-
 def _new_file(out: Path | None, default: str) -> Path:
     """File for a result, which must not exist."""
     file = out or free_name(Path(default))
@@ -167,10 +96,6 @@ def _write_json(file: Path, result: dict[str, Any]) -> None:
 def _announce(line: str) -> None:
     """Prints on stderr the name of the next measurement."""
     print(f"{line} …", file=sys.stderr)
-
-
-def _print_line(line: str) -> None:
-    print(line, file=sys.stderr)
 
 
 bench = App(name="bench", help="Measure how fast and how accurate StepGap is on this machine, and how well it learns.")

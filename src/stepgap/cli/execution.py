@@ -132,6 +132,14 @@ def execute_cases(
         execute(plan, folder, numbers, compute, executor, at_once, on_result)
 
 
+def all_finished(plan: "Plan", folder: "CaseFolder", execution: Execution) -> bool:
+    """Whether all cases have a result; if not, says how many of them have one."""
+    count = len(folder.finished())
+    if count < len(plan) and not execution.quiet:
+        print(f"{folder.path}: {count} of {len(plan)} cases are finished", file=sys.stderr)
+    return count == len(plan)
+
+
 @contextmanager
 def _executor(execution: Execution, cases: int) -> "Iterator[tuple[Executor, int]]":
     """Executor of the cases, and how many it has at the same time; it is stopped at once after an error."""

@@ -159,6 +159,12 @@ def parse_reference(text: str, space: StepSpace, source: str = "reference") -> R
     return Reference(names, np.array(targets)[:, [header.index(name) for name in names]])
 
 
+def reference_text(reference: Reference) -> str:
+    """Formats a reference as the CSV text that `parse_reference` reads; numbers are exact to the bit."""
+    rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
+    return "\n".join(rows) + "\n"
+
+
 def numbers_in_row(row: Sequence[str], quantities: Sequence[Quantity], source: str) -> list[float]:
     """Parses the numbers in a row of CSV, one for each quantity.
 

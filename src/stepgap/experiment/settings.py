@@ -22,7 +22,7 @@ from stepgap.base.settings_file import (
     to_table,
     with_table,
 )
-from stepgap.control.reference import Reference, paper_reference, read_reference
+from stepgap.control.reference import Reference, paper_reference, read_reference, reference_text
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
@@ -166,8 +166,7 @@ def experiment_files(experiment: Experiment, reference: Reference, known: StepLo
     if experiment.rig:
         experiment = replace(experiment, rig=str(Path(experiment.rig).resolve()))
     if experiment.reference != PAPER:
-        rows = [",".join(reference.names), *(",".join(map(repr, target)) for target in reference.targets.tolist())]
-        files["reference.csv"] = "\n".join(rows) + "\n"
+        files["reference.csv"] = reference_text(reference)
         experiment = replace(experiment, reference="reference.csv")
     if known:
         files[WARM_START] = text_of(known)
