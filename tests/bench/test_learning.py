@@ -2,16 +2,28 @@
 
 import json
 import os
+import shutil
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
+from stepgap.base.errors import InputError, StepGapError
+from stepgap.base.settings_file import to_table
 from stepgap.bench import learning as bench_learning
+from stepgap.bench import learning_plan
 from stepgap.bench.learning import SKIPPED, Trial, count_covered, hopping_gap, measure_twin, methods
+from stepgap.bench.learning_plan import LearningPlan, learning_results, read_learning_plan
 from stepgap.control import reference
-from stepgap.control.reference import Reference
+from stepgap.control.reference import Reference, parse_reference, reference_text
+from stepgap.experiment.cases import processes
+from stepgap.experiment.cases.case_folder import CaseFolder
+from stepgap.experiment.cases.plan import CaseResult
 from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.report.learning import summarise_learning
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.twin.family import DRAWN, random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -26,6 +38,12 @@ NOMINAL = ApexMap()
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reference, "paper_reference", lambda: SHORT)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
+
+
+@pytest.fixture
+def in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Computes cases in a thread of this process, which starts at once."""
+    monkeypatch.setattr(processes, "Processes", lambda count: ThreadPoolExecutor(1))
 
 
 def test_every_twin_of_the_family_is_drawn_independently() -> None:
@@ -81,34 +99,116 @@ def test_coverage_counts_steps_within_the_interval() -> None:
     assert (covered.tolist(), counted) == ([2, 3], 3)
 
 
-def test_a_second_call_adds_what_is_missing(tiny: None, stepgap: Command) -> None:
-    result = stepgap("bench", "learning", "--twins", 1, "--seeds", 1, "--methods", "constant")
+PLAN = LearningPlan(twins=2, seeds=2, methods=("constant",), reference=reference_text(SHORT))
+COMMAND = ("bench", "learning", "--twins", 2, "--seeds", 1, "--methods", "constant")
+RESULTS = ("results.json", "summary.json", "learning.png")
+
+
+def test_a_plan_is_read_again_and_its_cases_are_all_twins_of_one_seed_after_the_other(tmp_path: Path) -> None:
+    ((name, text),) = PLAN.files.items()
+    (tmp_path / name).write_text(text)
+    assert read_learning_plan(tmp_path / name) == PLAN
+    cases = [tomllib.loads(PLAN.case(number)) for number in range(len(PLAN))]
+    assert [(case["twin"], case["seed"]) for case in cases] == [(0, 0), (1, 0), (0, 1), (1, 1)]
+    assert [PLAN.twin_and_seed(number) for number in range(4)] == [(0, 0), (1, 0), (0, 1), (1, 1)]
+    read = parse_reference(cases[0]["reference"], NOMINAL.space)
+    np.testing.assert_array_equal(read.targets, SHORT.targets)
+
+
+def test_processes_measure_the_same_as_one_call_after_the_other(tiny: None, stepgap: Command) -> None:
+    result = stepgap(*COMMAND, "--out", "both", "--processes", 2)
     assert result.code == 0, result.err
-    assert result.out.endswith("\nbench_learning.jsonl\nbench_learning.json\nbench_learning.png\n")
-    before = Path("bench_learning.jsonl").read_text()
-    Path("bench_learning.jsonl").write_text(before + '[{"twin": 0, "se')  # cut off here
-    result = stepgap("bench", "learning", "--twins", 1, "--seeds", 2, "--methods", "constant")
-    assert "1 of 1 done" in result.err
-    record = Path("bench_learning.jsonl").read_text()
-    assert record.startswith(before)
-    assert len(record.splitlines()) == 2
-    again = stepgap("bench", "learning", "--twins", 1, "--seeds", 2, "--methods", "constant")
-    assert (again.out, again.err) == (result.out, "")
-    assert Path("bench_learning.jsonl").read_text() == record
-    summary = json.loads(Path("bench_learning.json").read_text())
-    assert (summary["pairs"], [row["method"] for row in summary["methods"]]) == (2, ["none", "constant"])
+    assert result.out.endswith("\nboth/results.json\nboth/summary.json\nboth/learning.png\n")
+    first, second = (measure_twin(SHORT, twin, 0, ["constant"]) for twin in (0, 1))
+    rows = json.loads(Path("both/results.json").read_text())
+    assert rows == [first[0], second[0], first[1], second[1]]
+    assert json.loads(Path("both/summary.json").read_text()) == summarise_learning(rows)
+
+
+def test_shards_that_are_merged_and_a_continued_call_give_the_same_files(
+    tiny: None, in_a_thread: None, stepgap: Command
+) -> None:
+    whole = stepgap(*COMMAND, "--out", "whole")
+    for shard in (1, 2):
+        part = stepgap(*COMMAND, "--out", f"part{shard}", "--shard", f"{shard}/2")
+        assert (part.code, part.out) == (0, "")
+        assert part.err.endswith(f"part{shard}: 1 of 2 cases are finished\n")
+    shutil.copytree("part1", "continued")
+    merged = stepgap("bench", "learning", "--merge", "part1", "part2", "--out", "merged")
+    continued = stepgap("bench", "learning", "--resume", "--out", "continued")
+    shared = stepgap(*COMMAND, "--out", "part1", "--shard", "2/2", "--quiet")
+    assert "1 of 1 cases" in continued.err, "the other one was finished"
+    assert (merged.code, continued.code, shared.code) == (0, 0, 0)
+    assert shared.out == "part1/results.json\npart1/summary.json\npart1/learning.png\n"
+    for folder, result in {"merged": merged, "continued": continued}.items():
+        assert result.out == whole.out.replace("whole/", f"{folder}/")
+    for folder in ("merged", "continued", "part1"):
+        for name in RESULTS:
+            assert Path(folder, name).read_bytes() == Path("whole", name).read_bytes()
+
+
+def test_failed_cases_are_named_and_left_out_until_they_are_measured_again(
+    tiny: None, in_a_thread: None, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def measure(reference: Reference, twin: int, seed: int, names: list[str]) -> list[dict[str, object]]:
+        raise StepGapError("the boom\nbroke")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(learning_plan, "measure_twin", measure)
+        result = stepgap(*COMMAND, "--out", "all")
+        assert (result.code, result.out) == (1, "")
+        assert result.err.endswith("\nstepgap: all: all 2 cases failed, the first one: the boom broke\n")
+        stepgap(*COMMAND, "--out", "one", "--shard", "1/2")
+    result = stepgap(*COMMAND, "--out", "one", "--resume")
+    assert "\n1 of 2 cases failed and are left out:\n  twin 0, seed 0: the boom broke\none/results.json" in result.out
+    assert json.loads(Path("one/summary.json").read_text())["pairs"] == 1
+    result = stepgap(*COMMAND, "--out", "one", "--resume", "--retry-failed")
+    assert "failed" not in result.out
+    assert json.loads(Path("one/summary.json").read_text())["pairs"] == 2
 
 
 def test_bad_input_is_refused(stepgap: Command) -> None:
-    refused(stepgap("bench", "learning", "--methods", "linear,magic"), "magic", "it must be one of integral")
+    learning = ("bench", "learning")
+    refused(stepgap(*learning, "--methods", "linear,magic"), "--methods magic: it must be one of integral")
     if "sysid" in SKIPPED:
-        refused(stepgap("bench", "learning", "--methods", "sysid"), "sysid", "stepgap[sysid]")
-    refused(stepgap("bench", "learning", "--out", "nowhere/x.jsonl"), "nowhere/x.jsonl", "a folder that exists")
-    refused(stepgap("bench", "learning", "--out", "x.json"), ".jsonl")
-    for content in ("my notes", "my notes\n", "[1]\n", '[{"twin": 0\n', "\xff"):
-        Path("mine.jsonl").write_text(content, encoding="latin-1")
-        refused(stepgap("bench", "learning", "--out", "mine.jsonl"), "--out mine.jsonl: not a record of this benchmark")
-        assert Path("mine.jsonl").read_text(encoding="latin-1") == content
-    Path("other.png").write_text("mine")
-    refused(stepgap("bench", "learning", "--out", "other.jsonl"), "other.png: exists already; choose another --out")
-    refused(stepgap("bench", "learning", "--twins", "0"), "twins")
+        refused(stepgap(*learning, "--methods", "sysid"), "sysid", "stepgap[sysid]")
+    refused(stepgap(*learning, "--twins", "0"), "twins")
+    refused(stepgap(*learning, "--shard", "3/2"), "--shard 3/2: must be I/N")
+    refused(stepgap(*learning, "--merge", "none", "--out", "new"), "--merge none: contains no learning.toml")
+    Path("mine").write_text("my notes")
+    refused(stepgap(*learning, "--out", "mine"), "mine: File exists; choose another --out")
+    assert Path("mine").read_text() == "my notes"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"twins": 0}, "learning.toml: twins = 0, but it must lie between 1 and 1000"),
+        ({"twins": "two"}, "learning.toml: twins = 'two', but it must be an integer"),
+        ({"seed": 1}, "learning.toml: seed: unknown key; did you mean seeds?"),
+        ({"methods": ["magic"]}, "learning.toml: methods magic: it must be one of integral"),
+    ],
+)
+def test_a_folder_with_a_wrong_plan_is_refused(stepgap: Command, changes: dict[str, object], message: str) -> None:
+    Path("mine").mkdir()
+    Path("mine/learning.toml").write_text(tomli_w.dumps(to_table(PLAN) | changes))
+    refused(stepgap("bench", "learning", "--out", "mine", "--resume"), message)
+
+
+def test_a_folder_of_other_cases_is_refused(stepgap: Command) -> None:
+    Path("mine").mkdir()
+    ((name, text),) = PLAN.files.items()
+    Path("mine", name).write_text(text)
+    other = ("bench", "learning", "--out", "mine", "--resume", "--quick")
+    refused(
+        stepgap(*other), "mine/learning.toml: already there, but of another plan than this one; choose another --out"
+    )
+    assert Path("mine", name).read_text() == text
+
+
+def test_a_result_of_other_methods_is_refused(tiny: None, tmp_path: Path) -> None:
+    with CaseFolder(tmp_path, PLAN, join=False) as folder:
+        assert folder.claim(1)
+        folder.store(1, CaseResult([{"method": "none"}]))
+        with pytest.raises(InputError, match="case 1 lacks the rows of a method"):
+            learning_results(PLAN, folder)
