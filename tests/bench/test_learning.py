@@ -176,7 +176,7 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
     refused(stepgap(*learning, "--shard", "3/2"), "--shard 3/2: must be I/N")
     refused(stepgap(*learning, "--merge", "none", "--out", "new"), "--merge none: contains no learning.toml")
     Path("mine").write_text("my notes")
-    refused(stepgap(*learning, "--out", "mine"), "mine: File exists; choose another --out")
+    refused(stepgap(*learning, "--out", "mine"), "mine: File exists; choose another folder")
     assert Path("mine").read_text() == "my notes"
 
 
@@ -200,9 +200,7 @@ def test_a_folder_of_other_cases_is_refused(stepgap: Command) -> None:
     ((name, text),) = PLAN.files.items()
     Path("mine", name).write_text(text)
     other = ("bench", "learning", "--out", "mine", "--resume", "--quick")
-    refused(
-        stepgap(*other), "mine/learning.toml: already there, but of another plan than this one; choose another --out"
-    )
+    refused(stepgap(*other), "mine/learning.toml: already there, but of another plan than this one; choose another")
     assert Path("mine", name).read_text() == text
 
 

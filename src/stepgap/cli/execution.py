@@ -1,6 +1,7 @@
 """Execution of cases: the options, the progress and the messages that several verbs share."""
 
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
@@ -96,7 +97,7 @@ def opened(path: Path, plan: "Plan", execution: Execution, shard: "Shard | None"
 
 
 @contextmanager
-def stopping(command: str) -> "Iterator[None]":
+def stopping(verb: str, folder: Path) -> "Iterator[None]":
     """Adds the command that continues to the message after Ctrl-C, and lets SIGTERM act like it."""
     from stepgap.base.signals import terminated_as_interrupted
 
@@ -104,6 +105,7 @@ def stopping(command: str) -> "Iterator[None]":
         with terminated_as_interrupted():
             yield
     except KeyboardInterrupt:
+        command = f"stepgap {verb} --out {shlex.quote(str(folder))} --resume"
         raise KeyboardInterrupt(f"; continue with: {command}") from None
 
 
@@ -125,10 +127,8 @@ def execute_cases(
     numbers = [number for number in chosen if number not in finished]
     if not numbers:
         return
-    with (
-        _progress(len(numbers), execution.quiet) as on_result,
-        _executor(execution, len(numbers)) as (executor, at_once),
-    ):
+    progress, executors = _progress(len(numbers), execution.quiet), _executor(execution, len(numbers))
+    with progress as on_result, executors as (executor, at_once):
         execute(plan, folder, numbers, compute, executor, at_once, on_result)
 
 
@@ -169,12 +169,12 @@ def _progress(cases: int, quiet: bool) -> "Iterator[Callable[[int, CaseResult], 
     from stepgap.cli.progress import progress_bar
 
     begin, every = perf_counter(), -(-cases // 20)
-    done = failed = 0
+    done, failed, seconds = 0, 0, 0.0
     with progress_bar("cases", quiet) as bar:
 
         def on_result(number: int, result: "CaseResult") -> None:
-            nonlocal done, failed
-            done, failed = done + 1, failed + bool(result.failed)
+            nonlocal done, failed, seconds
+            done, failed, seconds = done + 1, failed + bool(result.failed), seconds + result.seconds
             bar(done, cases)
             if result.failed and failed <= _FAILURES_SHOWN and not quiet:
                 warn(f"case {number} failed: {result.failed}")
@@ -183,18 +183,19 @@ def _progress(cases: int, quiet: bool) -> "Iterator[Callable[[int, CaseResult], 
                 print(f"{done} of {cases} cases, {failed} failed, {minutes:.0f} min remaining", file=sys.stderr)
 
         yield on_result
+    if not quiet:
+        print(f"{done} cases computed, {failed} failed, {seconds / max(done, 1):.1f} s each", file=sys.stderr)
 
 
 def _merge_folders(plan: "Plan", folder: "CaseFolder", others: "Iterable[Path]") -> None:
     """Adds the results of other folders of the same plan."""
     from stepgap.experiment.cases.case_folder import CaseFolder
-    from stepgap.experiment.sweep.results import merge_results
 
     for path in others:
         if path.resolve() == folder.path.resolve():
             continue
         try:
             with CaseFolder(path, plan, join=True) as other:
-                merge_results(folder, [other])
+                folder.add_results(other)
         except OSError as error:
             raise InputError(f"--merge {path}: {message_of(error)}") from None

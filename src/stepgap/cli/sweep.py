@@ -1,11 +1,10 @@
 """The verb `stepgap sweep`."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stepgap.base.errors import InputError
-from stepgap.cli.execution import THIS_MACHINE, Execution, execute_cases, opened, shard_of, stopping
+from stepgap.cli.execution import THIS_MACHINE, Execution, all_finished, execute_cases, opened, shard_of, stopping
 from stepgap.cli.options import Flag
 from stepgap.cli.terminal import announces_compilation
 
@@ -41,9 +40,11 @@ def sweep(
         return
     shard = shard_of(execution)
     folder = out or _new_folder(shard)
-    with opened(folder, found, execution, shard) as cases, stopping(f"stepgap sweep --out {folder} --resume"):
+    with opened(folder, found, execution, shard) as cases, stopping("sweep", folder):
         execute_cases(found, cases, run_case, execution, shard)
-        _finish(found, cases, shard, execution.quiet)
+        if all_finished(found, cases, execution) or (cases.finished() and not shard):
+            for table in write_tables(found, cases):
+                print(table)
 
 
 def _sweep_file(file: Path | None, out: Path | None, execution: Execution) -> Path:
@@ -67,16 +68,6 @@ def _new_folder(shard: "Shard | None") -> Path:
     if shard:
         raise InputError("--shard: give --out, so that all shards use the same folder")
     return free_name(dated_folder("sweeps"))
-
-
-def _finish(found: "Sweep", folder: "CaseFolder", shard: "Shard | None", quiet: bool) -> None:
-    """Writes table and report, and prints their paths; a shard leaves this to the last one."""
-    count = len(folder.finished())
-    if count < len(found) and not quiet:
-        print(f"{folder.path}: {count} of {len(found)} cases are finished", file=sys.stderr)
-    if count == len(found) or (count and not shard):
-        for path in write_tables(found, folder):
-            print(path)
 
 
 def write_tables(found: "Sweep", folder: "CaseFolder") -> "list[Path]":

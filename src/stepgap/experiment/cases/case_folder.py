@@ -9,6 +9,7 @@ import errno
 import fcntl
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -146,6 +147,20 @@ class CaseFolder:
         for done, number in enumerate(numbers, start=1):
             yield number, self.read(number)
             progress(done, len(numbers))
+
+    def add_results(self, other: Self) -> None:
+        """Copies the results that only another folder of the same plan has, with the kept files.
+
+        Raises:
+            InputError: A result is not valid.
+            OSError: A file cannot be read or written.
+        """
+        for number in sorted(other.finished() - self.finished()):
+            if self.claim(number):
+                result = other.read(number)
+                if other.kept(number).is_dir():
+                    shutil.copytree(other.kept(number), self.kept(number), symlinks=True, dirs_exist_ok=True)
+                self.store(number, result)
 
     def forget(self, number: int) -> None:
         """Removes the result of a case, so that it is computed again."""

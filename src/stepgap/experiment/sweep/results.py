@@ -1,7 +1,6 @@
-"""The table of a sweep, made from the results of its cases; and results of other folders that are added."""
+"""The table of a sweep, made from the results of its cases."""
 
-import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from stepgap.base.errors import InputError
@@ -33,23 +32,3 @@ def _rows(sweep: Sweep, folder: CaseFolder, progress: Progress) -> Iterator[list
             yield from rows_of(number, sweep.settings(number), found.result, found.failed, sweep.space)
         except ValueError as error:
             raise InputError(f"{folder.path}: {error}") from None
-
-
-def merge_results(folder: CaseFolder, others: Sequence[CaseFolder]) -> int:
-    """Copies the results that only other folders of the same plan have, with the kept files; returns their number.
-
-    Raises:
-        InputError: A result is not valid.
-        OSError: A file cannot be read or written.
-    """
-    copied = 0
-    for other in others:
-        for number in sorted(other.finished() - folder.finished()):
-            if not folder.claim(number):
-                continue
-            result = other.read(number)
-            if other.kept(number).is_dir():
-                shutil.copytree(other.kept(number), folder.kept(number), symlinks=True, dirs_exist_ok=True)
-            folder.store(number, result)
-            copied += 1
-    return copied
