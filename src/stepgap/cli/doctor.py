@@ -7,10 +7,11 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 PURPOSES = {
+    "cluster": "the option --dask of stepgap sweep",
     "ethercat": "robots with drives and encoders on an EtherCAT bus, and emulated rings",
     "gym": "the Gymnasium environment stepgap/Step-v0",
     "moteus": "robots with mjbots moteus controllers on a CAN-FD bus",
-    "parquet": "stepgap export --to parquet",
+    "parquet": "stepgap export --to parquet, and the table of a sweep",
     "sysid": "method sysid of stepgap bench learning",
 }
 """Purposes of the extras."""
