@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, replace
-from itertools import islice, pairwise
+from itertools import pairwise
 from math import tau
 from pathlib import Path
 from typing import NamedTuple
@@ -92,8 +92,8 @@ def values_of(gap: RealityGap) -> Array:
     return np.array([gap.motor_offset_1 if name == "motor_offset" else getattr(gap, name) for name in PRIORS])
 
 
-def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) -> tuple[StepLog, Deployment]:
-    """Deployment 0 of `stepgap run` with this seed, completely or only its first steps.
+def first_deployment(gap: RealityGap, seed: int) -> tuple[StepLog, Deployment]:
+    """Deployment 0 of `stepgap run` with this seed.
 
     Raises:
         RigFault: The hop before the first step failed.
@@ -107,7 +107,7 @@ def first_deployment(gap: RealityGap, seed: int, most_steps: int | None = None) 
     uncorrected = Learner.start(nominal, StepLog(nominal.space), LearningSettings(), iteration=0)
     steps = deploy(uncorrected, RigPlant(twin, HopperControl(robot, gains, bounds)), reference, iteration=0)
     with threadpool_limits(limits=1, user_api="blas"), closing(steps):
-        log = StepLog(nominal.space, islice(steps, most_steps))
+        log = StepLog(nominal.space, steps)
     return log, summarise(log, reference, "none")
 
 
