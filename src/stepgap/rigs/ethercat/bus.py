@@ -22,6 +22,9 @@ STATE_TIMEOUT = 2.0
 REPLY_TIMEOUT = 20_000
 """Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the kernel is busy."""
 
+SEARCHES = 5
+"""Number of searches for missing slaves; where the kernel is busy, the frame of a search may come back too late."""
+
 WATCHDOG_ATTEMPTS = 5
 
 _U8, _U16, _U32 = Struct("<B"), Struct("<H"), Struct("<I")
@@ -86,13 +89,22 @@ class Bus:
 
     def _bring_up(self, master: Any, prepare: Callable[[], None]) -> None:
         self._emergencies.clear()
-        self._check_identities(master.config_init())
+        self._check_identities(self._search(master))
         for device in master.slaves:
             device.add_emergency_callback(self._emergencies.append)  # without it an emergency makes a transfer fail
         for number in range(len(self._settings.slaves)):
             self._configure(number)
         prepare()
         self._start(master)
+
+    def _search(self, master: Any) -> int:
+        """Number of slaves that answer."""
+        count = 0
+        for _ in range(SEARCHES):
+            count = master.config_init()
+            if count >= len(self._settings.slaves):
+                break
+        return count
 
     def set_outputs(self, number: int, values: dict[str, int]) -> None:
         """Sets the outputs of a slave for the next frame; more bytes than its own would overwrite the next slave's."""
