@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stepgap.control.command_table import CommandTable, build_table, measure_table
+from stepgap.control.command_table import CommandTable, TableBatches, build_table, measure_table
 from stepgap.control.command_table_file import KINDS, read_table, write_table
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, StepFailed, StepStatus, box_grid
@@ -120,9 +121,27 @@ def test_progress_counts_every_node():
     assert calls == sorted(calls)
 
 
+def test_batches_can_be_solved_in_any_order():
+    expected, batches = build_table(LossyHopper(), 10), TableBatches(LossyHopper().space, 10)
+    answers = [batches.solve(LossyHopper(), number) for number in reversed(range(len(batches)))]
+    assert sum(answer.status.size for answer in answers) == batches.nodes == 10**4
+    found = batches.table(answers[::-1])
+    for name in ("commands", "predicted", "reached", "statuses"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    with pytest.raises(ValueError, match="reshape"):
+        batches.table(answers[1:])
+
+
+@pytest.mark.parametrize(("batch", "count"), [(1, 49), (100, 24), (10**6, 1)])
+def test_a_batch_has_at_least_one_state(batch, count):
+    assert len(TableBatches(LossyHopper().space, POINTS, batch)) == count
+
+
 def test_bad_arguments_are_refused(table):
     with pytest.raises(ValueError, match="points = 1"):
         build_table(LossyHopper(), 1)
+    with pytest.raises(ValueError, match="batch = 0"):
+        TableBatches(LossyHopper().space, 2, 0)
     with pytest.raises(ValueError, match="state has shape"):
         table([0.2], [0.2, 0.58])
     with pytest.raises(ValueError, match="finite"):
@@ -152,6 +171,11 @@ def test_a_file_contains_all_of_a_table(table, file):
     for name in ("commands", "predicted", "reached", "statuses"):
         np.testing.assert_array_equal(getattr(again, name), getattr(table, name))
     assert again([0.2, 0.58], [0.25, 0.6]).command.tolist() == table([0.2, 0.58], [0.25, 0.6]).command.tolist()
+
+
+def test_the_same_table_is_the_same_file_at_any_time(file):
+    with ZipFile(file) as archive:
+        assert {member.date_time for member in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
 def contents(file: Path) -> dict[str, np.ndarray]:

@@ -8,14 +8,15 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import check_new, free_name, writing
+from stepgap.base.output_files import check_new, writing
+from stepgap.cli.execution import THIS_MACHINE, Execution
+from stepgap.cli.map_table import map_table, named_values
 from stepgap.cli.options import Integer, Overrides
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.control.command_table import CommandTable, TableError
     from stepgap.experiment.settings import Experiment
-    from stepgap.step import Array, Quantity, StepMap, StepSpace
+    from stepgap.step import Array, StepMap, StepSpace
 
 DEFAULT_POINT = {"speed": 0.2, "height": 0.58, "fx": 0.0, "fy": 0.0}
 """Apex and command of the step that is evaluated by default; SI units."""
@@ -38,6 +39,7 @@ def map_(
     table: Path | None = None,
     points: Annotated[Integer | None, Parameter(validator=Number(gte=2, lte=50))] = None,
     tick: float | None = None,
+    execution: Execution = THIS_MACHINE,
     overrides: Overrides = None,
 ) -> None:
     """Evaluate the nominal map: the next apex and its derivatives, many rows of a file, or a table of commands.
@@ -53,6 +55,13 @@ def map_(
         table: New file for a table of the step controller's commands, which is computed and measured.
         points: Grid points along each axis of the table, 2 to 50. [default: 15]
         tick: Time for which torques are held, as on a robot [s], such as 0.001. [default: torques act continuously]
+        execution.processes: Number of processes that compute the table. [default: 1; with --shard, --dask or --resume
+            one for each core]
+        execution.shard: Compute only part I of N of the table, given as I/N.
+        execution.resume: Continue a table that is not complete, in the folder beside it whose name ends with .cases.
+        execution.retry_failed: Compute failed parts of the table again, too.
+        execution.merge: Folders of the same table whose parts are added; nothing is computed.
+        execution.quiet: Print only the path of the table.
     """
     from stepgap.experiment.settings import read_experiment
 
@@ -66,25 +75,28 @@ def map_(
         raise InputError("--out: valid only with --csv; the result of one point is printed")
     if points is not None and not table:
         raise InputError(f"--points {points}: valid only with --table")
+    if execution != THIS_MACHINE and not table:
+        given = [name for name, value in vars(execution).items() if value != getattr(THIS_MACHINE, name)]
+        raise InputError(f"--{given[0].replace('_', '-')}: valid only with --table")
     settings = read_experiment(experiment, overrides or [])
     nominal = _nominal(settings, tick)
     if csv:
         _map_rows(nominal, csv, out)
     elif table:
-        _map_table(nominal, table, points or DEFAULT_GRID, settings.seed)
+        from stepgap.experiment.table_plan import TablePlan
+
+        plan = TablePlan(settings.robot, settings.gains, settings.command, points or DEFAULT_GRID, tick or 0.0)
+        map_table(plan, nominal, table, settings.seed, execution)
     else:
         _map_point(nominal, {**DEFAULT_POINT, **given})
 
 
 def _nominal(settings: "Experiment", tick: float | None) -> "StepMap":
     """The nominal map, with torques held for a tick if one is given."""
-    from stepgap.robots.hopper.apex_map import ApexMap
-    from stepgap.robots.hopper.sampled_map import SampledApexMap
+    from stepgap.robots.hopper.sampled_map import nominal_map
 
-    if tick is None:
-        return ApexMap(settings.robot, settings.gains, settings.command)
     try:
-        return SampledApexMap(settings.robot, settings.gains, settings.command, tick)
+        return nominal_map(settings.robot, settings.gains, settings.command, tick)
     except ValueError as error:
         raise InputError(f"--tick: {error}") from None
 
@@ -124,52 +136,11 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     print(out)
 
 
-def _map_table(nominal: "StepMap", file: Path, points: int, seed: int) -> None:
-    """Computes a table of commands, measures the error of interpolation, and saves it."""
-    import numpy as np
-
-    from stepgap.cli.progress import progress_bar
-    from stepgap.control.command_table import build_table, measure_table
-    from stepgap.control.command_table_file import write_table
-
-    check_new(file, "--table")
-    with progress_bar("commands") as progress:
-        table = build_table(nominal, points, progress)
-    file = free_name(file)  # another process may have used the name in the meantime
-    with writing(file, "--table"):
-        write_table(file, table)
-    try:
-        print(describe_table(table, measure_table(table, nominal, np.random.default_rng(seed))))
-    except ValueError as error:
-        print(error)
-    print(file)
-
-
 def describe_step(space: "StepSpace", next_state: "Array", jacobian: "Array") -> str:
     """Next state and Jacobian as text."""
     inputs = (*space.state, *space.command)
-    lines = [f"next state    {_named(space.state, next_state)}", "", "derivative" + " " * 14]
+    lines = [f"next state    {named_values(space.state, next_state)}", "", "derivative" + " " * 14]
     lines[-1] += "".join(f"{f'by {q.name} [{q.unit}]':>18}" for q in inputs)
     for quantity, row in zip(space.state, jacobian, strict=True):
         lines.append(f"{f'of next {quantity.name} [{quantity.unit}]':24}" + "".join(f"{value:18.6g}" for value in row))
     return "\n".join(lines)
-
-
-def describe_table(table: "CommandTable", error: "TableError") -> str:
-    """Size of a table and error of interpolation in it, as text."""
-    space = table.space
-    return "\n".join(
-        [
-            f"{table.reached.size} commands, {table.reached.mean():.0%} of them reach their target",
-            f"interpolated, at {error.samples} random points between nodes with reachable targets:",
-            f"  worst error of the command       {_named(space.command, error.worst_command, '.2g')}",
-            f"  worst error of the next state    {_named(space.state, error.worst_state, '.2g')}",
-            f"  median error of the next state   {_named(space.state, error.median_state, '.2g')}",
-            f"at {error.border_samples} points on the border of the reachable targets:",
-            f"  worst error of the next state    {_named(space.state, error.border_state, '.2g')}",
-        ]
-    )
-
-
-def _named(quantities: "tuple[Quantity, ...]", values: "Array", form: str = ".6f") -> str:
-    return ", ".join(f"{q.name} {value:{form}} {q.unit}" for q, value in zip(quantities, values, strict=True))
