@@ -3,6 +3,7 @@ import os
 import re
 import signal
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import settings
 
 from stepgap.base.compiled import cache_folder
 from stepgap.cli.app import main
+from stepgap.experiment.cases import processes
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -60,6 +62,12 @@ def compile_hops() -> None:
     twin = Twin(robot, RealityGap(), np.random.default_rng(0))
     with RigPlant(twin, HopperControl(robot, Gains(), bounds)) as plant:
         plant.start()
+
+
+@pytest.fixture
+def in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Computes cases in a thread of this process, which starts at once, instead of other processes."""
+    monkeypatch.setattr(processes, "Processes", lambda count: ThreadPoolExecutor(1))
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from stepgap.bench.learning import SKIPPED, Trial, count_covered, hopping_gap, m
 from stepgap.bench.learning_plan import LearningPlan, learning_results, read_learning_plan
 from stepgap.control import reference
 from stepgap.control.reference import Reference, parse_reference, reference_text
-from stepgap.experiment.cases import processes
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseResult
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -38,12 +36,6 @@ NOMINAL = ApexMap()
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reference, "paper_reference", lambda: SHORT)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
-
-
-@pytest.fixture
-def in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Computes cases in a thread of this process, which starts at once."""
-    monkeypatch.setattr(processes, "Processes", lambda count: ThreadPoolExecutor(1))
 
 
 def test_every_twin_of_the_family_is_drawn_independently() -> None:

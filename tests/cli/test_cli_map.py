@@ -118,8 +118,7 @@ def test_every_way_to_compute_a_table_gives_the_same_file(stepgap: Command, monk
         assert Path(f"{name}.npz").read_bytes() == Path("here.npz").read_bytes()
 
 
-def test_parts_of_a_table_say_how_many_are_finished(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "Processes", lambda count: ThreadPoolExecutor(1))
+def test_parts_of_a_table_say_how_many_are_finished(stepgap: Command, in_a_thread: None) -> None:
     command = ("map", "--points", 10, "--table", "t.npz", "--gains.stiffness", "2400")
     result = stepgap(*command, "--shard", "1/2")
     assert (result.code, result.out) == (0, "")
