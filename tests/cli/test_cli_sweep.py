@@ -56,13 +56,13 @@ def dask(here: Path) -> Iterator[str]:
     processes = []
     try:
         with Path("dask.log").open("w") as log:
-            quiet = {"stdout": log, "stderr": log}
-            processes.append(subprocess.Popen([*start, "--no-dashboard", "--scheduler-file", "dask.json"], **quiet))
+            scheduler = [*start, "--no-dashboard", "--scheduler-file", "dask.json"]
+            processes.append(subprocess.Popen(scheduler, stdout=log, stderr=log))
             while not Path("dask.json").exists():
                 assert processes[0].poll() is None, Path("dask.log").read_text()
                 sleep(0.05)
             reach = ["--scheduler-file", "dask.json", "--host", "127.0.0.1", "--local-directory", str(here)]
-            processes += [subprocess.Popen([*worker, *reach], **quiet) for _ in range(2)]
+            processes += [subprocess.Popen([*worker, *reach], stdout=log, stderr=log) for _ in range(2)]
         yield "dask.json"
     finally:
         for process in processes:

@@ -11,10 +11,10 @@ import pytest
 from matplotlib.image import imread
 
 from stepgap.control.reference import paper_reference
+from stepgap.experiment.bands import interval_coverage
 from stepgap.records import paper
 from stepgap.records.summary import MEASURES
 from stepgap.report import RunContext, read_run_folder
-from stepgap.experiment.bands import interval_coverage
 from stepgap.report.figures import tracking_figure
 from stepgap.report.sentences import decimal
 from stepgap.step import Quantity, StepSpace

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter, validators
@@ -49,7 +50,10 @@ def bench_learning_(
     plan = _plan_in_folder(out, execution) if not (twins or seeds or methods or quick) else None
     plan = plan or _new_plan(twins, seeds, methods, quick)
     shard = shard_of(execution)
-    with opened(out, plan, execution, shard) as cases, stopping("bench learning", out):
+    with (
+        opened(out, plan, execution, shard) as cases,
+        stopping(f"stepgap bench learning --out {quote(str(out))} --resume"),
+    ):
         execute_cases(plan, cases, measure_case, execution, shard)
         if all_finished(plan, cases, execution):
             _summarise(plan, cases, execution.quiet)

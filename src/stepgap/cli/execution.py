@@ -1,7 +1,6 @@
 """Execution of cases: the options, the progress and the messages that several verbs share."""
 
 import os
-import shlex
 import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
@@ -97,7 +96,7 @@ def opened(path: Path, plan: "Plan", execution: Execution, shard: "Shard | None"
 
 
 @contextmanager
-def stopping(verb: str, folder: Path) -> "Iterator[None]":
+def stopping(command: str) -> "Iterator[None]":
     """Adds the command that continues to the message after Ctrl-C, and lets SIGTERM act like it."""
     from stepgap.base.signals import terminated_as_interrupted
 
@@ -105,7 +104,6 @@ def stopping(verb: str, folder: Path) -> "Iterator[None]":
         with terminated_as_interrupted():
             yield
     except KeyboardInterrupt:
-        command = f"stepgap {verb} --out {shlex.quote(str(folder))} --resume"
         raise KeyboardInterrupt(f"; continue with: {command}") from None
 
 

@@ -61,7 +61,7 @@ def _solved_as_cases(plan: "TablePlan", file: Path, execution: Execution) -> "Co
     folder = file.with_name(f"{file.name}.cases")
     shard = shard_of(execution) if execution.shard else None  # each task of a job array may compute a table of its own
     with (
-        opened(folder, plan, execution, shard, "--table") as cases,
+        opened(folder, plan, execution, shard) as cases,
         stopping("the same command with --resume"),
     ):
         execute_cases(plan, cases, solve_batch, execution, shard)

@@ -1,6 +1,7 @@
 """The verb `stepgap sweep`."""
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from stepgap.base.errors import InputError
@@ -40,7 +41,8 @@ def sweep(
         return
     shard = shard_of(execution)
     folder = out or _new_folder(shard)
-    with opened(folder, found, execution, shard) as cases, stopping("sweep", folder):
+    command = f"stepgap sweep --out {quote(str(folder))} --resume"
+    with opened(folder, found, execution, shard) as cases, stopping(command):
         execute_cases(found, cases, run_case, execution, shard)
         if all_finished(found, cases, execution) or (cases.finished() and not shard):
             for table in write_tables(found, cases):

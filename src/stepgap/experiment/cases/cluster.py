@@ -40,7 +40,7 @@ def dask_executor(address: str, processes: int) -> Iterator[Executor]:
         raise InputError("--dask needs dask.distributed: ./go uv pip install 'stepgap[cluster]'") from None
     with ExitStack() as stack:
         if address == LOCAL:
-            options = {"host": "127.0.0.1", "dashboard_address": None, "threads_per_worker": 1}
+            options = {"host": "127.0.0.1", "dashboard_address": ":0", "threads_per_worker": 1}
             target = stack.enter_context(distributed.LocalCluster(n_workers=processes, **options))
         else:
             target = address

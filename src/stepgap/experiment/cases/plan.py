@@ -1,13 +1,13 @@
 """Cases: independent computations that are numbered from 0 and described by a TOML text."""
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, NamedTuple, Protocol
 
 from stepgap.base.errors import StepGapError
+from stepgap.base.settings_file import parse_toml
 
 LONGEST_REASON = 500
 """Longest reason of a failure that is recorded [characters]."""
@@ -80,7 +80,7 @@ def computed(compute: Compute, case: str) -> CaseResult:
     """
     begin = perf_counter()
     try:
-        result, files = compute(tomllib.loads(case))
+        result, files = compute(parse_toml(case))
     except (OSError, MemoryError):
         raise
     except Exception as error:
