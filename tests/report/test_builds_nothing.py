@@ -8,7 +8,9 @@ import stepgap.report
 
 BUILDERS = (
     "mujoco",
-    "stepgap.experiment",
+    "stepgap.experiment.loop",
+    "stepgap.experiment.plants",
+    "stepgap.experiment.sweep",
     "stepgap.plants.model_plant",
     "stepgap.plants.realtime",
     "stepgap.plants.rig_plant",
@@ -19,7 +21,8 @@ BUILDERS = (
 
 def test_no_module_of_the_report_imports_a_builder() -> None:
     folder = Path(stepgap.report.__file__).parent
-    modules = [f"stepgap.report.{path.stem}" for path in sorted(folder.glob("*.py")) if path.stem != "__init__"]
+    paths = [path.relative_to(folder).with_suffix("") for path in sorted(folder.rglob("*.py"))]
+    modules = [f"stepgap.report.{'.'.join(path.parts)}" for path in paths if path.stem != "__init__"]
     assert len(modules) > 10
     imports = "\n".join(f"import {module}" for module in modules)
     reached = f"{imports}\nimport sys\nprint([name for name in {BUILDERS} if name in sys.modules])"

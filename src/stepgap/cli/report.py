@@ -8,15 +8,19 @@ from stepgap.cli.terminal import warn
 
 
 def report(folders: list[Path], /, *, out: Path | None = None) -> None:
-    """Regenerate the report of a run, or compare several runs on one page.
+    """Regenerate the report of a run or of a sweep, or compare several runs on one page.
 
     Args:
-        folders: Folder of the run, or the folders of several runs.
+        folders: Folder of the run or of the sweep, or the folders of several runs.
         out: New HTML file for a comparison. [default: comparison.html next to the first run, or the next free name]
     """
     from stepgap.cli.progress import progress_bar
     from stepgap.cli.run_report import compare_runs, report_run
+    from stepgap.cli.sweep_report import is_sweep, report_sweep
 
+    sweep = next(filter(is_sweep, folders), None)
+    if sweep and (len(folders) > 1 or out):
+        raise InputError(f"{sweep}: a sweep has a report of its own, in its folder; give only: stepgap report {sweep}")
     if len(folders) > 1:
         page = out or free_name(folders[0].resolve().parent / "comparison.html")
         compare_runs(folders, page)
@@ -24,7 +28,7 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
         raise InputError("--out: valid only with several runs; the report of one run is written into its folder")
     else:
         with progress_bar("replay") as progress:
-            page, left_out = report_run(folders[0], progress)
+            page, left_out = report_sweep(sweep) if sweep else report_run(folders[0], progress)
         if left_out:
             warn(f"missing in the report: {'; '.join(left_out)}")
     print(page)

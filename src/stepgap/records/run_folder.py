@@ -111,7 +111,7 @@ def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
     summary = read_summary(folder / "summary.json", space.state_names)  # read first, because steps may be added
     steps = _read_steps(path, space)
     _check_same_run(summary, steps, folder / "summary.json")
-    settings = _read_settings(folder / "experiment.toml")
+    settings = read_settings_file(folder / "experiment.toml")
     return RunRecord(folder, space, steps, summary, settings, not ends_with_whole_row(path))
 
 
@@ -142,7 +142,12 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
         raise ValueError(f"{path}: steps.csv was changed after it was written; both must be of the same run")
 
 
-def _read_settings(path: Path) -> SettingsFile | None:
+def read_settings_file(path: Path) -> SettingsFile | None:
+    """Reads an `experiment.toml`; None if it does not exist.
+
+    Raises:
+        ValueError: It is not a TOML file.
+    """
     if not path.exists():
         return None
     if not path.is_file():

@@ -6,11 +6,9 @@ the nominal map and the motions. Nothing here builds a plant or a twin.
 `learned` reads the learned residual; `reference_gait` computes the limit cycles. `figures`, `learned_figure` and `gait`
 make the figures, `error_table`, `learned_table` and `settings_table` the tables, `sentences` the text, `replay_view`
 the replay. `page` puts all on one page, next to the paper's results, and `missing_parts` lists the missing parts.
-`comparison` makes the page of several runs.
+`comparison` makes the page of several runs, and the package `sweep` the report of a sweep.
 """
 
-import re
-from collections.abc import Container
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +16,7 @@ from stepgap.base.files import write_whole
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.report.comparison import comparison_html
-from stepgap.report.drawing import Drawing, draw_figure
+from stepgap.report.drawing import Drawing, draw_figure, write_figures
 from stepgap.report.learned import LearnedResidual, read_learned_residual
 from stepgap.report.missing_parts import missing_parts
 from stepgap.report.page import report_html
@@ -64,14 +62,8 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
     learned = read_learned_residual(record.folder, record.shown_iterations[-1], record.space)
     gait = _gait(record, context, learned)
     drawings = _drawings(record, learned, gait)
-    names: list[str] = []
-    for name, drawing in drawings.items():
-        number = name.removeprefix("map_")
-        wanted = f"map_{record.space.state_names[int(number)]}" if number != name else name
-        names.append(_file_name(wanted, names))
-        if isinstance(drawing, Drawing):
-            write_whole(record.folder / "figures" / f"{names[-1]}.png", drawing.png)
-            write_whole(record.folder / "figures" / f"{names[-1]}.pdf", drawing.pdf)
+    wanted = {f"map_{index}": f"map_{name}" for index, name in enumerate(record.space.state_names)}
+    write_figures(record.folder, {wanted.get(name, name): drawing for name, drawing in drawings.items()})
     path = record.folder / "report.html"
     write_whole(path, report_html(record, drawings, context, learned, gait))
     return WrittenReport(path, tuple(missing_parts(record, context, learned, gait)))
@@ -126,11 +118,3 @@ def _drawings(
 
         drawings["gait"] = draw_figure(reachable, "the reachable set")
     return drawings
-
-
-def _file_name(wanted: str, taken: Container[str]) -> str:
-    """A file name that is valid on every file system and not in use yet."""
-    name = re.sub(r"[^a-z0-9_-]", "_", wanted.lower())[:60]
-    while name in taken:
-        name += "_"
-    return name

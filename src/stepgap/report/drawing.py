@@ -1,9 +1,12 @@
 """Drawing of figures for files and for the page."""
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Container, Mapping
 from io import BytesIO
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from stepgap.base.files import write_whole
 from stepgap.records.missing import Missing
 
 DOTS_PER_INCH: Final = 200
@@ -61,6 +64,28 @@ def draw_figure(make: Callable[[], Any], subject: str) -> Drawing | Missing:
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         short = " ".join(str(error).split())[:LONGEST_ERROR]
         return Missing(f"no figure of {subject} could be drawn ({type(error).__name__}: {short}); {_REMEDY}")
+
+
+def write_figures(folder: Path, drawings: Mapping[str, Drawing | Missing]) -> None:
+    """Writes `figures/NAME.png` and `figures/NAME.pdf` of the figures that could be drawn, by their names.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    names: list[str] = []
+    for wanted, drawing in drawings.items():
+        names.append(_file_name(wanted, names))
+        if isinstance(drawing, Drawing):
+            write_whole(folder / "figures" / f"{names[-1]}.png", drawing.png)
+            write_whole(folder / "figures" / f"{names[-1]}.pdf", drawing.pdf)
+
+
+def _file_name(wanted: str, taken: Container[str]) -> str:
+    """A file name that is valid on every file system and not in use yet."""
+    name = re.sub(r"[^a-z0-9_-]", "_", wanted.lower())[:60]
+    while name in taken:
+        name += "_"
+    return name
 
 
 def _saved(figure: Any, file_format: str) -> bytes:

@@ -72,14 +72,14 @@ def error_figure(record: RunRecord) -> Figure:
             if np.isfinite(values).any():
                 panel.plot(numbers, values, look, color=BLUE, label=f"{measure.upper()}, this run")
         floor = record.noise_floor[index]
-        drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
+        drawn = _drawn(panel)
         if floor > LEAST_FLOOR * np.min(drawn, where=drawn > 0, initial=np.inf):
             panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="noise floor, this run")
         if hardware:
             values = paper.MAE_BY_ITERATION[quantity.name]
             panel.plot(range(len(values)), values, "^:", color=VERMILLION, label="MAE, the paper's hardware")
         panel.set_ylabel(f"Error of\n{axis_label(quantity, capital=False)}")
-        _log_scale(panel)
+        log_scale(panel, _drawn(panel))
         if not panel.lines:
             _note(panel, "There is no error yet.")
     _finish(figure, panels, "Deployment (0: nominal map; later ones: corrected map)")
@@ -102,7 +102,7 @@ def comparison_figure(records: Sequence[RunRecord], names: Sequence[str]) -> Fig
                 panel.plot(numbers, values, **look, linestyle=RUN_LINES[row % len(RUN_LINES)], label=plain(name))
     for panel, quantity in zip(panels, state, strict=True):
         panel.set_ylabel(f"RMSE of\n{axis_label(quantity, capital=False)}")
-        _log_scale(panel)
+        log_scale(panel, _drawn(panel))
         if not panel.lines:
             _note(panel, "There is no error yet.")
     _finish(figure, panels, "Deployment")
@@ -223,9 +223,13 @@ def _mark_changes(panel: Axes, steps: StepLog) -> None:
             panel.axvline(step, color="#cccccc", lw=0.8, zorder=0, label="" if order else "change of the target")
 
 
-def _log_scale(panel: Axes) -> None:
-    """Sets a logarithmic axis with plain numbers, if there are positive values."""
-    values = np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
+def _drawn(panel: Axes) -> Array:
+    """Values of all curves of a panel."""
+    return np.concatenate([np.asarray(line.get_ydata(), float) for line in panel.lines] or [np.zeros(0)])
+
+
+def log_scale(panel: Axes, values: Array) -> None:
+    """Sets a logarithmic axis with plain numbers for these values, if there are positive ones."""
     if not (values > 0).any():
         return
     panel.set_yscale("log", nonpositive="mask")

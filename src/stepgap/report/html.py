@@ -6,7 +6,7 @@ except the page's own.
 
 import re
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from html import escape
 from importlib.resources import files
@@ -22,6 +22,10 @@ STYLE: Final = files("stepgap.report").joinpath("page.css").read_text(encoding="
 
 POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:;"
 """Content security policy of a page: only its own styles, and images within it."""
+
+
+NO_LINKS: Final[Mapping[str, str]] = {}
+"""No cell of a table is a link."""
 
 
 def page(title: str, sections: Sequence[str], script: str = "") -> str:
@@ -101,11 +105,13 @@ def bullets(lines: Sequence[str]) -> str:
     return f"<ul>{''.join(f'<li>{safe(line)}</li>' for line in lines)}</ul>" if lines else ""
 
 
-def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """HTML table; the first cell of each row is its header."""
+def table(
+    caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], links: Mapping[str, str] = NO_LINKS
+) -> str:
+    """HTML table; the first cell of each row is its header, and a link if `links` has a relative path for it."""
     top = "".join(f'<th scope="col">{safe(head)}</th>' for head in heads)
     lines = [
-        f'<tr><th scope="row">{safe(first)}</th>{"".join(f"<td>{safe(cell)}</td>" for cell in cells)}</tr>'
+        f'<tr><th scope="row">{_linked(first, links)}</th>{"".join(f"<td>{safe(cell)}</td>" for cell in cells)}</tr>'
         for first, *cells in rows
     ]
     title = f"<caption>{safe(caption)}</caption>" if caption else ""
@@ -114,3 +120,7 @@ def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> 
         + "\n".join(lines)
         + "\n</tbody></table></div>"
     )
+
+
+def _linked(text: str, links: Mapping[str, str]) -> str:
+    return f'<a href="{safe(links[text])}">{safe(text)}</a>' if text in links else safe(text)

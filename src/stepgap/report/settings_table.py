@@ -27,12 +27,12 @@ def differing(columns: Sequence[Mapping[str, str]]) -> list[list[str]]:
     return [row for row in rows if len(set(row[1:])) > 1]
 
 
-def changed_settings(settings: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
-    """HTML table of the settings of a run that differ from their defaults."""
+def changed_settings(settings: Mapping[str, Any], defaults: Mapping[str, Any], owner: str = "this run") -> str:
+    """HTML table of the settings of a run, or of another `owner`, that differ from their defaults."""
     rows = differing([flat_settings(settings), flat_settings(defaults)])
     if not rows:
         return paragraph("All settings are the defaults.")
-    return table("Settings that differ from their defaults", ["setting", "this run", "default"], rows)
+    return table("Settings that differ from their defaults", ["setting", owner, "default"], rows)
 
 
 def _format(value: Any) -> str:
