@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from stepgap.base.errors import InputError
 from stepgap.cli.execution import THIS_MACHINE, Execution, all_finished, execute_cases, opened, shard_of, stopping
 from stepgap.cli.options import Flag
-from stepgap.cli.terminal import announces_compilation
+from stepgap.cli.terminal import announces_compilation, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.cases.case_folder import CaseFolder
@@ -45,8 +45,7 @@ def sweep(
     with opened(folder, found, execution, shard) as cases, stopping(command):
         execute_cases(found, cases, run_case, execution, shard)
         if all_finished(found, cases, execution) or (cases.finished() and not shard):
-            for table in write_tables(found, cases):
-                print(table)
+            _write_all(found, cases, execution.quiet)
 
 
 def _sweep_file(file: Path | None, out: Path | None, execution: Execution) -> Path:
@@ -70,6 +69,19 @@ def _new_folder(shard: "Shard | None") -> Path:
     if shard:
         raise InputError("--shard: give --out, so that all shards use the same folder")
     return free_name(dated_folder("sweeps"))
+
+
+def _write_all(found: "Sweep", folder: "CaseFolder", quiet: bool) -> None:
+    """Writes the tables and the report of the finished cases, and prints their paths."""
+    from stepgap.cli.sweep_report import report_sweep
+
+    tables = write_tables(found, folder)
+    with folder.alone():
+        report = report_sweep(folder.path)
+    for path in (*tables, report.path):
+        print(path)
+    if report.missing and not quiet:
+        warn(f"missing in the report: {'; '.join(report.missing)}")
 
 
 def write_tables(found: "Sweep", folder: "CaseFolder") -> "list[Path]":
