@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from stepgap.cli.app import main
 from stepgap.experiment.replay import replay, sensor_model_of
@@ -18,6 +19,7 @@ from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult, refused
+from tests.report.sweep.tables import combinations_of, write_results_table
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
 
@@ -161,6 +163,35 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "a", "a"), "a run is given twice")
     refused(stepgap("report", "a", "none"), "none/steps.csv: no such file")
     refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
+
+
+@pytest.mark.usefixtures("svg_only")
+def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
+    settings = combinations_of({"gap.delay": [0.001, 0.002], "learning.residual": ["gp", "linear"], "seed": [1, 2, 3]})
+    write_results_table(Path("sweep"), settings, np.random.default_rng(0).uniform(0.01, 0.02, (12, 2, 2)))
+    axes = [{"names": [name], "points": [[0]] * len(set(texts))} for name, texts in settings.items()]
+    Path("sweep/sweep.toml").write_text(tomli_w.dumps({"keep": "runs", "resolved": axes}))
+    shutil.copy(finished / "experiment.toml", "sweep")
+    assert stepgap("report", "sweep") == CommandResult(0, "sweep/report.html\n", "")
+    text = Path("sweep/report.html").read_text(encoding="utf-8")
+    assert "All 12 cases of the sweep are finished" in text
+    assert "last RMSE of speed [m/s]" in text
+    assert '<tr><th scope="row">learning.iterations</th><td>1</td><td>4</td></tr>' in text
+    own = "sweep: a sweep has a report of its own, in its folder; give only: stepgap report sweep"
+    refused(stepgap("report", "sweep", "--out", "page.html"), own)
+    refused(stepgap("report", finished, "sweep"), own)
+    Path("sweep/experiment.toml").write_text("unheard_of = 1\n")
+    Path("sweep/sweep.toml").write_text("keep = 'runs'\n")
+    assert stepgap("report", "sweep").code == 0
+    text = Path("sweep/report.html").read_text(encoding="utf-8")
+    assert "without a valid sweep.toml the number of planned cases is not known" in text
+    assert "last RMSE of speed</th>" in text
+    before = contents(Path("sweep"))
+    Path("sweep/results.csv").write_text("case\n")
+    refused(stepgap("report", "sweep"), "sweep/results.csv, line 1: not the header of a sweep's results")
+    Path("sweep/results.csv").unlink()
+    refused(stepgap("report", "sweep"), "sweep/results.csv: no such file", "stepgap sweep --out sweep --resume")
+    assert {name: content for name, content in before.items() if name != "results.csv"} == contents(Path("sweep"))
 
 
 @pytest.mark.usefixtures("svg_only")

@@ -29,12 +29,12 @@ def level_table(cases: SweepCases, axis: SweepAxis, state: Sequence[Quantity]) -
     if np.isfinite(cases.hops).any():
         columns["hops to band (median)"] = list(map(_hops, quartiles(cases.hops, axis.codes, count)[1]))
     for quantity, ratios in zip(state, _ratios(cases, axis), strict=False):
+        columns["pairs"] = [DASH, *map(str, ratios.counts[1:])]
         cells = ["1", *(_with_interval(ratios, row) for row in range(1, count))]
         columns[f"ratio of {quantity.name} error to first level"] = cells
-        columns["pairs"] = [DASH, *map(str, ratios.counts[1:])]
     rows = list(zip(axis.levels, *columns.values(), strict=True))
     more = f" (the first {MOST_ROWS} of {count} levels)" if count > MOST_ROWS else ""
-    return table(f"{axis.name}{more}", [axis.name, *columns], rows[:MOST_ROWS])
+    return table(f"{axis.name}{more}", ["level", *columns], rows[:MOST_ROWS])
 
 
 def _numbers(codes: LevelCodes, levels: int) -> list[str]:

@@ -45,6 +45,11 @@ POINTS_CAPTION: Final = (
     " A setting with many values is divided into ranges with equally many cases; grey points are single cases. Cases "
     "in which all settings of this kind are equal count as one in the interval."
 )
+LEVELS_NOTE: Final = (
+    "Errors are geometric means of the last deployments, with 95 % intervals. A pair is two cases of which all other "
+    "settings and the seed are equal, one at the first level and one at this level; the ratio is the geometric mean of "
+    "the ratios of all pairs. What both cases of a pair share cancels in it, so its interval is narrower."
+)
 FALLS_CAPTION: Final = "Share of the cases in which any deployment had a fall, with 95 % interval (Wilson)."
 HOPS_CAPTION: Final = (
     "Number of hops, over all deployments, until the error stays in the paper's band: median, with a bar between the "
@@ -166,7 +171,7 @@ def _html(
         "effects": _effects(sweep, drawings) if len(cases) else [],
         "falls": _falls(cases, drawings) if len(cases) else [],
         "sensitivity": _sensitivity(sweep, drawings) if len(cases) else [],
-        "levels": [level_table(cases, axis, sweep.state) for axis in sweep.axes],
+        "levels": _levels(sweep),
         "worst": [worst_cases(cases, sweep.folder, sweep.state)] if len(cases) else [],
         "failed": [failed_cases(cases)] if cases.failed else [],
         "settings": _settings(cases, context.defaults, settings),
@@ -212,6 +217,11 @@ def _sensitivity(sweep: _Sweep, drawings: Mapping[str, Drawing | Missing]) -> li
     notes = bullets(share_notes(sweep.cases, sweep.shares))
     opened = f"<details><summary>All shares as numbers</summary>{share_table(sweep.shares, sweep.state)}</details>"
     return [picture(drawings["sensitivity"], "sensitivity-", SENSITIVITY_CAPTION), notes, opened]
+
+
+def _levels(sweep: _Sweep) -> list[str]:
+    tables = [level_table(sweep.cases, axis, sweep.state) for axis in sweep.axes]
+    return [paragraph(LEVELS_NOTE), *tables] if tables else []
 
 
 def _settings(cases: SweepCases, defaults: Mapping[str, Any] | Missing, settings: SettingsFile | None) -> list[str]:

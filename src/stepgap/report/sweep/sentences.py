@@ -106,10 +106,9 @@ def _fallen(cases: SweepCases) -> list[str]:
     if not fell:
         return ["No case had a fall."]
     of_them = "all" if last == fell else last or "none"
-    percent = 100 * fell / len(cases)
     return [
-        f"{_cases(fell)} ({percent:.2g} %) had a fall, {of_them} of them in the last deployment. The error of a "
-        "deployment with a fall is not compared with others."
+        f"{_cases(fell)} ({percent(100 * fell / len(cases))} %) had a fall, {of_them} of them in the last deployment. "
+        "The error of a deployment with a fall is not compared with others."
     ]
 
 
