@@ -14,7 +14,7 @@ from stepgap.report.figures import WIDTH, axis_label, log_scale, plain
 from stepgap.report.sweep.cases import SweepAxis, SweepCases
 from stepgap.report.sweep.levels import Estimates, level_means, quartiles, shares
 from stepgap.report.sweep.sentences import percent
-from stepgap.report.sweep.variance_shares import VarianceShare, VarianceShares
+from stepgap.report.sweep.variance_shares import MOST_AXES, VarianceShare, VarianceShares
 from stepgap.step import Array, Quantity
 
 COLUMNS: Final = 3
@@ -22,6 +22,9 @@ COLUMNS: Final = 3
 
 MOST_NAMES: Final = 12
 """Number of levels up to which each is labelled; more of them are sorted by their value."""
+
+MOST_SORTED: Final = 50
+"""Largest number of sorted levels that are drawn."""
 
 MOST_POINTS: Final = 150
 """Largest number of single cases drawn in a panel."""
@@ -56,7 +59,7 @@ def main_effects_figure(
     for panel, axis in zip(panels, axes, strict=True):
         each = [level_means(axis, errors) for errors, _ in series]
         places = _place(panel, axis, each[-1].values)
-        if axis.points is not None and axis.values is not None:
+        if axis.points is not None and axis.values is not None and np.isfinite(axis.values).all():
             look: dict[str, Any] = {"color": LIGHT, "marker": ".", "markersize": 2.5, "linestyle": "", "zorder": 1}
             panel.plot(axis.values[drawn], points, **look, label="single cases, last deployment")
         for estimates, (_, look) in zip(each, series, strict=True):
@@ -98,13 +101,13 @@ def hops_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
 
 def sensitivity_figure(found: VarianceShares, state: Sequence[Quantity]) -> Figure:
     """Shares of the variance that axes, and pairs of axes, explain, with 95 % intervals."""
-    pairs = found.pairs[:MOST_PAIRS]
-    rows = [*found.axes, *pairs]
+    axes, pairs = found.axes[:MOST_AXES], found.pairs[:MOST_PAIRS]
+    rows = [*axes, *pairs]
     names = short_names([share.names[0] for share in found.axes])
     labels = [" × ".join(plain(names[name]) for name in share.names) for share in rows] + ["everything else"]
-    colours = [BLUE] * len(found.axes) + [SKY] * len(pairs) + [LIGHT]
+    colours = [BLUE] * len(axes) + [SKY] * len(pairs) + [LIGHT]
     values = np.array([*(share.values for share in rows), found.remainder]) * 100
-    places = -np.arange(len(labels), dtype=float) - 0.5 * (np.arange(len(labels)) >= len(found.axes))
+    places = -np.arange(len(labels), dtype=float) - 0.5 * (np.arange(len(labels)) >= len(axes))
     places[-1] -= 0.5 * bool(pairs)
     figure = Figure(figsize=(WIDTH, 0.7 + 0.19 * len(labels)), layout="constrained")
     FigureCanvasAgg(figure)
@@ -163,7 +166,8 @@ def _place(panel: Axes, axis: SweepAxis, ranking: Array) -> Array:
         _number_axis(panel, axis, places)
         return places
     if count > MOST_NAMES:
-        panel.set_xlabel(f"{plain(axis.name)}: {count} levels, sorted")
+        of_them = f"{MOST_SORTED} of " if count > MOST_SORTED else ""
+        panel.set_xlabel(f"{plain(axis.name)}: {of_them}{count} levels, sorted")
         panel.xaxis.set_major_locator(NullLocator())
         return np.argsort(np.argsort(ranking)).astype(float)
     places, labels = np.arange(count, dtype=float), [plain(level) for level in axis.levels]
@@ -205,6 +209,8 @@ def _draw(panel: Axes, axis: SweepAxis, places: Array, estimates: Estimates, loo
         look = {**look, "markersize": 2}
     order = np.argsort(places)
     heights = np.maximum(np.nan_to_num(bars, nan=0.0), 0)
+    if many:
+        order = order[np.linspace(0, len(order) - 1, min(len(order), MOST_SORTED)).round().astype(int)]
     known = order[np.isfinite(estimates.values[order])]
     panel.errorbar(
         places[known], estimates.values[known], heights[:, known], capsize=0 if many else 2, **{**style, **look}
