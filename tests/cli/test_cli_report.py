@@ -169,8 +169,8 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
 def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
     settings = combinations_of({"gap.delay": [0.001, 0.002], "learning.residual": ["gp", "linear"], "seed": [1, 2, 3]})
     write_results_table(Path("sweep"), settings, np.random.default_rng(0).uniform(0.01, 0.02, (12, 2, 2)))
-    axes = [{"names": [name], "points": [[0]] * len(set(texts))} for name, texts in settings.items()]
-    Path("sweep/sweep.toml").write_text(tomli_w.dumps({"keep": "runs", "resolved": axes}))
+    axes = {"gap.delay": [0.001, 0.002], "learning.residual": ["gp", "linear"]}
+    Path("sweep/sweep.toml").write_text(tomli_w.dumps({"seeds": [1, 2, 3], "axes": axes}))
     shutil.copy(finished / "experiment.toml", "sweep")
     assert stepgap("report", "sweep") == CommandResult(0, "sweep/report.html\n", "")
     text = Path("sweep/report.html").read_text(encoding="utf-8")
@@ -181,7 +181,7 @@ def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "sweep", "--out", "page.html"), own)
     refused(stepgap("report", finished, "sweep"), own)
     Path("sweep/experiment.toml").write_text("unheard_of = 1\n")
-    Path("sweep/sweep.toml").write_text("keep = 'runs'\n")
+    Path("sweep/sweep.toml").write_text("keep = 3\n")
     assert stepgap("report", "sweep").code == 0
     text = Path("sweep/report.html").read_text(encoding="utf-8")
     assert "without a valid sweep.toml the number of planned cases is not known" in text

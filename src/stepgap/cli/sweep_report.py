@@ -1,13 +1,12 @@
 """The report of a sweep, with its number of planned cases, its state coordinates, and the default settings."""
 
 from dataclasses import asdict
-from math import prod
 from pathlib import Path
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.base.settings_file import read_toml
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.experiment.sweep.sweep import SWEEP_FILE
+from stepgap.experiment.sweep.sweep_file import read_sweep
 from stepgap.records.missing import Missing
 from stepgap.records.results_table import RESULTS
 from stepgap.report import WrittenReport
@@ -40,9 +39,8 @@ def report_sweep(folder: Path) -> WrittenReport:
 def _planned(folder: Path) -> int | Missing:
     """Number of cases of the whole sweep."""
     try:
-        axes = read_toml(folder / SWEEP_FILE, "the file that the sweep wrote")["resolved"]
-        return prod(len(axis["points"]) for axis in axes)
-    except (InputError, KeyError, TypeError):
+        return len(read_sweep(folder / SWEEP_FILE))
+    except InputError:
         return Missing(f"without a valid {SWEEP_FILE} the number of planned cases is not known")
 
 

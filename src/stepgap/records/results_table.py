@@ -168,7 +168,7 @@ def _by_column(
 def _column(cells: Sequence[str], name: str, text: bool) -> NDArray[Any]:
     """A column as texts or as numbers."""
     if text:
-        return np.array(cells, dtype=str)
+        return np.array(cells, dtype=object if name == "failed" else str)  # not all cells as long as one reason
     try:
         return np.array([float(cell) if cell else np.nan for cell in cells])
     except ValueError:

@@ -106,7 +106,16 @@ def test_the_folder_of_a_sweep_has_all_files_to_read_it_again(tmp_path: Path) ->
         (tmp_path / "out" / name).write_text(text, encoding="utf-8")
     again = read_sweep(tmp_path / "out" / "sweep.toml")
     assert again.files == sweep.files
+    assert again.axes == sweep.axes
     assert [again.case(number) for number in range(2)] == [sweep.case(number) for number in range(2)]
+
+
+def test_points_of_other_versions_are_refused(tmp_path: Path) -> None:
+    text = sweep_of(tmp_path, '[sobol]\npoints = 4\n[sobol.ranges]\n"gap.delay" = [0.0, 0.001]').files["sweep.toml"]
+    (tmp_path / "experiment.toml").touch()
+    sweep_of(tmp_path, text)
+    with pytest.raises(InputError, match="points_sha256: the axes do not have these points"):
+        sweep_of(tmp_path, text.replace("0.001", "0.002"))
 
 
 def test_a_case_is_a_text_that_needs_no_other_file(tmp_path: Path) -> None:
@@ -140,7 +149,7 @@ def test_settings_that_do_not_fit_together_are_an_error_of_the_case(tmp_path: Pa
         ("[axes]\ngap.delay = { from = 0, to = 1, points = 1 }", ["points = 1", "an integer from 2"]),
         ('[axes]\ngap.delay = { from = 0, to = 1, points = 3, scale = "log" }', ["scale = 'log'", "positive"]),
         ("[axes]\ngap.delay = { from = 0, to = 1, point = 3 }", ["points = None"]),
-        ("[axes]\nseed = [1]", ["seed is on two axes"]),
+        ("[axes]\nseed = [1]", ["[axes] seed: give seeds = "]),
         ('[axes]\nplant = ["ethercat"]', ["plant = 'ethercat'", "twin, emulated-ring"]),
         ('[axes]\nrig = ["rig.toml"]', ["cannot use a rig"]),
         ("axes = 3", ["must be a table"]),
@@ -179,7 +188,7 @@ VALUES = st.recursive(
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
 @given(
     st.dictionaries(
-        st.sampled_from(["base", "seeds", "twins", "keep", "axes", "sobol", "resolved", "x"]),
+        st.sampled_from(["base", "seeds", "twins", "keep", "axes", "sobol", "points_sha256", "x"]),
         VALUES | st.dictionaries(st.sampled_from(["gap.delay", "seed", "points", "ranges", "names"]), VALUES),
         max_size=4,
     )

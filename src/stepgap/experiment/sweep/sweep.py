@@ -5,10 +5,10 @@ and a point gives values to one or several settings. Case i is the i-th combinat
 fastest. A case is made when it is needed, so that a sweep of 10⁵ cases takes little memory.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from math import prod
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -16,11 +16,9 @@ import tomli_w
 
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.settings import (
-    PATHS,
     Experiment,
     changed_experiment,
     experiment_files,
-    in_folder,
     load_known,
     load_reference,
     nested,
@@ -30,6 +28,9 @@ from stepgap.step import StepSpace
 
 SWEEP_FILE = "sweep.toml"
 """File in the folder of a sweep with its axes."""
+
+POINTS_SHA256 = "points_sha256"
+"""Key in that file: SHA-256 of the points of the axes."""
 
 TWIN_NUMBER, SEED = "twin", "seed"
 """Names of the axes of random twins and of seeds."""
@@ -61,14 +62,14 @@ class Sweep:
     Attributes:
         base: Settings of all cases that no axis changes.
         axes: The axes; the last one changes fastest.
+        table: The TOML table of the file, from which the axes were made.
         keep: Files of a case that are kept.
-        folder: Folder to which the paths of settings on an axis are relative.
     """
 
     base: Experiment
     axes: tuple[Axis, ...]
-    keep: Keep = "runs"
-    folder: Path = Path()
+    table: Mapping[str, Any]
+    keep: Keep
 
     def __len__(self) -> int:
         return prod(len(axis.points) for axis in self.axes)
@@ -95,7 +96,7 @@ class Sweep:
         Raises:
             InputError: They are not valid together.
         """
-        changed = with_changes(self.base, self.settings(number), self.folder)
+        changed = with_changes(self.base, self.settings(number))
         return changed_experiment(*changed, lambda name: f"case {number}: {name}")
 
     @property
@@ -103,11 +104,8 @@ class Sweep:
         """Texts of a folder from which the sweep can be read again, by file name."""
         space = self.space
         base = experiment_files(self.base, load_reference(self.base, space), load_known(self.base, space))
-        axes = [
-            {"names": list(axis.names), "points": list(map(list, axis.points))}
-            for axis in map(self._with_absolute_paths, self.axes)
-        ]
-        return {SWEEP_FILE: tomli_w.dumps({"keep": self.keep, "resolved": axes}), **base}
+        table = {**self.table, "base": "experiment.toml", POINTS_SHA256: points_digest(self.axes)}
+        return {SWEEP_FILE: tomli_w.dumps(table), **base}
 
     def case(self, number: int) -> str:
         """Files of the experiment of a case, and what to keep, as TOML."""
@@ -115,29 +113,21 @@ class Sweep:
         files = experiment_files(experiment, load_reference(experiment, space), load_known(experiment, space))
         return tomli_w.dumps({"keep": self.keep, "files": files})
 
-    def _with_absolute_paths(self, axis: Axis) -> Axis:
-        def absolute(name: str, value: Any) -> Any:
-            return str((self.folder / value).resolve()) if _is_path(name, value) else value
 
-        return replace(axis, points=tuple(tuple(map(absolute, axis.names, point)) for point in axis.points))
+def points_digest(axes: Sequence[Axis]) -> str:
+    """SHA-256 of the points of axes; a Sobol' sequence could change with the version of SciPy."""
+    return sha256(repr([(axis.names, axis.points) for axis in axes]).encode()).hexdigest()
 
 
-def with_changes(base: Experiment, changes: Mapping[str, Any], folder: Path) -> tuple[Experiment, dict[str, Any]]:
+def with_changes(base: Experiment, changes: Mapping[str, Any]) -> tuple[Experiment, dict[str, Any]]:
     """An experiment and a TOML table of its changes; the gap of a random twin is in the experiment already.
 
     Args:
         base: The experiment.
         changes: Values by dotted name; `twin` is the number of a random twin, whose gap replaces that of the experiment
             before the other settings change.
-        folder: Folder to which paths are relative.
     """
-    table: dict[str, Any] = {
-        name: in_folder(folder, name, value) if _is_path(name, value) else value for name, value in changes.items()
-    }
+    table = dict(changes)
     if TWIN_NUMBER in table:
         base = replace(base, gap=random_gap(random_stream(table.pop(TWIN_NUMBER))))
     return base, nested(table.items())
-
-
-def _is_path(name: str, value: Any) -> bool:
-    return name in PATHS and isinstance(value, str) and in_folder(Path("x"), name, value) != value

@@ -15,8 +15,17 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import read_toml
 from stepgap.experiment.plants import SIMULATED
-from stepgap.experiment.settings import Experiment, merged_experiment, read_experiment
-from stepgap.experiment.sweep.sweep import KEEP, SEED, TWIN_NUMBER, Axis, Sweep, with_changes
+from stepgap.experiment.settings import PATHS, Experiment, in_folder, merged_experiment, read_experiment
+from stepgap.experiment.sweep.sweep import (
+    KEEP,
+    POINTS_SHA256,
+    SEED,
+    TWIN_NUMBER,
+    Axis,
+    Sweep,
+    points_digest,
+    with_changes,
+)
 
 MOST_CASES = 10**6
 """Largest number of cases of a sweep."""
@@ -24,7 +33,7 @@ MOST_CASES = 10**6
 LARGEST_END = 1e300
 """Largest end of a range."""
 
-_KEYS = ("base", "seeds", "twins", "keep", "axes", "sobol")
+_KEYS = ("base", "seeds", "twins", "keep", "axes", "sobol", POINTS_SHA256)
 
 
 def read_sweep(path: Path) -> Sweep:
@@ -34,8 +43,6 @@ def read_sweep(path: Path) -> Sweep:
         InputError: The file is wrong; the message names the file, the key and what would be right.
     """
     table = read_toml(path, "a sweep")
-    if "resolved" in table:
-        return _resolved(path, table)
     _check_keys(table, _KEYS, f"{path}: ")
     base = read_experiment(path.parent / _text(table["base"], f"{path}: base") if "base" in table else None)
     if base.plant not in SIMULATED:
@@ -43,28 +50,26 @@ def read_sweep(path: Path) -> Sweep:
     keep: Any = table.get("keep", KEEP[0])
     if keep not in KEEP:
         raise InputError(f"{path}: keep = {format_value(keep)}, but it must be one of {', '.join(KEEP)}")
-    axes = [
+    values = {name: _absolute(name, value, path.parent) for name, value in _flat(_table(table, "axes", f"{path}: "))}
+    table = {"seeds": [base.seed], **table, "keep": keep, "axes": values}
+    axes = (
         *_twins(table, path),
         *_sobol(table, path),
-        *_axes(table, path),
-        Axis((SEED,), tuple((seed,) for seed in _integers(table.get("seeds", [base.seed]), f"{path}: seeds"))),
-    ]
+        *_axes(values, path),
+        Axis((SEED,), tuple((seed,) for seed in _integers(table["seeds"], f"{path}: seeds"))),
+    )
     _check(base, axes, path)
-    return Sweep(base, tuple(axes), keep, path.parent)
+    if table.pop(POINTS_SHA256, None) not in (None, points_digest(axes)):
+        wanted = "use the versions that made it, or remove this key for a new sweep"
+        raise InputError(f"{path}: {POINTS_SHA256}: the axes do not have these points; {wanted}")
+    return Sweep(base, axes, table, keep)
 
 
-def _resolved(path: Path, table: Mapping[str, Any]) -> Sweep:
-    """The sweep of a folder, as `Sweep.files` writes it."""
-    try:
-        axes = tuple(Axis(tuple(each["names"]), tuple(map(tuple, each["points"]))) for each in table["resolved"])
-        whole = all(axis.points and {len(axis.names)} == set(map(len, axis.points)) for axis in axes)
-        if table["keep"] not in KEEP or not whole:
-            raise ValueError
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{path}: not the file that a sweep wrote; give the sweep's own file") from None
-    base = read_experiment(path.parent / "experiment.toml")
-    _check(base, axes, path)
-    return Sweep(base, axes, table["keep"], path.parent)
+def _absolute(name: str, value: Any, folder: Path) -> Any:
+    """The values of an axis, with absolute paths."""
+    if name not in PATHS or not isinstance(value, list):
+        return value
+    return [in_folder(folder.resolve(), name, each) if isinstance(each, str) else each for each in value]
 
 
 def _check(base: Experiment, axes: Sequence[Axis], path: Path) -> None:
@@ -77,19 +82,20 @@ def _check(base: Experiment, axes: Sequence[Axis], path: Path) -> None:
     if count > MOST_CASES:
         raise InputError(f"{path}: these axes have {count} combinations, but there must be at most {MOST_CASES}")
     for axis in axes:
-        for point in axis.points:
-            for name, value in zip(axis.names, point, strict=True):
+        for name, values in zip(axis.names, zip(*axis.points, strict=True), strict=True):
+            numbers = all(type(value) is float for value in values)
+            for value in {min(values), max(values)} if numbers else values:  # the valid ones are an interval
                 _check_value(base, name, value, path)
 
 
 def _check_value(base: Experiment, name: str, value: Any, path: Path) -> None:
+    """Raises InputError if a value of a setting is not valid; numbers of twins and seeds were checked before."""
     if name == "plant" and value not in SIMULATED:
         raise InputError(f"{path}: plant = {format_value(value)}, but it must be one of {', '.join(SIMULATED)}")
     if name == "rig":
         raise InputError(f"{path}: rig: a sweep cannot use a rig; its plants are {', '.join(SIMULATED)}")
-    if name in (TWIN_NUMBER, SEED):
-        _integers([value], f"{path}: {name}")
-    merged_experiment(*with_changes(base, {name: value}, path.parent), lambda key: f"{path}: [axes] {key}")
+    if name not in (TWIN_NUMBER, SEED):
+        merged_experiment(*with_changes(base, {name: value}), lambda key: f"{path}: [axes] {key}")
 
 
 def _twins(table: Mapping[str, Any], path: Path) -> list[Axis]:
@@ -104,8 +110,10 @@ def _twins(table: Mapping[str, Any], path: Path) -> list[Axis]:
 def _axes(table: Mapping[str, Any], path: Path) -> list[Axis]:
     """Axes of single settings, each with a list of values or a range."""
     found = []
-    for name, value in _flat(_as_table(table.get("axes", {}), f"{path}: axes")):
+    for name, value in table.items():
         place = f"{path}: [axes] {name}"
+        if name in (TWIN_NUMBER, SEED):
+            raise InputError(f"{place}: give {name}s = […] at the top of the file instead")
         values = _evenly(value, place) if isinstance(value, Mapping) else value
         if not isinstance(values, list) or not values:
             wanted = "a list of values that is not empty, or a range such as { from = 0.5, to = 1, points = 6 }"
@@ -121,14 +129,14 @@ def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
     if "sobol" not in table:
         return []
     place = f"{path}: [sobol]"
-    sobol = _as_table(table["sobol"], place)
+    sobol = _table(table, "sobol", f"{path}: ")
     _check_keys(sobol, ("points", "seed", "ranges"), f"{place} ")
     points = sobol.get("points")
     if type(points) is not int or not 1 <= points <= MOST_CASES or points & (points - 1):
         rule = "a power of 2, such as 64, because only then is the sequence balanced"
         raise InputError(f"{place} points = {format_value(points)}, but it must be {rule}")
     (seed,) = _integers([sobol.get("seed", 0)], f"{place} seed")
-    ranges = dict(_flat(_as_table(sobol.get("ranges", {}), f"{place} ranges")))
+    ranges = dict(_flat(_table(sobol, "ranges", f"{place} ")))
     if not ranges:
         raise InputError(f'{place} ranges: missing; give some, such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]')
     fractions = qmc.Sobol(len(ranges), rng=random_stream(seed)).random(points)
@@ -198,9 +206,11 @@ def _check_keys(table: Mapping[str, Any], known: Sequence[str], place: str) -> N
             raise InputError(f"{place}{key}: unknown key; {meant or 'the keys here are ' + ', '.join(known)}")
 
 
-def _as_table(value: Any, place: str) -> Mapping[str, Any]:
+def _table(table: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
+    """The table under a key, empty if there is none."""
+    value = table.get(key, {})
     if not isinstance(value, Mapping):
-        raise InputError(f"{place} = {format_value(value)}, but it must be a table")
+        raise InputError(f"{place}{key} = {format_value(value)}, but it must be a table")
     return value
 
 
