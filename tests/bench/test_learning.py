@@ -192,7 +192,7 @@ def test_a_folder_of_other_cases_is_refused(stepgap: Command) -> None:
     ((name, text),) = PLAN.files.items()
     Path("mine", name).write_text(text)
     other = ("bench", "learning", "--out", "mine", "--resume", "--quick")
-    refused(stepgap(*other), "mine/learning.toml: already there, but of another plan than this one; choose another")
+    refused(stepgap(*other), "mine/learning.toml: already there, but of other cases than these; choose another")
     assert Path("mine", name).read_text() == text
 
 

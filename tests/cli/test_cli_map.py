@@ -126,7 +126,7 @@ def test_parts_of_a_table_say_how_many_are_finished(stepgap: Command, in_a_threa
     refused(stepgap(*command, "--processes", 2), "t.npz.cases: already holds results of these cases; continue by")
     refused(
         stepgap("map", "--points", 10, "--table", "t.npz", "--resume"),
-        "t.npz.cases/table.toml: already there, but of another plan than this one; choose another",
+        "t.npz.cases/table.toml: already there, but of other cases than these; choose another",
     )
     refused(stepgap(*command, "--merge", "none"), "--merge none: contains no table.toml")
     refused(stepgap(*command, "--shard", "1/2", "--dask", "local"), "--shard, --dask: give only one of them")

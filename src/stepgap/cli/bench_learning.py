@@ -2,13 +2,21 @@
 
 import json
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter, validators
 
 from stepgap.base.errors import InputError, StepGapError
-from stepgap.cli.execution import THIS_MACHINE, Execution, all_finished, execute_cases, opened, shard_of, stopping
+from stepgap.cli.execution import (
+    THIS_MACHINE,
+    Execution,
+    all_finished,
+    continuing,
+    execute_cases,
+    opened,
+    shard_of,
+    stopping,
+)
 from stepgap.cli.options import Flag, Integer
 from stepgap.cli.terminal import announces_compilation
 
@@ -52,7 +60,7 @@ def bench_learning_(
     shard = shard_of(execution)
     with (
         opened(out, plan, execution, shard) as cases,
-        stopping(f"stepgap bench learning --out {quote(str(out))} --resume"),
+        stopping(continuing("bench learning", out, execution)),
     ):
         execute_cases(plan, cases, measure_case, execution, shard)
         if all_finished(plan, cases, execution):

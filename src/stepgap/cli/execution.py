@@ -1,6 +1,7 @@
 """Execution of cases: the options, the progress and the messages that several verbs share."""
 
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
@@ -87,12 +88,22 @@ def opened(path: Path, plan: "Plan", execution: Execution, shard: "Shard | None"
     for other in execution.merge:
         if not (other / name).is_file():
             raise InputError(f"--merge {other}: contains no {name}, so there are no results to add")
+        with CaseFolder(other, plan, join=True):
+            pass  # it holds the same cases
     try:
         folder = CaseFolder(path, plan, execution.resume or bool(execution.merge) or shard is not None)
     except OSError as error:
         raise InputError(f"{message_of(error)}; choose another folder") from None
     with folder:
         yield folder
+
+
+def continuing(verb: str, folder: Path, execution: Execution) -> str:
+    """The command line that continues an execution."""
+    options = {"--processes": execution.processes, "--shard": execution.shard, "--dask": execution.dask}
+    given = [word for name, value in options.items() if value is not None for word in (name, str(value))]
+    given += ["--merge", *map(str, execution.merge)] if execution.merge else []
+    return shlex.join(["stepgap", *verb.split(), "--out", str(folder), "--resume", *given])
 
 
 @contextmanager
@@ -118,10 +129,7 @@ def execute_cases(
         return
     finished, chosen = folder.finished(), shard.numbers(len(plan)) if shard else range(len(plan))
     if execution.retry_failed:
-        for number in finished.intersection(chosen):
-            if folder.read(number).failed:
-                folder.forget(number)
-                finished.discard(number)
+        finished -= {number for number in finished.intersection(chosen) if folder.forget_failure(number)}
     numbers = [number for number in chosen if number not in finished]
     if not numbers:
         return
@@ -192,8 +200,5 @@ def _merge_folders(plan: "Plan", folder: "CaseFolder", others: "Iterable[Path]")
     for path in others:
         if path.resolve() == folder.path.resolve():
             continue
-        try:
-            with CaseFolder(path, plan, join=True) as other:
-                folder.add_results(other)
-        except OSError as error:
-            raise InputError(f"--merge {path}: {message_of(error)}") from None
+        with CaseFolder(path, plan, join=True) as other:
+            folder.add_results(other)

@@ -1,11 +1,19 @@
 """The verb `stepgap sweep`."""
 
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING
 
-from stepgap.base.errors import InputError
-from stepgap.cli.execution import THIS_MACHINE, Execution, all_finished, execute_cases, opened, shard_of, stopping
+from stepgap.base.errors import InputError, StepGapError
+from stepgap.cli.execution import (
+    THIS_MACHINE,
+    Execution,
+    all_finished,
+    continuing,
+    execute_cases,
+    opened,
+    shard_of,
+    stopping,
+)
 from stepgap.cli.options import Flag
 from stepgap.cli.terminal import announces_compilation, warn
 
@@ -41,7 +49,7 @@ def sweep(
         return
     shard = shard_of(execution)
     folder = out or _new_folder(shard)
-    command = f"stepgap sweep --out {quote(str(folder))} --resume"
+    command = continuing("sweep", folder, execution)
     with opened(folder, found, execution, shard) as cases, stopping(command):
         execute_cases(found, cases, run_case, execution, shard)
         if all_finished(found, cases, execution) or (cases.finished() and not shard):
@@ -82,6 +90,9 @@ def _write_all(found: "Sweep", folder: "CaseFolder", quiet: bool) -> None:
         print(path)
     if report.missing and not quiet:
         warn(f"missing in the report: {'; '.join(report.missing)}")
+    _, first = next(folder.results())
+    if all(found.failed for _, found in folder.results()):
+        raise StepGapError(f"{folder.path}: all cases failed, the first one: {first.failed}")
 
 
 def write_tables(found: "Sweep", folder: "CaseFolder") -> "list[Path]":
@@ -95,6 +106,7 @@ def write_tables(found: "Sweep", folder: "CaseFolder") -> "list[Path]":
     try:
         content = parquet_file(read_results(path).as_columns())
     except InputError:
+        path.with_suffix(".parquet").unlink(missing_ok=True)  # one of an earlier table
         return [path]
     with folder.alone():
         write_whole(path.with_suffix(".parquet"), content)

@@ -63,10 +63,39 @@ def test_only_the_same_plan_continues_a_folder(folder: CaseFolder) -> None:
     with pytest.raises(InputError, match="--resume"):
         CaseFolder(folder.path, PLAN, join=False)
     before = (folder.path / "plan.toml").read_bytes()
-    with pytest.raises(InputError, match=r"plan\.toml: already there, but of another plan"):
+    with pytest.raises(InputError, match=r"plan\.toml: already there, but of other cases"):
         CaseFolder(folder.path, Squares(2500, name="other"), join=True)
     assert (folder.path / "plan.toml").read_bytes() == before
     CaseFolder(folder.path, PLAN, join=True).__exit__()
+
+
+def test_results_of_a_changed_plan_are_refused(folder: CaseFolder) -> None:
+    assert folder.claim(1)
+    folder.store(1, CaseResult(1))
+    (folder.path / "plan.toml").write_text(Squares(2500, name="new").files["plan.toml"])
+    with (
+        CaseFolder(folder.path, Squares(2500, name="new"), join=True) as changed,
+        pytest.raises(InputError, match=r"00000001\.json: computed before plan\.toml, notes\.txt in .* were changed"),
+    ):
+        changed.read(1)
+
+
+def test_a_failure_is_forgotten_but_no_success(folder: CaseFolder) -> None:
+    for number, failed in ((1, ""), (2, "bad")):
+        assert folder.claim(number)
+        folder.store(number, CaseResult(1, failed=failed))
+    assert [folder.forget_failure(number) for number in (0, 1, 2)] == [False, False, True]
+    assert folder.finished() == {1}
+
+
+def test_merging_copies_regular_files_only(folder: CaseFolder, tmp_path: Path) -> None:
+    with CaseFolder(tmp_path / "other", PLAN, join=False) as other:
+        assert other.claim(4)
+        other.store(4, CaseResult(1, files={"a/b.txt": "b"}))
+        (other.kept(4) / "link").symlink_to("/etc/hostname")
+        folder.add_results(other)
+    assert folder.read(4) == CaseResult(1)
+    assert [path.name for path in sorted(folder.kept(4).rglob("*"))] == ["a", "b.txt"]
 
 
 def test_a_folder_with_other_files_is_not_used(tmp_path: Path) -> None:

@@ -118,6 +118,14 @@ def test_points_of_other_versions_are_refused(tmp_path: Path) -> None:
         sweep_of(tmp_path, text.replace("0.001", "0.002"))
 
 
+def test_a_changed_file_of_an_axis_is_another_sweep(tmp_path: Path) -> None:
+    (tmp_path / "r.csv").write_text("speed,height\n0,0.55\n")
+    before = sweep_of(tmp_path, '[axes]\nreference = ["r.csv"]').files
+    assert sweep_of(tmp_path, '[axes]\nreference = ["r.csv"]').files == before
+    (tmp_path / "r.csv").write_text("speed,height\n0,0.56\n")
+    assert sweep_of(tmp_path, '[axes]\nreference = ["r.csv"]').files != before
+
+
 def test_a_case_is_a_text_that_needs_no_other_file(tmp_path: Path) -> None:
     (tmp_path / "r.csv").write_text("speed,height\n0,0.55\n0.1,0.56\n")
     sweep = sweep_of(tmp_path, 'keep = "steps"\n[axes]\nreference = ["r.csv"]')
@@ -160,8 +168,12 @@ def test_settings_that_do_not_fit_together_are_an_error_of_the_case(tmp_path: Pa
         ("seeds = 3", ["seeds = 3"]),
         ("twins = 0", ["twins = 0", "number of random twins"]),
         ('keep = "all"', ["keep = 'all'", "runs, steps, nothing"]),
-        ('base = "none.toml"', ["none.toml: No such file"]),
+        ('base = "none.toml"', ["my.toml: base = 'none.toml'", "an existing file of settings"]),
         ("base = 3", ["base = 3"]),
+        ('reference = "r.csv"\n[axes]', ["reference: unknown key"]),
+        ('[axes]\nreference = ["none.csv"]', ["none.csv: No such file"]),
+        ('[axes]\n"learning" = [{ residual = "linear" }]', ["[axes] learning", "a list of values"]),
+        ('[axes]\n"gap.delay" = [0, 0.0]', ["its values must differ"]),
         ("[sobol]\npoints = 60", ["points = 60", "power of 2"]),
         ("[sobol]\npoints = 64", ["ranges: missing"]),
         ('[sobol]\npoints = 64\n[sobol.ranges]\n"gap.delay" = [1]', ["[sobol.ranges] gap.delay = [1]"]),

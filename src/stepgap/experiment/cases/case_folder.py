@@ -9,9 +9,9 @@ import errno
 import fcntl
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path, PurePosixPath
 from typing import Any, Self
 
@@ -38,12 +38,13 @@ class CaseFolder:
         join: Whether the folder may hold results of this plan already.
 
     Raises:
-        InputError: The folder holds another plan, or other files with the names of the plan's files.
+        InputError: The folder holds the cases of another plan, or other files.
         OSError: A file cannot be read or written.
     """
 
     def __init__(self, path: Path, plan: Plan, join: bool):
         self.path, self._plan = path, plan
+        self._digest = sha256(json.dumps(dict(plan.files)).encode()).hexdigest()
         self._missing(join)  # before anything is written
         path.mkdir(parents=True, exist_ok=True)
         self._claims = os.open(path / CLAIMS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
@@ -71,7 +72,7 @@ class CaseFolder:
         for name, text in self._plan.files.items():
             if texts[name] != text and (complete or texts[name] is not None):
                 raise InputError(
-                    f"{self.path / name}: already there, but of another plan than this one; choose another folder"
+                    f"{self.path / name}: already there, but of other cases than these; choose another folder"
                 )
         if not any(texts.values()) and self.path.is_dir():
             ours = {CLAIMS, *(f"{name}.partial" for name in texts)}
@@ -100,12 +101,22 @@ class CaseFolder:
 
     def claim(self, number: int) -> bool:
         """Claims a case for this process; False if another process has it, or it has a result."""
-        if self._result(number).exists() or not self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB, number):
+        if self.result_path(number).exists() or not self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB, number):
             return False
-        if self._result(number).exists():  # stored between the two lines above
+        if self.result_path(number).exists():  # stored between the two lines above
             self._lock(fcntl.LOCK_UN, number)
             return False
         return True
+
+    def forget_failure(self, number: int) -> bool:
+        """Removes the result of a case that failed, so that it can be computed again; returns whether it did."""
+        if not self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB, number):
+            return False
+        failed = self.result_path(number).exists() and bool(self.read(number).failed)
+        if failed:
+            self.result_path(number).unlink()
+        self._lock(fcntl.LOCK_UN, number)
+        return failed
 
     def store(self, number: int, result: CaseResult) -> None:
         """Stores the result of a claimed case, after the files to keep, and gives up the claim.
@@ -115,7 +126,7 @@ class CaseFolder:
         """
         for name, text in result.files.items():
             write_whole(self.kept(number) / checked_name(name), text)
-        write_whole(self._result(number), result.text())
+        write_whole(self.result_path(number), json.dumps({"plan": self._digest, **result.content()}))
         self._lock(fcntl.LOCK_UN, number)
 
     def read(self, number: int) -> CaseResult:
@@ -125,7 +136,7 @@ class CaseFolder:
             InputError: The file is not a result.
             OSError: It cannot be read.
         """
-        path = self._result(number)
+        path = self.result_path(number)
         with path.open("rb") as file:
             content = file.read(LARGEST_RESULT + 1)
         try:
@@ -138,6 +149,9 @@ class CaseFolder:
             raise InputError(
                 f"{path}: not the result of a case ({error!s:.100}); remove this file and continue with --resume"
             ) from None
+        if found.get("plan") != self._digest:
+            names = ", ".join(self._plan.files)
+            raise InputError(f"{path}: computed before {names} in {self.path} were changed; use a new folder")
         seconds = found.get("seconds")
         return CaseResult(found["result"], found["failed"], float(seconds) if isinstance(seconds, int | float) else 0.0)
 
@@ -158,19 +172,16 @@ class CaseFolder:
         for number in sorted(other.finished() - self.finished()):
             if self.claim(number):
                 result = other.read(number)
-                if other.kept(number).is_dir():
-                    shutil.copytree(other.kept(number), self.kept(number), symlinks=True, dirs_exist_ok=True)
+                for file in filter(_is_regular, other.kept(number).rglob("*")):
+                    write_whole(self.kept(number) / file.relative_to(other.kept(number)), file.read_bytes())
                 self.store(number, result)
-
-    def forget(self, number: int) -> None:
-        """Removes the result of a case, so that it is computed again."""
-        self._result(number).unlink(missing_ok=True)
 
     def kept(self, number: int) -> Path:
         """Folder of the files that are kept of a case."""
         return self.path / "runs" / f"{number:08d}"
 
-    def _result(self, number: int) -> Path:
+    def result_path(self, number: int) -> Path:
+        """File of the result of a case."""
         return self.path / "cases" / f"{number // _IN_A_FOLDER:05d}" / f"{number:08d}.json"
 
     def _lock(self, operation: int, position: int) -> bool:
@@ -195,6 +206,11 @@ def checked_name(name: str) -> str:
     if path.is_absolute() or not path.parts or ".." in path.parts or "\0" in name:
         raise InputError(f"{name!r:.60}: must be the name of a file below the folder of its case")
     return name
+
+
+def _is_regular(path: Path) -> bool:
+    """Whether a path is a file, and not a link to one."""
+    return path.is_file() and not path.is_symlink()
 
 
 def _text_of(path: Path) -> str | None:

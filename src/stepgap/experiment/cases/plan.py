@@ -1,6 +1,5 @@
 """Cases: independent computations that are numbered from 0 and described by a TOML text."""
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -66,9 +65,9 @@ class CaseResult:
     seconds: float = 0.0
     files: Mapping[str, str] = field(default_factory=dict)
 
-    def text(self) -> str:
-        """The result as JSON, without the files."""
-        return json.dumps({"failed": self.failed, "seconds": round(self.seconds, 3), "result": self.result})
+    def content(self) -> dict[str, Any]:
+        """The result as data for JSON, without the files."""
+        return {"failed": self.failed, "seconds": round(self.seconds, 3), "result": self.result}
 
 
 def computed(compute: Compute, case: str) -> CaseResult:

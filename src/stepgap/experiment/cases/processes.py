@@ -8,12 +8,17 @@ from contextlib import suppress
 from multiprocessing import connection, get_context, parent_process
 from queue import SimpleQueue
 from threading import Event, Thread
+from time import sleep
 from typing import Any, final
 
 from stepgap.base.errors import StepGapError
 
 ATTEMPTS = 3
 """Number of processes that may end during one call before the call fails."""
+
+
+GRACE = 5.0
+"""Time that a process has to end by itself [s]."""
 
 
 class ProcessEnded(StepGapError):
@@ -85,11 +90,7 @@ class _Process:
     def call(self, call: Any) -> Any:
         """Makes a call; raises EOFError if the process ends during the call, or calls are refused."""
         if self._process is None:
-            context = get_context("spawn")
-            self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
-            self._process.start()
-            theirs.close()
+            self._start()
         if self._closed.is_set():  # not before the start, which could come after an interrupt
             raise EOFError
         try:
@@ -101,28 +102,43 @@ class _Process:
             raise error
         return value
 
+    def _start(self) -> None:
+        context = get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        try:
+            process.start()
+        except BaseException:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        self._process, self._pipe = process, ours
+
     def interrupt(self) -> None:
-        """Kills the process; any thread may call this."""
+        """Asks the process to end its call; any thread may call this."""
         process = self._process
         if process is not None and process.is_alive():
-            process.kill()
+            process.terminate()
 
     def end(self) -> int | None:
-        """Kills the process, if there is one, and returns its exit code."""
+        """Ends the process, if there is one, and returns its exit code."""
         if self._process is None:
             return None
+        self._pipe.close()  # without a call, the process ends
+        self._process.join(GRACE)
         self._process.kill()
         self._process.join()
         code, self._process = self._process.exitcode, None
-        self._pipe.close()
         return code
 
 
 def _serve(pipe: connection.Connection) -> None:
     """Answers calls until the other end is closed or its process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the first one decides
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that a call removes its temporary files
     Thread(target=_end_with_parent, daemon=True).start()
-    with suppress(EOFError, ConnectionError):
+    with suppress(EOFError, ConnectionError, KeyboardInterrupt):
         while True:
             function, args, kwargs = pipe.recv()
             try:
@@ -137,4 +153,6 @@ def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)
+        sleep(GRACE)
         os._exit(1)

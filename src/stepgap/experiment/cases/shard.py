@@ -26,20 +26,22 @@ class Shard:
 
 
 class _Variables(NamedTuple):
-    """Environment variables of a task of a job array: its number, the first and the last number, and their interval."""
+    """Environment variables of a task of a job array: its number, the first and last ones, their interval and count."""
 
     number: str
     first: str
     last: str
     interval: str
+    tasks: str
 
 
+_SLURM = (f"SLURM_ARRAY_TASK_{name}" for name in ("ID", "MIN", "MAX", "STEP", "COUNT"))
 _SCHEDULERS = (
-    _Variables("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_MAX", "SLURM_ARRAY_TASK_STEP"),
-    _Variables("LSB_JOBINDEX", "", "LSB_JOBINDEX_END", "LSB_JOBINDEX_STEP"),
-    _Variables("SGE_TASK_ID", "SGE_TASK_FIRST", "SGE_TASK_LAST", "SGE_TASK_STEPSIZE"),
-    _Variables("PBS_ARRAY_INDEX", "", "", ""),
-    _Variables("PBS_ARRAYID", "", "", ""),
+    _Variables(*_SLURM),
+    _Variables("LSB_JOBINDEX", "", "LSB_JOBINDEX_END", "LSB_JOBINDEX_STEP", ""),
+    _Variables("SGE_TASK_ID", "SGE_TASK_FIRST", "SGE_TASK_LAST", "SGE_TASK_STEPSIZE", ""),
+    _Variables("PBS_ARRAY_INDEX", "", "", "", ""),
+    _Variables("PBS_ARRAYID", "", "", "", ""),
 )
 """Job arrays of SLURM, LSF, Grid Engine, PBS Pro and TORQUE; PBS does not give the last number."""
 
@@ -74,5 +76,8 @@ def shard_of_job_array(environment: Mapping[str, str]) -> Shard | None:
                 f"--shard: {names.number} is set, but not the number of tasks; give --shard ${names.number}/N"
             )
         first, interval = int(environment.get(names.first) or 1), int(environment.get(names.interval) or 1)
-        return Shard((int(number) - first) // interval + 1, (int(environment[names.last]) - first) // interval + 1)
+        count = (int(environment[names.last]) - first) // interval + 1
+        if int(environment.get(names.tasks) or count) != count:
+            raise InputError(f"--shard: the numbers of this job array have gaps; give --shard ${names.number}/N")
+        return Shard((int(number) - first) // interval + 1, count)
     return None

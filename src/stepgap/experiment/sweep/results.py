@@ -31,4 +31,5 @@ def _rows(sweep: Sweep, folder: CaseFolder, progress: Progress) -> Iterator[list
         try:
             yield from rows_of(number, sweep.settings(number), found.result, found.failed, sweep.space)
         except ValueError as error:
-            raise InputError(f"{folder.path}: {error}") from None
+            remedy = "remove this file and continue with --resume"
+            raise InputError(f"{folder.result_path(number)}: {error}; {remedy}") from None

@@ -16,6 +16,7 @@ import tomli_w
 
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.settings import (
+    PATHS,
     Experiment,
     changed_experiment,
     experiment_files,
@@ -102,21 +103,34 @@ class Sweep:
     @property
     def files(self) -> Mapping[str, str]:
         """Texts of a folder from which the sweep can be read again, by file name."""
-        space = self.space
-        base = experiment_files(self.base, load_reference(self.base, space), load_known(self.base, space))
-        table = {**self.table, "base": "experiment.toml", POINTS_SHA256: points_digest(self.axes)}
+        base = _input_files(self.base)
+        table = {**self.table, "base": "experiment.toml", POINTS_SHA256: points_digest(self.base, self.axes)}
         return {SWEEP_FILE: tomli_w.dumps(table), **base}
 
     def case(self, number: int) -> str:
         """Files of the experiment of a case, and what to keep, as TOML."""
-        experiment, space = self.experiment(number), self.space
-        files = experiment_files(experiment, load_reference(experiment, space), load_known(experiment, space))
-        return tomli_w.dumps({"keep": self.keep, "files": files})
+        return tomli_w.dumps({"keep": self.keep, "files": _input_files(self.experiment(number))})
 
 
-def points_digest(axes: Sequence[Axis]) -> str:
-    """SHA-256 of the points of axes; a Sobol' sequence could change with the version of SciPy."""
-    return sha256(repr([(axis.names, axis.points) for axis in axes]).encode()).hexdigest()
+def points_digest(base: Experiment, axes: Sequence[Axis]) -> str:
+    """SHA-256 of the points of axes, with the content of the files that they name.
+
+    It recognises points of other versions of NumPy and SciPy, and files that were changed.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    content = repr([(axis.names, axis.points) for axis in axes])
+    for axis in axes:
+        for point in axis.points if {*axis.names} & {*PATHS} else ():
+            content += repr(_input_files(replace(base, **dict(zip(axis.names, point, strict=True)))))
+    return sha256(content.encode()).hexdigest()
+
+
+def _input_files(experiment: Experiment) -> dict[str, str]:
+    """Texts of all files of an experiment, by their names in the folder of a run."""
+    space = experiment.command.space()
+    return experiment_files(experiment, load_reference(experiment, space), load_known(experiment, space))
 
 
 def with_changes(base: Experiment, changes: Mapping[str, Any]) -> tuple[Experiment, dict[str, Any]]:

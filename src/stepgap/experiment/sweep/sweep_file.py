@@ -15,7 +15,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import read_toml
 from stepgap.experiment.plants import SIMULATED
-from stepgap.experiment.settings import PATHS, Experiment, in_folder, merged_experiment, read_experiment
+from stepgap.experiment.settings import PATHS, Experiment, in_folder, load_reference, merged_experiment, read_experiment
 from stepgap.experiment.sweep.sweep import (
     KEEP,
     POINTS_SHA256,
@@ -44,7 +44,7 @@ def read_sweep(path: Path) -> Sweep:
     """
     table = read_toml(path, "a sweep")
     _check_keys(table, _KEYS, f"{path}: ")
-    base = read_experiment(path.parent / _text(table["base"], f"{path}: base") if "base" in table else None)
+    base = read_experiment(_base_file(table["base"], path) if "base" in table else None)
     if base.plant not in SIMULATED:
         raise InputError(f"{path}: base: plant '{base.plant}' is a rig; a sweep needs one of {', '.join(SIMULATED)}")
     keep: Any = table.get("keep", KEEP[0])
@@ -58,9 +58,10 @@ def read_sweep(path: Path) -> Sweep:
         *_axes(values, path),
         Axis((SEED,), tuple((seed,) for seed in _integers(table["seeds"], f"{path}: seeds"))),
     )
+    load_reference(base, base.command.space())  # tells now, not in every case, that a file is missing
     _check(base, axes, path)
-    if table.pop(POINTS_SHA256, None) not in (None, points_digest(axes)):
-        wanted = "use the versions that made it, or remove this key for a new sweep"
+    if table.pop(POINTS_SHA256, None) not in (None, points_digest(base, axes)):
+        wanted = "use the versions and files that made it, or remove this key for a new sweep"
         raise InputError(f"{path}: {POINTS_SHA256}: the axes do not have these points; {wanted}")
     return Sweep(base, axes, table, keep)
 
@@ -78,6 +79,8 @@ def _check(base: Experiment, axes: Sequence[Axis], path: Path) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{path}: {name} is on two axes; it must be on one")
+        if any(other.startswith(f"{name}.") for other in names):
+            raise InputError(f"{path}: {name} is a table and on two axes; give its keys, such as {name}.KEY")
     count = prod(len(axis.points) for axis in axes)
     if count > MOST_CASES:
         raise InputError(f"{path}: these axes have {count} combinations, but there must be at most {MOST_CASES}")
@@ -115,10 +118,11 @@ def _axes(table: Mapping[str, Any], path: Path) -> list[Axis]:
         if name in (TWIN_NUMBER, SEED):
             raise InputError(f"{place}: give {name}s = […] at the top of the file instead")
         values = _evenly(value, place) if isinstance(value, Mapping) else value
-        if not isinstance(values, list) or not values:
+        single = isinstance(values, list) and not any(isinstance(each, Mapping | list) for each in values)
+        if not values or not single:
             wanted = "a list of values that is not empty, or a range such as { from = 0.5, to = 1, points = 6 }"
             raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}")
-        if len(set(map(repr, values))) < len(values):
+        if len(set(values)) < len(values):
             raise InputError(f"{place} = {format_value(value)}, but its values must differ")
         found.append(Axis((name,), tuple((each,) for each in values)))
     return found
@@ -214,10 +218,13 @@ def _table(table: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
     return value
 
 
-def _text(value: Any, place: str) -> str:
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{place} = {format_value(value)}, but it must be the file of an experiment")
-    return value
+def _base_file(value: Any, path: Path) -> Path:
+    if not isinstance(value, str) or not (path.parent / value).is_file():
+        wanted = (
+            "an existing file of settings, such as the experiment.toml of a run; without base, the default experiment"
+        )
+        raise InputError(f"{path}: base = {format_value(value)}, but it must be {wanted}")
+    return path.parent / value
 
 
 _NUMBERS = "a list of different integers from 0, such as [1, 2, 3]"

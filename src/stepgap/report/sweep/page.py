@@ -38,8 +38,9 @@ INTERVALS: Final = (
     "geometric mean is the exponential of the mean logarithm: one case with a large error does not dominate it."
 )
 EFFECTS_CAPTION: Final = (
-    "RMSE of {name} by the value of each setting: geometric mean of all cases with this value, whatever their other "
-    "settings, with a 95 % interval. All panels have the same vertical axis, so a steeper curve is a larger effect."
+    "RMSE of {name} by the value of each setting: geometric mean of the cases with this value, whatever their other "
+    "settings, that had no fall in that deployment, with a 95 % interval. All panels have the same vertical axis, so a "
+    "steeper curve is a larger effect."
 )
 POINTS_CAPTION: Final = (
     " A setting with many values is divided into ranges with equally many cases; grey points are single cases. Cases "

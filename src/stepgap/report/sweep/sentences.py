@@ -150,7 +150,10 @@ def _largest(found: VarianceShares, state: Sequence[Quantity]) -> list[str]:
                 f"Settings with the largest share of the variance of the {quantity.name} error: {', '.join(named)}."
             )
         else:
-            lines.append(f"No setting has a measurable effect on the last {quantity.name} error.")
+            lines.append(
+                f"No setting's share of the variance of the {quantity.name} error is certainly above zero; the ratios "
+                "below, from pairs of cases, may still show an effect."
+            )
     return lines
 
 
