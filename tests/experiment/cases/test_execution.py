@@ -81,13 +81,14 @@ def test_shutdown_without_waiting_ends_calls_at_once(tmp_path: Path) -> None:
     executor = Processes(1)
     call = executor.submit(sleep_after, tmp_path / "mark")
     waiting = executor.submit(square_of_caller, 1)
-    while not (tmp_path / "mark").exists():
+    mark = tmp_path / "mark"
+    while not (mark.exists() and mark.read_text()):
         sleep(0.01)
     executor.shutdown(wait=False)
     assert isinstance(call.exception(), ProcessEnded)
     assert waiting.cancelled() or isinstance(waiting.exception(), ProcessEnded)
     with pytest.raises(ProcessLookupError):
-        os.kill(int((tmp_path / "mark").read_text()), 0)
+        os.kill(int(mark.read_text()), 0)
 
 
 def test_no_process_outlives_the_one_that_started_it(tmp_path: Path) -> None:
