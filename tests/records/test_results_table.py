@@ -46,8 +46,8 @@ def test_numbers_come_back_without_loss(tmp_path: Path, error: float, seed: int,
 
 
 def test_texts_stay_texts() -> None:
-    assert as_numbers(np.array(["1", "x"])).tolist() == ["1", "x"]
-    assert as_numbers(np.array(["1", "0.5"])).tolist() == [1, 0.5]
+    assert as_numbers(np.array(["1", "x"], dtype=object)).tolist() == ["1", "x"]
+    assert as_numbers(np.array(["1", "0.5"], dtype=object)).tolist() == [1, 0.5]
 
 
 @pytest.mark.parametrize(

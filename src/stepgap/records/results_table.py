@@ -110,7 +110,7 @@ def as_numbers(values: NDArray[Any]) -> NDArray[Any]:
     """Texts as integers or numbers if all of them are, otherwise as they are."""
     for kind in (np.int64, np.float64):
         try:
-            return values.astype(kind) if values.dtype.kind == "U" else values
+            return values.astype(kind) if values.dtype.kind == "O" else values
         except (ValueError, OverflowError):
             pass
     return values
@@ -168,7 +168,8 @@ def _by_column(
 def _column(cells: Sequence[str], name: str, text: bool) -> NDArray[Any]:
     """A column as texts or as numbers."""
     if text:
-        return np.array(cells, dtype=object if name == "failed" else str)  # not all cells as long as one reason
+        shared: dict[str, str] = {}
+        return np.array([shared.setdefault(cell, cell) for cell in cells], dtype=object)  # few texts, many rows
     try:
         return np.array([float(cell) if cell else np.nan for cell in cells])
     except ValueError:
