@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from io import StringIO
 from itertools import islice
@@ -109,10 +110,8 @@ class ResultsTable:
 def as_numbers(values: NDArray[Any]) -> NDArray[Any]:
     """Texts as integers or numbers if all of them are, otherwise as they are."""
     for kind in (np.int64, np.float64):
-        try:
+        with suppress(ValueError, OverflowError):
             return values.astype(kind) if values.dtype.kind == "O" else values
-        except (ValueError, OverflowError):
-            pass
     return values
 
 

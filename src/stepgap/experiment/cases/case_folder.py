@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
-from typing import Any, Self
+from typing import Self
 
 from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
@@ -43,15 +43,15 @@ class CaseFolder:
     """
 
     def __init__(self, path: Path, plan: Plan, join: bool):
-        self.path, self._plan = path, plan
-        self._digest = sha256(json.dumps(dict(plan.files)).encode()).hexdigest()
+        self.path, self._count, self._files = path, len(plan), dict(plan.files)
+        self._digest = sha256(json.dumps(self._files).encode()).hexdigest()
         self._missing(join)  # before anything is written
         path.mkdir(parents=True, exist_ok=True)
         self._claims = os.open(path / CLAIMS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         try:
             with self.alone():
                 for name in self._missing(join):
-                    write_whole(path / name, plan.files[name])
+                    write_whole(path / name, self._files[name])
         except BaseException:
             os.close(self._claims)
             raise
@@ -67,9 +67,9 @@ class CaseFolder:
 
         The first file of the plan is written last: it says that all are there.
         """
-        texts = {name: _text_of(self.path / name) for name in self._plan.files}
+        texts = {name: _text_of(self.path / name) for name in self._files}
         complete = next(iter(texts.values())) is not None
-        for name, text in self._plan.files.items():
+        for name, text in self._files.items():
             if texts[name] != text and (complete or texts[name] is not None):
                 raise InputError(
                     f"{self.path / name}: already there, but of other cases than these; choose another folder"
@@ -85,19 +85,18 @@ class CaseFolder:
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Excludes the other processes that use the folder, for changes of files that all share."""
-        position = len(self._plan)
-        self._lock(fcntl.LOCK_EX, position)
+        self._lock(fcntl.LOCK_EX, self._count)
         try:
             yield
         finally:
-            self._lock(fcntl.LOCK_UN, position)
+            self._lock(fcntl.LOCK_UN, self._count)
 
     def finished(self) -> set[int]:
         """Numbers of the cases that have a result."""
         groups = (self.path / "cases").iterdir() if (self.path / "cases").is_dir() else ()
         names = (entry.name for group in groups if group.is_dir() for entry in os.scandir(group))
         numbers = (name.removesuffix(".json") for name in names if name.endswith(".json"))
-        return {int(number) for number in numbers if number.isdecimal() and int(number) < len(self._plan)}
+        return {int(number) for number in numbers if number.isdecimal() and int(number) < self._count}
 
     def claim(self, number: int) -> bool:
         """Claims a case for this process; False if another process has it, or it has a result."""
@@ -150,12 +149,14 @@ class CaseFolder:
                 f"{path}: not the result of a case ({error!s:.100}); remove this file and continue with --resume"
             ) from None
         if found.get("plan") != self._digest:
-            names = ", ".join(self._plan.files)
+            names = ", ".join(self._files)
             raise InputError(f"{path}: computed before {names} in {self.path} were changed; use a new folder")
         seconds = found.get("seconds")
         return CaseResult(found["result"], found["failed"], float(seconds) if isinstance(seconds, int | float) else 0.0)
 
-    def results(self, progress: Callable[[int, int], None] = lambda done, total: None) -> Iterator[tuple[int, Any]]:
+    def results(
+        self, progress: Callable[[int, int], None] = lambda done, total: None
+    ) -> Iterator[tuple[int, CaseResult]]:
         """Yields numbers and results of the finished cases in ascending order."""
         numbers = sorted(self.finished())
         for done, number in enumerate(numbers, start=1):
@@ -214,10 +215,10 @@ def _is_regular(path: Path) -> bool:
 
 
 def _text_of(path: Path) -> str | None:
-    """Text of a file; None if it does not exist or is not a text."""
+    """Text of a file; None if it does not exist, and a text that is not in any plan if it is not UTF-8."""
     try:
         return path.read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):
         return None
     except UnicodeDecodeError:
-        return "\0"  # no text of a plan
+        return "\0"
