@@ -6,6 +6,8 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 
+from stepgap.cli.execution import usable_cores
+
 PURPOSES = {
     "cluster": "the option --dask of stepgap sweep",
     "ethercat": "robots with drives and encoders on an EtherCAT bus, and emulated rings",
@@ -49,9 +51,8 @@ def _versions() -> Iterator[_Row]:
 def _machine() -> Iterator[_Row]:
     import platform
 
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield "system", platform.platform()
-    yield "cores", f"{usable} of {os.cpu_count()}, load {os.getloadavg()[0]:.1f}"
+    yield "cores", f"{usable_cores()} of {os.cpu_count()}, load {os.getloadavg()[0]:.1f}"
 
 
 def _graphics() -> Iterator[_Row]:

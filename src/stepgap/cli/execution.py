@@ -57,6 +57,11 @@ _FAILURES_SHOWN = 5
 """Number of failed cases whose reasons are printed; all are in the table."""
 
 
+def usable_cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def shard_of(execution: Execution) -> "Shard | None":
     """The given shard, or that of a job array; None for all cases."""
     from stepgap.experiment.cases.shard import parse_shard, shard_of_job_array
@@ -152,8 +157,7 @@ def _executor(execution: Execution, cases: int) -> "Iterator[tuple[Executor, int
     from stepgap.experiment.cases.cluster import LARGEST_BACKLOG, dask_executor
     from stepgap.experiment.cases.processes import Processes
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = min(execution.processes or cores, cases)
+    count = min(execution.processes or usable_cores(), cases)
     with ExitStack() as stack:
         if execution.dask:
             executor, at_once = stack.enter_context(dask_executor(execution.dask, count)), LARGEST_BACKLOG

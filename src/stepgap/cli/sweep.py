@@ -1,5 +1,6 @@
 """The verb `stepgap sweep`."""
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -103,11 +104,10 @@ def write_tables(found: "Sweep", folder: "CaseFolder") -> "list[Path]":
     from stepgap.records.results_table import read_results
 
     path = write_results(found, folder)
-    try:
-        content = parquet_file(read_results(path).as_columns())
-    except InputError:
+    if find_spec("pyarrow") is None:
         path.with_suffix(".parquet").unlink(missing_ok=True)  # one of an earlier table
         return [path]
+    content = parquet_file(read_results(path).as_columns())
     with folder.alone():
         write_whole(path.with_suffix(".parquet"), content)
     return [path, path.with_suffix(".parquet")]
