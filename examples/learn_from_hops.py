@@ -36,9 +36,9 @@ def rmse(records):
 
 
 first = deploy(nominal)
-state, applied = np.array([r.state for r in first]), np.array([r.applied for r in first])
-error = np.array([r.next_state for r in first]) - nominal(state, applied)
-corrected = CorrectedMap(nominal, fit_residual("gp", Observations(nominal.space, state, applied, error)))
+state, command = np.array([r.state for r in first]), np.array([r.requested for r in first])
+error = np.array([r.next_state for r in first]) - nominal(state, command)
+corrected = CorrectedMap(nominal, fit_residual("gp", Observations(nominal.space, state, command, error)))
 second = deploy(corrected)
 print("without GP: speed {:.4f} m/s, height {:.4f} m".format(*rmse(first)))
 print("with GP:    speed {:.4f} m/s, height {:.4f} m".format(*rmse(second)))

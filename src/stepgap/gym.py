@@ -103,7 +103,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
             raise ValueError(f"the action has shape {point.shape}; it must be {self.action_space.shape}")
         record = self._plant.take_step(self.space.command_at(point))
         target, remaining = self._tracked.targets[self._done], len(self._tracked) - self._done
-        predicted, status = self.nominal.evaluate(record.state, record.applied)
+        predicted, status = self.nominal.evaluate(record.state, record.requested)
         info = {"command": record.command, "applied": record.applied, "status": record.status.label}
         info |= {"predicted": predicted} if status == StepStatus.OK else {}
         info |= {"yaw": record.yaw_after} if isfinite(record.yaw_after) else {}

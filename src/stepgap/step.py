@@ -6,7 +6,7 @@ A *step* runs from one apex to the next. All other modules describe steps by `St
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from typing import NamedTuple
@@ -255,6 +255,10 @@ def difference_jacobian(step_map: StepMap, state: ArrayLike, command: ArrayLike,
     return np.swapaxes((ahead - behind) / (2 * step[:, None]), -1, -2)
 
 
+NOT_GIVEN = _read_only(())
+"""Default of an array of a record that its maker does not give."""
+
+
 @dataclass(frozen=True, eq=False)
 class StepRecord:
     """Record of one executed step.
@@ -262,11 +266,16 @@ class StepRecord:
     Attributes:
         state: State at the apex it started from, as measured; shape (n,).
         command: Command given by the controller; shape (m,).
-        applied: Command that the joints received, after all limits; shape (m,). Learning uses this one.
+        applied: The part of the command that the joints received, after all limits; shape (m,).
         next_state: State at the next apex, as measured; NaN if there was none; shape (n,).
         status: How it ended.
         yaw_after: Yaw at the next apex [rad], such as that of a boom; NaN if the plant does not measure it, or if there
             was no apex. It is not part of the state, and its zero is arbitrary.
+        requested: Command that was requested of the joints, within its bounds; by default `command`. It is another one
+            where `command` came too late to act. Learning uses this one: then the effect of limits on a command
+            is part of the learned map, and the controller plans with it. Shape (m,).
+        true_next_state: State at the next apex as it truly was, known only for simulated plants, NaN elsewhere. It is
+            for reports; nothing that controls or learns may read it. Shape (n,).
 
     Raises:
         ValueError: The yaw is infinite.
@@ -278,7 +287,13 @@ class StepRecord:
     next_state: Array
     status: StepStatus
     yaw_after: float = np.nan
+    requested: Array = field(default_factory=lambda: NOT_GIVEN)
+    true_next_state: Array = field(default_factory=lambda: NOT_GIVEN)
 
     def __post_init__(self) -> None:
         rule = "be an angle, or NaN where it is not known"
         require(not np.isinf(self.yaw_after), "yaw_after", self.yaw_after, rule)
+        if self.requested is NOT_GIVEN:
+            object.__setattr__(self, "requested", self.command)
+        if self.true_next_state is NOT_GIVEN:
+            object.__setattr__(self, "true_next_state", np.full(np.shape(self.next_state), np.nan))

@@ -41,7 +41,7 @@ def write_run(folder: Path, offset: float) -> None:
         for i in range(31):
             status = StepStatus.OK if i < 30 else StepStatus.FELL
             end = after[i] if i < 30 else np.full(2, np.nan)
-            record = StepRecord(states[i], 3 * commands[i], commands[i], end, status)
+            record = StepRecord(states[i], 3 * commands[i], commands[i] / 2, end, status, requested=commands[i])
             writer.append(LoggedStep(i // 15, i % 15 + 1, states[i], states[i], np.zeros(2), record))
 
 
@@ -81,7 +81,7 @@ def test_a_run_is_judged_against_the_nominal_map(stepgap: Command) -> None:
     assert "nothing to learn" in speed
     assert "constant is better than none by" in height
     # The same rows as any CSV, by the names of their columns, without their deployments.
-    columns = {"state": "speed,height", "next": "next_speed,next_height", "command": "fx=applied_fx,fy=applied_fy"}
+    columns = {"state": "speed,height", "next": "next_speed,next_height", "command": "fx=requested_fx,fy=requested_fy"}
     options = [part for name, text in columns.items() for part in (f"--{name}", text)]
     again = stepgap("fit", "run/steps.csv", *options, "--folds", 2)
     assert "rows left out: 1 with a number missing" in again.out

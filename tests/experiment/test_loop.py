@@ -141,8 +141,8 @@ def test_every_model_is_learned_on_the_nominal_map_from_all_steps(unbroken: Path
         for column, regression in enumerate(residual.regressions):
             assert isinstance(regression, GaussianProcessRegression)
             process = regression.process
-            np.testing.assert_array_equal(process.points, np.hstack([before.state, before.applied]))
-            nominal = NOMINAL.evaluate(before.state, before.applied).next_state
+            np.testing.assert_array_equal(process.points, np.hstack([before.state, before.requested]))
+            nominal = NOMINAL.evaluate(before.state, before.requested).next_state
             np.testing.assert_array_equal(process.values, (before.next_state - nominal)[:, column])
 
 

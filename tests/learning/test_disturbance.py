@@ -196,7 +196,7 @@ def test_the_removal_is_the_regression_of_all_steps_at_once() -> None:
     """Oracle: weights and effects from one dense system, and the evidence from the covariance of all errors."""
     observations, yaw, deployment, _ = recorded(np.array([0.015, 0.003]))
     state = (observations.state - SPACE.state_centre) / SPACE.state_scale
-    basis = monomials(np.hstack([state, SPACE.point_of(observations.applied_command)]), 2)
+    basis = monomials(np.hstack([state, SPACE.point_of(observations.command)]), 2)
     wave = [np.sin(yaw), np.cos(yaw)]
     waves = np.column_stack([part * (deployment == number) for number in range(3) for part in wave])
     constants = np.column_stack([deployment == number for number in range(3)])
@@ -245,7 +245,7 @@ def test_the_removal_works_for_one_step_or_equal_steps() -> None:
         few = Observations(
             SPACE,
             observations.state[rows],
-            observations.applied_command[rows],
+            observations.command[rows],
             observations.error[rows],
             yaw=yaw[rows],
             deployment=deployment[rows],

@@ -18,7 +18,7 @@ def log_of(*deployments: int, fallen: bool = False) -> StepLog:
             fell = fallen and row == len(state) - 1
             after, status = actual(state[row], command[row]), StepStatus.OK
             after, status = (np.full(2, np.nan), StepStatus.FELL) if fell else (after, status)
-            record = StepRecord(state[row], 2 * command[row], command[row], after, status)
+            record = StepRecord(state[row], 2 * command[row], command[row] / 2, after, status, requested=command[row])
             log += [LoggedStep(iteration, number, state[row], state[row], np.zeros(2), record)]
     return log
 
@@ -28,15 +28,15 @@ def history_of(observations: Observations) -> Array:
     return observations.history
 
 
-def test_errors_are_those_of_the_nominal_map_at_commands_applied() -> None:
+def test_errors_are_those_of_the_nominal_map_at_commands_requested() -> None:
     log = log_of(5, 4, fallen=True)
     observations = observe(log, NOMINAL)
     done = [logged.record for logged in log.completed()]
     assert len(observations) == 8
     assert observations.space is SPACE
     np.testing.assert_array_equal(observations.state, [record.state for record in done])
-    np.testing.assert_array_equal(observations.applied_command, [record.applied for record in done])
-    np.testing.assert_array_equal(observations.error, [r.next_state - NOMINAL(r.state, r.applied) for r in done])
+    np.testing.assert_array_equal(observations.command, [record.requested for record in done])
+    np.testing.assert_array_equal(observations.error, [r.next_state - NOMINAL(r.state, r.requested) for r in done])
 
 
 def test_history_is_the_step_before_in_half_ranges() -> None:
@@ -45,7 +45,7 @@ def test_history_is_the_step_before_in_half_ranges() -> None:
     for row in range(7):
         before = np.zeros(5)
         if row not in (0, 4):
-            command = observations.applied_command[row - 1] / 15.0
+            command = observations.command[row - 1] / 15.0
             state = (observations.state[row - 1] - [0.2, 0.58]) / [0.2, 0.045]
             before = np.concatenate([observations.error[row - 1] / [0.2, 0.045], command, state])
         np.testing.assert_allclose(history[row], [*before, row], atol=1e-12)
@@ -92,7 +92,7 @@ def test_an_empty_log_has_no_observations() -> None:
 
 class TestRefused:
     DATA = (np.zeros((4, 2)), np.zeros((4, 1)), np.zeros((4, 2)), np.zeros((4, 6)))
-    NAMES = ("state", "applied_command", "error", "history")
+    NAMES = ("state", "command", "error", "history")
 
     @pytest.mark.parametrize("argument", range(4))
     @pytest.mark.parametrize("bad", [np.nan, np.inf])

@@ -35,12 +35,12 @@ def steps(size: int = 40, seed: int = 0) -> Observations:
 
 def part(observations: Observations, rows: slice) -> Observations:
     history = None if observations.history is None else observations.history[rows]
-    state, command, error = observations.state[rows], observations.applied_command[rows], observations.error[rows]
+    state, command, error = observations.state[rows], observations.command[rows], observations.error[rows]
     return Observations(SPACE, state, command, error, history)
 
 
 def points(observations: Observations) -> Array:
-    return join_points(observations.state, observations.applied_command)
+    return join_points(observations.state, observations.command)
 
 
 QUERIES = steps(6, seed=1)
@@ -231,7 +231,7 @@ class TestChoice:
         assert history is not None
         error = observations.error + weight * SCALE[:2] * history[:, :2]
         shuffled = history if weight else np.random.default_rng(3).permuted(history, axis=0)
-        data = Observations(SPACE, observations.state, observations.applied_command, error, shuffled)
+        data = Observations(SPACE, observations.state, observations.command, error, shuffled)
         assert fit_residual("linear", data, "auto").history_inputs.lagged_inputs in wanted
 
 
@@ -267,7 +267,7 @@ class TestHistoryInputs:
     @pytest.mark.parametrize("lagged_inputs", get_args(LaggedInputs)[1:])
     def test_lagged_inputs_need_histories(self, lagged_inputs: LaggedInputs) -> None:
         data = steps()
-        bare = Observations(SPACE, data.state, data.applied_command, data.error)
+        bare = Observations(SPACE, data.state, data.command, data.error)
         with pytest.raises(ValueError, match="need the history"):
             fit_residual("linear", bare, lagged_inputs)
         assert fit_residual("linear", bare, forgetting_time=10.0).history_inputs == HistoryInputs(forgetting_time=10.0)

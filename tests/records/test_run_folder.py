@@ -68,7 +68,9 @@ def test_row_being_written_is_left_out(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("state", [("x",), ("a", "b"), ("x", "target_x"), ("next_y", "y", "ÿ'\"z")])
-@pytest.mark.parametrize("command", [("f",), ("f", "g"), ("f", "g", "h", "i", "j", "k", "applied_f")])
+@pytest.mark.parametrize(
+    "command", [("f",), ("f", "g"), ("f", "g", "h", "i", "j", "k", "applied_f"), ("f", "requested_f")]
+)
 def test_header_gives_the_names_back(tmp_path: Path, state: tuple[str, ...], command: tuple[str, ...]) -> None:
     states, commands = (tuple(Quantity(name, "", -1, 1) for name in names) for names in (state, command))
     names = column_names(StepSpace(states, commands))
@@ -117,14 +119,14 @@ def test_a_file_that_is_not_a_step_log_is_refused(folder: Path, content: bytes) 
     ("row", "message"),
     [
         ("", "RUN/steps.csv: no step yet; it must have a header and at least one row"),
-        ("0,1,2\n", "RUN/steps.csv, line 2: not the next step (3 columns instead of 16)"),
-        ("0,1,nan,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
-        ("0,1,0,0,0,0,0,0,0,0,0,0,1,1,flew\n", "RUN/steps.csv, line 2: not the next step"),
-        ("0,2,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
-        ("-1,1,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
-        ("0,1,0,0,0,0,0,0,0,0,0,0,1,1,inf,ok\n", "RUN/steps.csv, line 2: not the next step"),
-        ("0,1,0,0,0,0,0,0,0,0,0,0,1,-1,0,ok\n", "std_… negative"),
-        ("0,1,0,0,0,0,0,0,1e300,0,0,0,1,1,0,ok\n", "a state is larger than ±1e+09"),
+        ("0,1,2\n", "RUN/steps.csv, line 2: not the next step (3 columns instead of 19)"),
+        ("0,1,nan,0,0,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,0,0,0,0,0,0,0,0,0,0,0,0,0,1,1,0,flew\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,2,0,0,0,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("-1,1,0,0,0,0,0,0,0,0,0,0,0,0,0,1,1,0,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,0,0,0,0,0,0,0,0,0,0,0,0,0,1,1,inf,ok\n", "RUN/steps.csv, line 2: not the next step"),
+        ("0,1,0,0,0,0,0,0,0,0,0,0,0,0,0,1,-1,0,ok\n", "std_… negative"),
+        ("0,1,0,0,0,0,0,0,0,1e300,0,0,0,0,0,1,1,0,ok\n", "a state is larger than ±1e+09"),
     ],
 )
 def test_wrong_steps_are_refused(folder: Path, row: str, message: str) -> None:
@@ -135,7 +137,7 @@ def test_wrong_steps_are_refused(folder: Path, row: str, message: str) -> None:
 
 
 def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
-    rows = "0,1,0,0,0,0,0,0,0,0,nan,inf,1,1,0.5,ok\n0,2,0,0,0,0,0,0,nan,nan,0,0,1,1,nan,fell\n"
+    rows = "0,1,0,0,0,0,0,0,0,0,0,nan,nan,nan,inf,1,1,0.5,ok\n0,2,0,0,0,0,0,0,0,nan,nan,nan,nan,0,0,1,1,nan,fell\n"
     (folder / "summary.json").unlink()
     header = (folder / "steps.csv").read_text().splitlines(keepends=True)[0]
     (folder / "steps.csv").write_text(header + rows)

@@ -44,13 +44,15 @@ def any_step(draw: st.DrawFn) -> LoggedStep:
     next_state = draw(PAIR) if status == StepStatus.OK else NO_STATE
     predicted = draw(st.one_of(PAIR, st.just(NO_STATE)))
     yaw = draw(st.one_of(FINITE, st.just(math.nan)))
-    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, yaw)
+    true_state = draw(st.one_of(PAIR, st.just(NO_STATE)))
+    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, yaw, draw(PAIR), true_state)
     return LoggedStep(0, 1, draw(PAIR), predicted, draw(PAIR), record)
 
 
 def numbers_of(logged: LoggedStep) -> bytes:
     record = logged.record
-    arrays = (record.state, logged.target, record.command, record.applied, record.next_state)
+    commands = (record.command, record.requested, record.applied)
+    arrays = (record.state, logged.target, *commands, record.next_state, record.true_next_state)
     return np.concatenate([*arrays, logged.predicted, logged.std, [record.yaw_after]]).tobytes()
 
 
@@ -68,12 +70,12 @@ def test_the_columns_are_the_contract(tmp_path: Path) -> None:
     write(tmp_path / "steps.csv", step(), step(number=2, status=StepStatus.FELL))
     header, *rows = (tmp_path / "steps.csv").read_text().splitlines()
     assert header == (
-        "iteration,step,speed,height,target_speed,target_height,fx,fy,applied_fx,applied_fy,"
-        "next_speed,next_height,predicted_speed,predicted_height,std_speed,std_height,yaw_after,status"
+        "iteration,step,speed,height,target_speed,target_height,fx,fy,requested_fx,requested_fy,applied_fx,applied_fy,"
+        "next_speed,next_height,true_next_speed,true_next_height,predicted_speed,predicted_height,std_speed,std_height,yaw_after,status"
     )
     assert header.split(",") == column_names(SPACE)
-    assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,0.11,0.55,0.2,0.58,0.0,0.0,nan,ok"
-    assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,0.5,-2.0,nan,nan,0.2,0.58,0.0,0.0,nan,fell"
+    assert rows[0] == "0,1,0.1,0.55,0.2,0.58,1.0,-2.0,1.0,-2.0,0.5,-2.0,0.11,0.55,nan,nan,0.2,0.58,0.0,0.0,nan,ok"
+    assert rows[1] == "0,2,0.1,0.55,0.2,0.58,1.0,-2.0,1.0,-2.0,0.5,-2.0,nan,nan,nan,nan,0.2,0.58,0.0,0.0,nan,fell"
 
 
 def test_an_infinite_yaw_is_refused() -> None:
@@ -138,13 +140,14 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
     [
         (lambda text: text.replace("speed", "pace", 1), 1, "the columns must be iteration,step,speed"),
         (lambda text: text.replace("yaw_after", "place_after", 1), 1, "column yaw_after was called place_after"),
+        (lambda text: text.replace("requested_", "", 2), 1, "older version of StepGap, without the columns requested_"),
         (lambda text: "hello", 1, "columns"),
         (lambda text: "\n" + text, 1, "columns"),
         (lambda text: text.replace("0.55", "0.5x", 1), 2, "could not convert"),
         (lambda text: text.replace("0.55", "nan", 1), 2, "not finite"),
         (lambda text: text.replace("0.12000000000000001", "inf"), 3, "not finite"),
         (lambda text: text.replace(",ok", ",fine", 1), 2, "unknown status 'fine'"),
-        (lambda text: text.replace(",ok", ",ok,", 1), 2, "19 columns instead of 18"),
+        (lambda text: text.replace(",ok", ",ok,", 1), 2, "23 columns instead of 22"),
         (lambda text: text.replace("0,2,", "0,3,"), 3, "step 3 of deployment 0 where step 2 of deployment 0"),
         (lambda text: text.replace("0,2,", "0,1,"), 3, "step 1 of deployment 0"),
         (lambda text: text.replace("0,2,", "2,1,"), 3, "or step 1 of deployment 1"),

@@ -49,7 +49,7 @@ def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
     """
     numbers = set((reference.steady + 1).tolist())
     steady = StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))
-    inputs = np.hstack([np.ones((len(steady), 1)), steady.state, steady.applied])
+    inputs = np.hstack([np.ones((len(steady), 1)), steady.state, steady.requested])
     degrees_of_freedom = len(steady) - inputs.shape[1]
     if degrees_of_freedom < 1:
         return np.full(len(steps.space.state), np.nan)

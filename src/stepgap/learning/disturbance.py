@@ -138,7 +138,7 @@ def without_yaw_dependence(observations: Observations, present: int) -> Observat
     yaw = np.where(deployment < present, observations.yaw, np.nan)
     if not np.isfinite(yaw).any():
         return observations
-    state, command = (observations.state - space.state_centre) / space.state_scale, observations.applied_command
+    state, command = (observations.state - space.state_centre) / space.state_scale, observations.command
     features, rows = monomials(np.hstack([state, space.point_of(command)]), 2), regressors(yaw)
     groups = [np.flatnonzero(deployment == number) for number in np.unique(deployment)]
     parts = [_Part(features[group], rows[group], observations.error[group]) for group in groups]

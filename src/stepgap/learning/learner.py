@@ -225,5 +225,5 @@ def _fitted(
 
 
 def _point_of(record: StepRecord) -> Array:
-    """State and applied command of a step; shape (n + m,)."""
-    return join_points(record.state, record.applied)
+    """State and requested command of a step; shape (n + m,)."""
+    return join_points(record.state, record.requested)

@@ -1,9 +1,9 @@
 """Observations: the error of the nominal map at each recorded step, and the history of the step.
 
-The *history* of a step is the information on earlier steps when it starts, a row of 2n + m + 1 numbers: error, applied
-command and state of the step before in the same deployment, and the number of steps recorded before it. All but the
-last are normalised by half ranges, and states and commands are measured from the middle of the range. They are zero for
-the first step of a deployment.
+The *history* of a step is the information on earlier steps when it starts, a row of 2n + m + 1 numbers: error,
+requested command and state of the step before in the same deployment, and the number of steps recorded before it. All
+but the last are normalised by half ranges, and states and commands are measured from the middle of the range. They are
+zero for the first step of a deployment.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Observations:
     Attributes:
         space: Names and scales of the coordinates.
         state: State at the apex each step started from; shape (N, n).
-        applied_command: Command the joints received; shape (N, m).
+        command: Command requested of the joints; shape (N, m).
         error: Actual − nominal next state; shape (N, n).
         history: History of each step; shape (N, 2n + m + 1). None: only the order of the steps is known.
         yaw: Yaw at which each step started [rad], NaN where it is unknown; shape (N,). None: all are unknown.
@@ -37,7 +37,7 @@ class Observations:
 
     space: StepSpace
     state: Array
-    applied_command: Array
+    command: Array
     error: Array
     history: Array | None = None
     yaw: Array | None = None
@@ -46,23 +46,23 @@ class Observations:
     def __post_init__(self) -> None:
         state, command = self.space.state_names, self.space.command_names
         _check_rows(self.state, "state", state)
-        _check_rows(self.applied_command, "applied_command", command)
+        _check_rows(self.command, "command", command)
         _check_rows(self.error, "error", state)
         if self.history is not None:
             errors = (f"error of {name}" for name in state)
             _check_rows(self.history, "history", (*errors, *command, *state, "steps before"))
-        parts = (self.state, self.applied_command, self.error, self.history, self.yaw, self.deployment)
+        parts = (self.state, self.command, self.error, self.history, self.yaw, self.deployment)
         sizes = [len(part) for part in parts if part is not None]
         if len(set(sizes)) != 1:
             raise ValueError(
-                f"states, applied commands, errors, histories, yaws and deployments must have one length, not {sizes}"
+                f"states, commands, errors, histories, yaws and deployments must have one length, not {sizes}"
             )
 
     def __len__(self) -> int:
         return len(self.state)
 
     def points(self, history_inputs: HistoryInputs) -> Array:
-        """State, applied command and history inputs; shape (N, n + m + c)."""
+        """State, command and history inputs; shape (N, n + m + c)."""
         n, m = len(self.space.state), len(self.space.command)
         history = self.history
         if history is None:
@@ -71,20 +71,21 @@ class Observations:
                     f"lagged inputs {history_inputs.lagged_inputs!r} need the history of the steps; observe a log"
                 )
             history = np.arange(float(len(self)))[:, None] * np.eye(2 * n + m + 1)[-1]
-        return np.hstack([self.state, self.applied_command, history_inputs.of(history, n)])
+        return np.hstack([self.state, self.command, history_inputs.of(history, n)])
 
 
 def observe(log: StepLog, nominal: StepMap) -> Observations:
-    """Computes the nominal map's error at the steps of a log that ended with an apex, at the commands applied.
+    """Computes the nominal map's error at the steps of a log that ended with an apex, at the commands requested.
 
-    A step that fails on the nominal map has no error and is omitted.
+    What limits remove from a command is thus a part of the error. A step that fails on the nominal map has no error and
+    is omitted.
     """
-    error = log.next_state - nominal.evaluate(log.state, log.applied).next_state
-    lagged = _lagged_quantities(nominal.space, error, log.applied, log.state)
+    error = log.next_state - nominal.evaluate(log.state, log.requested).next_state
+    lagged = _lagged_quantities(nominal.space, error, log.requested, log.state)
     before = np.where(log.follows[:, None], np.roll(lagged, 1, axis=0), 0.0)
     history = np.hstack([before, np.arange(float(len(log)))[:, None]])
     known = np.isfinite(error).all(axis=1)
-    rows = log.state[known], log.applied[known], error[known], history[known], log.yaw[known], log.deployment[known]
+    rows = log.state[known], log.requested[known], error[known], history[known], log.yaw[known], log.deployment[known]
     return Observations(nominal.space, *rows)
 
 
@@ -111,18 +112,18 @@ def history_after(record: StepRecord, error: Array, space: StepSpace, steps: int
         space: Step space of both.
         steps: Number of steps recorded, including the one before.
     """
-    return np.append(_lagged_quantities(space, error, record.applied, record.state), steps)
+    return np.append(_lagged_quantities(space, error, record.requested, record.state), steps)
 
 
 def error_of(record: StepRecord, nominal: StepMap) -> Array:
     """Actual − nominal next state of one step, NaN where one of them is missing; shape (n,)."""
-    return record.next_state - nominal.evaluate(record.state, record.applied).next_state
+    return record.next_state - nominal.evaluate(record.state, record.requested).next_state
 
 
-def _lagged_quantities(space: StepSpace, error: Array, applied_command: Array, state: Array) -> Array:
+def _lagged_quantities(space: StepSpace, error: Array, command: Array, state: Array) -> Array:
     """Part of the next step's history that describes this step; shape (…, 2n + m). An unknown error is zero."""
-    command = space.point_of(applied_command)
-    parts = [np.nan_to_num(error) / space.state_scale, command, (state - space.state_centre) / space.state_scale]
+    point = space.point_of(command)
+    parts = [np.nan_to_num(error) / space.state_scale, point, (state - space.state_centre) / space.state_scale]
     return np.concatenate(parts, axis=-1)
 
 

@@ -104,6 +104,11 @@ class StepLog:
         return self._column([logged.record.state for logged in self._steps], len(self.space.state))
 
     @property
+    def requested(self) -> Array:
+        """Commands requested of the joints; shape (N, m)."""
+        return self._column([logged.record.requested for logged in self._steps], len(self.space.command))
+
+    @property
     def applied(self) -> Array:
         """Commands applied; shape (N, m)."""
         return self._column([logged.record.applied for logged in self._steps], len(self.space.command))
@@ -112,6 +117,11 @@ class StepLog:
     def next_state(self) -> Array:
         """States at the end of each step, NaN after a fall; shape (N, n)."""
         return self._column([logged.record.next_state for logged in self._steps], len(self.space.state))
+
+    @property
+    def true_next_state(self) -> Array:
+        """True states at the end of each step, NaN where unknown; shape (N, n)."""
+        return self._column([logged.record.true_next_state for logged in self._steps], len(self.space.state))
 
     @property
     def target(self) -> Array:

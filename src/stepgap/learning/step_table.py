@@ -20,7 +20,7 @@ class StepTable:
     Attributes:
         space: Names, units and ranges.
         state: State before each step; shape (N, n).
-        command: Command applied, or a substitute for it; shape (N, m).
+        command: Command requested of the joints, or a substitute for it; shape (N, m).
         next_state: State after it; shape (N, n).
         target: State wanted after it; None if unknown; shape (N, n).
         predicted: Next state as the nominal map predicted it; None if unknown; shape (N, n).
@@ -68,7 +68,7 @@ def tabulate(log: StepLog) -> StepTable:
     known = log.completed()
     left_out = {"that ended without an apex": log.falls} if log.falls else {}
     return StepTable(
-        log.space, known.state, known.applied, known.next_state, known.target, None, known.deployment, left_out
+        log.space, known.state, known.requested, known.next_state, known.target, None, known.deployment, left_out
     )
 
 

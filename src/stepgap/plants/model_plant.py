@@ -35,9 +35,9 @@ class ModelPlant(Plant):
         applied = np.clip(command, self.space.command_lower, self.space.command_upper)
         next_state, code = self._map.evaluate(self._state, applied)
         next_state = next_state + self._rng.normal(0.0, self._noise)
-        record = StepRecord(self._state, np.asarray(command, float), applied, next_state, StepStatus(int(code)))
-        self._state = next_state
-        return record
+        state, self._state = self._state, next_state
+        command, status = np.asarray(command, float), StepStatus(int(code))
+        return StepRecord(state, command, applied, next_state, status, requested=applied, true_next_state=next_state)
 
     def stop(self) -> None:
         """Does nothing: nothing moves."""

@@ -92,7 +92,7 @@ class RigPlant(Plant):
         if np.isnan(within).any():
             self._status = StepStatus.INVALID
         self._state, _, lost, yaw = self._step(tuple(within.tolist()))
-        return StepRecord(state, command, within - lost, self._state, self._status, yaw)
+        return StepRecord(state, command, within - lost, self._state, self._status, yaw, requested=within)
 
     def stop(self) -> None:
         """Switches torque off."""

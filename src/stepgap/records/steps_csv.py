@@ -38,8 +38,8 @@ def column_names(space: StepSpace) -> list[str]:
         *state,
         *(f"target_{name}" for name in state),
         *command,
-        *(f"applied_{name}" for name in command),
-        *(f"{kind}_{name}" for kind in ("next", "predicted", "std") for name in state),
+        *(f"{kind}_{name}" for kind in ("requested", "applied") for name in command),
+        *(f"{kind}_{name}" for kind in ("next", "true_next", "predicted", "std") for name in state),
         "yaw_after",
         "status",
     ]
@@ -57,8 +57,8 @@ def row_of(logged: LoggedStep) -> str:
 
 def _values(logged: LoggedStep) -> list[int | float | str]:
     record = logged.record
-    before = (record.state, logged.target, record.command, record.applied)
-    after = (record.next_state, logged.predicted, logged.std)
+    before = (record.state, logged.target, record.command, record.requested, record.applied)
+    after = (record.next_state, record.true_next_state, logged.predicted, logged.std)
     numbers = np.concatenate(before + after).tolist()
     return [logged.iteration, logged.step, *numbers, float(record.yaw_after), record.status.label]
 
@@ -72,15 +72,15 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
         raise ValueError(f"unknown status {cells[-1]!r:.40}")
     n, m = len(space.state), len(space.command)
     numbers = np.array([float(cell) for cell in cells[2:-1]])
-    parts = np.split(numbers, np.cumsum([n, n, m, m, n, n, n]))
-    state, target, command, applied, next_state, predicted, std, (yaw,) = parts
+    parts = np.split(numbers, np.cumsum([n, n, m, m, m, n, n, n, n]))
+    state, target, command, requested, applied, next_state, true_next_state, predicted, std, (yaw,) = parts
     status = StepStatus[cells[-1].upper()]
-    known = [state, target, command, applied, std]
+    known = [state, target, command, requested, applied, std]
     if status == StepStatus.OK:
         known.append(next_state)
     if not np.isfinite(np.concatenate(known)).all():
         raise ValueError("a number is not finite")
-    record = StepRecord(state, command, applied, next_state, status, float(yaw))
+    record = StepRecord(state, command, applied, next_state, status, float(yaw), requested, true_next_state)
     return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
 
 
@@ -111,16 +111,16 @@ def space_of_header(path: Path) -> StepSpace:
     if header == [""]:
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
     check_not_older(header, path)
-    for n in range(1, min(MOST_COORDINATES, len(header) // 5) + 1):
-        m = (len(header) - 4 - 5 * n) // 2
+    for n in range(1, min(MOST_COORDINATES, len(header) // 6) + 1):
+        m = (len(header) - 4 - 6 * n) // 3
         state, command = header[2 : 2 + n], header[2 + 2 * n : 2 + 2 * n + m]
         space = StepSpace(tuple(map(_coordinate, state)), tuple(map(_coordinate, command)))
         if m >= 0 and column_names(space) == header and len(set(header)) == len(header):
             return space
     raise ValueError(
         f"{path}, line 1: not the header of a step log; it must be iteration, step, the state's names (at most "
-        f"{MOST_COORDINATES}), target_…, the command's names, applied_…, next_…, predicted_…, std_…, yaw_after, "
-        "status"
+        f"{MOST_COORDINATES}), target_…, the command's names, requested_…, applied_…, next_…, true_next_…, "
+        "predicted_…, std_…, yaw_after, status"
     )
 
 
@@ -134,6 +134,13 @@ def check_not_older(header: Sequence[str], path: Path) -> None:
         raise RecordError(
             f"{path}, line 1: recorded by an older version of StepGap, in which the column yaw_after was called "
             "place_after; run its experiment.toml again, or read the steps alone after renaming the column"
+        )
+    kinds = {name.partition("_")[0] for name in header}
+    if "applied" in kinds and "requested" not in kinds:
+        raise RecordError(
+            f"{path}, line 1: recorded by an older version of StepGap, without the columns requested_… and "
+            "true_next_…; run its experiment.toml again, or read it as the log of another program with the options of "
+            "`stepgap fit` that name its columns"
         )
 
 

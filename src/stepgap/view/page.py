@@ -241,7 +241,7 @@ class Page:
             return
         space, record = self._source.space, steps[number - 1].record
         index = (*space.state_names, *space.command_names).index(self._along.value)
-        curve = curve_along(residual, space, join_points(record.state, record.applied), index)
+        curve = curve_along(residual, space, join_points(record.state, record.requested), index)
         error = error_of(record, self._source.nominal)
         model = f"the model with which deployment {self.iteration} began ({residual.name})"
         self._model_note.content = f"Actual − nominal by {model}."

@@ -36,7 +36,7 @@ def test_a_posted_message_is_read_under_its_number_only(boards, number, fx, fy, 
     here.post_command(number, fx, fy)
     np.testing.assert_array_equal(there.command(number), (fx, fy))
     assert there.command(number + 1) is None
-    hop = FinishedHop(number, fx, fy, -fy, -fx, yaw, StepStatus.NO_APEX)
+    hop = FinishedHop(number, fx, fy, -fy, -fx, 2 * fx, 3 * fy, yaw, StepStatus.NO_APEX)
     there.post_hop(hop)
     np.testing.assert_array_equal(here.hop(number), hop)
     assert here.hop(number + 1) is None

@@ -30,15 +30,17 @@ class Field(IntEnum):
     HOP_NUMBER = 6
     SPEED = 7
     HEIGHT = 8
-    APPLIED_FX = 9
-    APPLIED_FY = 10
-    YAW = 11
-    STATUS = 12
-    TICKS = 13
-    MISSED_TICKS = 14
-    WORST_LATENESS = 15
-    MESSAGE_LENGTH = 16
-    MESSAGE = 17
+    REQUESTED_FX = 9
+    REQUESTED_FY = 10
+    APPLIED_FX = 11
+    APPLIED_FY = 12
+    YAW = 13
+    STATUS = 14
+    TICKS = 15
+    MISSED_TICKS = 16
+    WORST_LATENESS = 17
+    MESSAGE_LENGTH = 18
+    MESSAGE = 19
 
 
 class Request(IntEnum):
@@ -56,6 +58,8 @@ class FinishedHop(NamedTuple):
         number: Number of the hop, from 0 for the one that begins when the robot is released.
         speed: Speed at the apex [m/s]; NaN for a failed hop.
         height: Height at the apex [m]; NaN for a failed hop.
+        requested_fx: Forward command force that was requested of the joints [N]; zero if none came in time.
+        requested_fy: Upward command force that was requested of the joints [N].
         applied_fx: Forward command force that was actually applied [N].
         applied_fy: Upward command force that was actually applied [N].
         yaw: Yaw of the robot at the apex [rad]; NaN for a failed hop.
@@ -65,6 +69,8 @@ class FinishedHop(NamedTuple):
     number: int
     speed: float
     height: float
+    requested_fx: float
+    requested_fy: float
     applied_fx: float
     applied_fy: float
     yaw: float
@@ -73,7 +79,7 @@ class FinishedHop(NamedTuple):
     @classmethod
     def stopped(cls, number: int) -> Self:
         """Returns the result of a hop that was stopped before its apex."""
-        return cls(number, nan, nan, 0.0, 0.0, nan, StepStatus.STOPPED)
+        return cls(number, nan, nan, 0.0, 0.0, 0.0, 0.0, nan, StepStatus.STOPPED)
 
 
 class Board:
@@ -151,9 +157,8 @@ class Board:
     def post_hop(self, hop: FinishedHop) -> None:
         """Posts the result of a hop."""
         self._words[Field.HOP_NUMBER] = -1
-        self._numbers[Field.SPEED], self._numbers[Field.HEIGHT] = hop.speed, hop.height
-        self._numbers[Field.APPLIED_FX], self._numbers[Field.APPLIED_FY] = hop.applied_fx, hop.applied_fy
-        self._numbers[Field.YAW] = hop.yaw
+        for field, value in enumerate(hop[1:-1], start=Field.SPEED):
+            self._numbers[field] = value
         self._words[Field.STATUS] = hop.status
         self._words[Field.HOP_NUMBER] = hop.number
 
@@ -162,8 +167,7 @@ class Board:
         words, numbers = self._words, self._numbers
         if words[Field.HOP_NUMBER] != number:
             return None
-        speed, height, applied_fx, applied_fy, yaw = numbers[Field.SPEED : Field.STATUS].tolist()
-        found = FinishedHop(number, speed, height, applied_fx, applied_fy, yaw, StepStatus(words[Field.STATUS]))
+        found = FinishedHop(number, *numbers[Field.SPEED : Field.STATUS].tolist(), StepStatus(words[Field.STATUS]))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:

@@ -190,8 +190,9 @@ class ControlLoop:
     def _post(self, finished: FinishedStep) -> None:
         """Posts the result of the hop for the learning process."""
         speed, height = finished.state.tolist()
-        fx, fy = (np.nan_to_num(finished.command) - finished.lost).tolist()  # without a command there was no force
-        self._board.post_hop(FinishedHop(self._hop, speed, height, fx, fy, finished.yaw, self._control.status))
+        requested = np.nan_to_num(finished.command)  # without a command there was no force
+        forces = *requested.tolist(), *(requested - finished.lost).tolist()
+        self._board.post_hop(FinishedHop(self._hop, speed, height, *forces, finished.yaw, self._control.status))
 
     def _repeat(self, now: float) -> bool:
         """Exchanges a frame between two ticks, at a time [s]; returns False if the rig fails."""

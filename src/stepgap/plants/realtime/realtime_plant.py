@@ -24,7 +24,7 @@ class RealtimePlant(Plant):
     """Executes hops on a rig that does not wait for commands.
 
     A step ends when the apex has just been passed. The command acts from the next mid-stance on, some 0.3 s later. A
-    command that comes later is not applied, and the applied command in the record is zero.
+    command that comes later does not act, and the requested command in the record is zero.
 
     Args:
         setup: The rig and its control.
@@ -88,8 +88,8 @@ class RealtimePlant(Plant):
         self._hop += 1
         session.board.post_command(self._hop, *within.tolist())
         hop = self._await_hop(session)
-        applied = np.array([hop.applied_fx, hop.applied_fy])
-        return StepRecord(state, command, applied, self._state, hop.status, hop.yaw)
+        requested, applied = np.array(hop[3:5]), np.array(hop[5:7])
+        return StepRecord(state, command, applied, self._state, hop.status, hop.yaw, requested=requested)
 
     def stop(self) -> None:
         """Lands the robot and switches torque off."""
