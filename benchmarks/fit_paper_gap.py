@@ -30,7 +30,8 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import SETTLING_STEPS, paper_reference
-from stepgap.experiment.deployment import deploy, summarise
+from stepgap.experiment.deployment import deploy
+from stepgap.experiment.outcome import summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog

@@ -7,6 +7,8 @@ import pytest
 from numpy.typing import ArrayLike
 
 from stepgap.control.cautious_controller import FAILURE_RADIUS, RISK, CautiousController
+from stepgap.control.command_table import build_table
+from stepgap.control.settings import ControlSettings
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, Codes, StepMap, StepStatus, difference_jacobian
 from tests.control.maps import ClosedFormMap, LossyHopper
@@ -140,3 +142,42 @@ def test_if_no_command_is_safe_the_best_one_is_taken() -> None:
     cliff = GuessedCliff(growth=(0.0, 0.0), least=0.5)
     plan = CautiousController(cliff, cliff.truth, NONE)(STATE, TARGET)
     assert np.isfinite(plan.command).all()
+
+
+NO_RULES = ControlSettings(cautious=False, viability=False, avoid_failures=False)
+
+
+def test_without_rules_the_command_is_that_of_equation_13() -> None:
+    guessed = Guessed(tried=(5.0, -5.0), growth=(0.02, 0.02))
+    exact = StepController(guessed)(STATE, TARGET).command
+    failed = np.append(STATE, exact)[None]
+    plan = CautiousController(guessed, LossyHopper(), failed, NO_RULES)(STATE, TARGET)
+    np.testing.assert_array_equal(plan.command, exact)
+    assert not np.allclose(CautiousController(guessed, LossyHopper(), failed)(STATE, TARGET).command, exact, atol=0.1)
+
+
+def test_each_rule_can_be_switched_off() -> None:
+    guessed = Guessed(tried=(5.0, -5.0), growth=(0.02, 0.02))
+    exact = StepController(guessed)(STATE, TARGET).command
+    off = ControlSettings(cautious=False)
+    np.testing.assert_array_equal(CautiousController(guessed, LossyHopper(), NONE, off)(STATE, TARGET).command, exact)
+
+    sure, failed = LossyHopper(), np.append(STATE, StepController(LossyHopper())(STATE, TARGET).command)[None]
+    off = ControlSettings(avoid_failures=False)
+    np.testing.assert_array_equal(CautiousController(sure, sure, failed, off)(STATE, TARGET).command, failed[0, 2:])
+
+    cliff, target = GuessedCliff(growth=(0.0, 0.0), least=0.0, noise=0.002), np.array([0.2, 0.618])
+    exact = StepController(cliff)(STATE, target)
+    assert not CautiousController(cliff, cliff.truth, NONE).is_safe(STATE, exact.command)
+    off = CautiousController(cliff, cliff.truth, NONE, ControlSettings(viability=False))
+    np.testing.assert_array_equal(off(STATE, target).command, exact.command)
+
+
+def test_a_table_replaces_solving() -> None:
+    sure = LossyHopper()
+    table = build_table(sure, 5)
+    plan = CautiousController(sure, sure, NONE, NO_RULES, table)(STATE, TARGET)
+    found = table(STATE, TARGET)
+    np.testing.assert_array_equal(plan.command, found.command)
+    np.testing.assert_array_equal(plan.predicted, found.predicted)
+    assert not np.array_equal(plan.command, StepController(sure)(STATE, TARGET).command), "it is interpolated"

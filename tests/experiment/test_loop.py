@@ -12,10 +12,13 @@ import pytest
 
 from stepgap.base.files import write_whole
 from stepgap.base.random_streams import random_stream
+from stepgap.control.command_table import build_table
 from stepgap.control.reference import Reference
+from stepgap.control.settings import ControlSettings
 from stepgap.experiment import loop
-from stepgap.experiment.deployment import deploy, estimate_noise_floor, summarise
+from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loop import Observer, run_experiment
+from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.learner import Learner
@@ -178,7 +181,7 @@ def test_every_prediction_is_conditioned_on_the_previous_step(tmp_path: Path) ->
 
 def deployment(speed: float, height: float = 0.0, falls: int = 0) -> Deployment:
     errors = np.array([speed, height])
-    return Deployment(0, "gp", 10, falls, errors, errors, errors, errors, errors)
+    return Deployment(0, "gp", 10, falls, *[errors] * 6, 0, np.empty((0, 1)), np.empty((0, 1)))
 
 
 @pytest.mark.parametrize(
@@ -230,6 +233,24 @@ def test_settings_out_of_range_are_refused(wrong: dict) -> None:
 # Record
 
 
+def test_redeploying_in_any_case(tmp_path: Path) -> None:
+    done = run_in(tmp_path, learning=LearningSettings(iterations=3, tolerance=0.9, early_stop=False))
+    assert len(done) == 4
+    assert len(run_in(tmp_path / "b", learning=LearningSettings(iterations=3, tolerance=0.9))) == 3
+
+
+def test_a_deployment_by_table_uses_the_corrected_map(tmp_path: Path) -> None:
+    learning = LearningSettings(iterations=1, drift=False)
+    control = ControlSettings(cautious=False, viability=False, avoid_failures=False, table=7)
+    run_experiment(NOMINAL, plant_of(REALITY), REFERENCE, learning, tmp_path, 3, control=control)
+    log = read_step_log(tmp_path / "steps.csv", NOMINAL.space)
+    residual = Learner.start(NOMINAL, log.of_iteration(0), learning, 1).residual
+    for number, step_map in enumerate((NOMINAL, CorrectedMap(NOMINAL, residual))):
+        table = build_table(step_map, 7)
+        for logged in log.of_iteration(number):
+            np.testing.assert_array_equal(logged.record.command, table(logged.record.state, logged.target).command)
+
+
 def test_the_folder_is_the_contract(unbroken: Path) -> None:
     assert sorted(contents(unbroken)) == [
         "models/iteration_1.json", "models/iteration_2.json", "steps.csv", "summary.json"
@@ -238,8 +259,8 @@ def test_the_folder_is_the_contract(unbroken: Path) -> None:
     assert {"schema", "seed", "iterations", "repeatability"} <= set(summary)
     assert (summary["schema"], summary["seed"]) == (1, 3)
     for number, entry in enumerate(summary["iterations"]):
-        measures = {"rmse", "mae", "bias", "steady_rmse", "transient_rmse"}
-        assert set(entry) == {"iteration", "residual", "steps", "falls", *measures}
+        measures = {"rmse", "mae", "bias", "steady_rmse", "transient_rmse", "true_rmse"}
+        assert set(entry) == {"iteration", "residual", "steps", "falls", "cut", "unreachable", "missed", *measures}
         residual = "gp_on_linear" if number else "none"
         assert [entry[key] for key in ("iteration", "residual", "steps", "falls")] == [number, residual, 16, 0]
         assert all(set(entry[measure]) == {"speed", "height"} for measure in measures)
@@ -254,6 +275,8 @@ def test_the_summary_agrees_with_the_steps(unbroken: Path) -> None:
         found = summarise(log.of_iteration(entry["iteration"]), REFERENCE, entry["residual"])
         assert list(entry["rmse"].values()) == found.rmse.tolist()
         assert list(entry["steady_rmse"].values()) == found.steady_rmse.tolist()
+        assert entry["true_rmse"] == entry["rmse"], "the state of a map is measured without error"
+        assert entry["missed"] == found.missed.tolist()
 
 
 def test_same_seed_same_bytes_other_seed_others(unbroken: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
 from stepgap.control.reference import paper_reference
-from stepgap.experiment.settings import Experiment, load_reference, read_experiment, write_experiment
+from stepgap.experiment.settings import METHODS, Experiment, load_reference, read_experiment, write_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.robots.hopper.parameters import CommandBounds, Gains
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -76,6 +76,31 @@ def test_options_override_the_file(tmp_path: Path) -> None:
     assert type(experiment.gains.stiffness) is float
 
 
+def test_a_method_comes_before_single_keys(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text("method = 'paper'\n[learning]\ndrift = true\niterations = 2\n")
+    found = read_experiment(tmp_path / "e.toml")
+    learning, control = METHODS["paper"]
+    assert found.learning == replace(learning, drift=True, iterations=2)
+    assert found.control == control
+    assert read_experiment(tmp_path / "e.toml", [("method", "default")]).learning == LearningSettings()
+    both = read_experiment(None, [("control.table", "9"), ("method", "paper")])
+    assert both.control == replace(control, table=9)
+
+
+def test_the_method_of_the_paper_has_none_of_our_rules() -> None:
+    learning, control = METHODS["paper"]
+    ours = ("drift", "remove_yaw_dependence", "monitor", "early_stop", "online")
+    assert not any(getattr(learning, name) for name in ours)
+    assert not any(getattr(control, name) for name in ("cautious", "viability", "avoid_failures"))
+    assert (learning.residual, learning.iterations, learning.exploration) == ("fitrgp", 4, 0)
+
+
+def test_a_table_needs_a_map_that_does_not_change() -> None:
+    for change in (("learning.drift", "true"), ("learning.online", "true")):
+        with pytest.raises(InputError, match="a table does not change during a deployment"):
+            read_experiment(None, [("method", "paper"), ("control.table", "9"), change])
+
+
 def test_a_preset_of_the_gap_comes_before_single_keys(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text("[gap]\ndelay = 0.002\npreset = 'none'\n")
     experiment = read_experiment(tmp_path / "e.toml", [("gap.torque_scale", "0.9")])
@@ -123,6 +148,9 @@ WRONG = {
     "[learning]\ncalibration = 20": "[learning] calibration: this key is called exploration now",
     "[gap]\nboom_arc = 1": "[gap] boom_arc = 1, but it must be true or false",
     "[gap]\npreset = 'papre'": "[gap] preset = 'papre', but it must be 'paper' or 'none'; did you mean 'paper'?",
+    "method = 'papr'": "method = 'papr', but it must be 'default' or 'paper'; did you mean 'paper'?",
+    "metod = 'paper'": "metod: unknown key; did you mean method?",
+    "[control]\ntable = 1": "[control] table = 1, but it must be 0, or lie between 2 and 41",
     "[gap]\npreset = [1]": "[gap] preset = [1], but it must be 'paper' or 'none'",
     "[gap]\npreste = 'none'": "[gap] preste: unknown key; did you mean preset?",
     "[gap]\nground_friction = -1": "[gap] ground_friction = -1.0, but it must be positive",

@@ -18,7 +18,8 @@ NAMES = ("gap.delay", "seed")
 
 def entry(iteration: int, error: float | None, hops: Any = None) -> dict[str, Any]:
     errors = {measure: dict.fromkeys(SPACE.state_names, error) for measure in MEASURES}
-    return {"iteration": iteration, "residual": "gp", "steps": 9, "falls": 0, "hops_to_band": hops, **errors}
+    targets = {"cut": 0, "unreachable": [], "missed": [[0.1, 0.6]]}
+    return {"iteration": iteration, "residual": "gp", "steps": 9, "falls": 0, "hops_to_band": hops, **errors, **targets}
 
 
 def written(path: Path, *cases: tuple[dict[str, Any], Any, str]) -> Path:

@@ -12,6 +12,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.steps_csv import column_names, row_of
+from stepgap.records.summary import MEASURES
 from stepgap.report import NO_CONTEXT, RunContext, read_run_folder, write_report
 from stepgap.report.motion import RATE, DeploymentMotion
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
@@ -94,10 +95,10 @@ def logged(iteration: int, step: int, state: Array, target: Array, status: StepS
 def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: int, residual: str = "gp") -> None:
     """Writes a summary in which all errors are null."""
     unknown = dict.fromkeys(names)
-    measures = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
     entries = [
         {"iteration": number, "residual": residual if number else "none", "steps": steps, "falls": 0}
-        | dict.fromkeys(measures, unknown)
+        | dict.fromkeys(MEASURES, unknown)
+        | {"cut": 0, "unreachable": [], "missed": []}
         for number in range(iterations)
     ]
     content = {"schema": 1, "seed": 0, "iterations": entries, "repeatability": unknown}

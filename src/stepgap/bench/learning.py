@@ -22,7 +22,8 @@ from stepgap.base.random_streams import random_stream
 from stepgap.bench.baselines import IntegralCorrection, identify
 from stepgap.control.reference import Reference
 from stepgap.experiment.bands import hops_to_band
-from stepgap.experiment.deployment import AdaptiveMap, deploy, summarise
+from stepgap.experiment.deployment import AdaptiveMap, deploy
+from stepgap.experiment.outcome import summarise
 from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import AUTO, LearningSettings

@@ -38,6 +38,7 @@ class Shorthand:
         plant: Plant that hops: twin, emulated-ring (the twin on an EtherCAT bus in software), or a rig, such as
             ethercat. [default: twin]
         rig: File that describes the rig, such as rig.toml.
+        method: Settings of learning and control before others change them: default, or paper, the method as published.
         seed: Random seed. [default: 0]
         iterations: Largest number of redeployments. [default: 4]
         explore: Number of exploratory hops before the first deployment. [default: 0]
@@ -48,6 +49,7 @@ class Shorthand:
     reference: str | None = None
     plant: str | None = None
     rig: str | None = None
+    method: str | None = None
     seed: Integer | None = None
     iterations: Integer | None = None
     explore: Integer | None = None
@@ -56,7 +58,13 @@ class Shorthand:
 
     def overrides(self) -> list[tuple[str, str]]:
         """Given settings as dotted names and TOML values."""
-        texts = {"reference": self.reference, "plant": self.plant, "rig": self.rig, "warm_start": self.warm_start}
+        texts = {
+            "method": self.method,
+            "reference": self.reference,
+            "plant": self.plant,
+            "rig": self.rig,
+            "warm_start": self.warm_start,
+        }
         numbers = {
             "seed": self.seed,
             "learning.iterations": self.iterations,
@@ -200,6 +208,7 @@ def _execute(
             plants.measure_noise_floor,
             plants.replays,
             ready.known,
+            ready.settings.control,
         )
 
 

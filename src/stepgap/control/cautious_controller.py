@@ -15,7 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stepgap.control.command_table import CommandTable
 from stepgap.control.gauss_newton import minimise
+from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
@@ -52,11 +54,15 @@ class CautiousController:
         step_map: Predicts steps and their standard deviations.
         nominal: Nominal map that `step_map` corrects; it may be the same map.
         failures: Points (state, command) of steps that failed; shape (k, n + m).
+        settings: Which rules apply.
+        table: Table of the commands of `step_map`, used in place of solving; None to solve.
     """
 
     step_map: StepMap
     nominal: StepMap
     failures: Array
+    settings: ControlSettings = ALL_RULES
+    table: CommandTable | None = None
 
     def __call__(self, state: ArrayLike, target: ArrayLike, guess: ArrayLike | None = None) -> CautiousPlan:
         """Plans one step.
@@ -70,10 +76,11 @@ class CautiousController:
             StepFailed: No command that was searched makes a step.
             ValueError: State, target or guess has the wrong size, or the target or guess is not finite.
         """
-        exact = StepController(self.step_map)(state, target, guess)
+        exact = (self.table or StepController(self.step_map))(state, target, guess)
         map_std, noise_std = self.step_map.std(state, exact.command), self.step_map.noise_std
         step_std = np.hypot(map_std, noise_std)
-        certain = (map_std <= noise_std).all()  # the map's error is smaller than the scatter of a measured step
+        # Where the map's error is smaller than the scatter of a measured step, all commands have the same variance.
+        certain = not self.settings.cautious or (map_std <= noise_std).all()
         if certain and self._is_viable(state, exact.command, exact.predicted, step_std):
             return CautiousPlan(exact.command, exact.predicted, step_std)
         state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
@@ -93,10 +100,12 @@ class CautiousController:
     def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
         """The nominal command, and the local minima of the expected squared distance found from it and from `start`."""
         try:
-            nominal = StepController(self.nominal)(state, target, start).command
+            commands = [StepController(self.nominal)(state, target, start).command]
         except StepFailed:
-            return [self._local_minimum(state, target, start)]
-        return [nominal, *(self._local_minimum(state, target, command) for command in (start, nominal))]
+            commands = []
+        if not self.settings.cautious:
+            return commands
+        return [*commands, *(self._local_minimum(state, target, command) for command in (start, *commands))]
 
     def _local_minimum(self, state: Array, target: Array, start: Array) -> Array:
         """The command of least expected squared distance that is found from `start`; shape (m,)."""
@@ -117,8 +126,9 @@ class CautiousController:
 
     def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
         """The safe command of least expected squared distance among commands (k, m); None if none is safe."""
-        mean, std = self.step_map.evaluate(state, commands).next_state, self.step_map.std(state, commands)
-        expected = np.sum(((mean - target) ** 2 + std**2) / self.step_map.space.state_scale**2, axis=-1)
+        mean, variance = self.step_map.evaluate(state, commands).next_state, self.step_map.std(state, commands) ** 2
+        squares = (mean - target) ** 2 + (variance if self.settings.cautious else 0.0)
+        expected = np.sum(squares / self.step_map.space.state_scale**2, axis=-1)
         for i in np.argsort(expected):  # NaN, where the step fails, comes last
             if self.is_safe(state, commands[i]):
                 return commands[i]
@@ -134,8 +144,10 @@ class CautiousController:
         space = self.step_map.space
         scale = np.concatenate([space.state_scale, space.command_scale])
         distance = np.abs(self.failures - np.concatenate([state, command])) / scale
-        if (distance.max(axis=-1, initial=0.0) < FAILURE_RADIUS).any():
+        if self.settings.avoid_failures and (distance.max(axis=-1, initial=0.0) < FAILURE_RADIUS).any():
             return False
+        if not self.settings.viability:
+            return True
         error = np.diag(RISK * std)
         next_states = np.concatenate([mean[None], mean + error, mean - error])
         doubtful = next_states[self.nominal.evaluate(next_states, space.command_centre).status != StepStatus.OK]

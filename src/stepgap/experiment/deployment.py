@@ -1,4 +1,4 @@
-"""One deployment: tracking a reference step by step with the map as known so far, and the tracking errors."""
+"""One deployment: tracking a reference step by step with the map as known so far."""
 
 from collections.abc import Generator
 from typing import Protocol, Self
@@ -6,55 +6,18 @@ from typing import Protocol, Self
 import numpy as np
 
 from stepgap.control.cautious_controller import CautiousController, CautiousPlan
+from stepgap.control.command_table import build_table
 from stepgap.control.reference import Reference
+from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.background import BackgroundThread, Deferred
 from stepgap.learning.residual import Residual
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.plant import Plant
-from stepgap.records.summary import Deployment
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 Steps = Generator[LoggedStep, None, None]
 """Generator of steps as they are executed; closing it stops the plant."""
-
-
-def summarise(steps: StepLog, reference: Reference, residual: str) -> Deployment:
-    """Tracking errors of the steps of one deployment."""
-    tracked = StepLog(steps.space, (logged for logged in steps.completed() if logged.step > 0))
-    numbers = np.array([logged.step - 1 for logged in tracked], dtype=int)
-    error = tracked.next_state - tracked.target
-
-    def rms(rows: Array) -> Array:
-        return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)
-
-    return Deployment(
-        iteration=steps.iterations[0],
-        residual=residual,
-        steps=len(steps),
-        falls=steps.falls,
-        rmse=rms(error),
-        mae=np.mean(np.abs(error), axis=0) if len(error) else rms(error),
-        bias=np.mean(error, axis=0) if len(error) else rms(error),
-        steady_rmse=rms(error[np.isin(numbers, reference.steady)]),
-        transient_rmse=rms(error[np.isin(numbers, reference.transient)]),
-    )
-
-
-def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
-    """Noise floor estimated from the steady steps of one deployment [state units]; shape (n,).
-
-    It is the residual standard error of a linear fit of the next state in state and command. Where the map is not
-    linear, it is larger than the true noise. NaN where the steps are too few.
-    """
-    numbers = set((reference.steady + 1).tolist())
-    steady = StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))
-    inputs = np.hstack([np.ones((len(steady), 1)), steady.state, steady.requested])
-    degrees_of_freedom = len(steady) - inputs.shape[1]
-    if degrees_of_freedom < 1:
-        return np.full(len(steps.space.state), np.nan)
-    fitted = inputs @ np.linalg.lstsq(inputs, steady.next_state, rcond=None)[0]
-    return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / degrees_of_freedom)
 
 
 class AdaptiveMap(Protocol):
@@ -89,7 +52,14 @@ class AdaptiveMap(Protocol):
         ...
 
 
-def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: int, exploration: int = 0) -> Steps:
+def deploy(
+    learner: AdaptiveMap,
+    plant: Plant,
+    reference: Reference,
+    iteration: int,
+    exploration: int = 0,
+    control: ControlSettings = ALL_RULES,
+) -> Steps:
     """Tracks the reference until its end or a fall, at each step with the map as known then.
 
     Args:
@@ -98,12 +68,13 @@ def deploy(learner: AdaptiveMap, plant: Plant, reference: Reference, iteration: 
         reference: Reference to track from step 1 on.
         iteration: Number of the deployment.
         exploration: Number of exploratory steps before step 1, which are numbered up to 0.
+        control: Settings of step control.
     """
-    command = None
+    command, table = None, build_table(learner.step_map(), control.table) if control.table else None
     with BackgroundThread() as background, plant:
         state = plant.start()
         for number in range(1 - exploration, len(reference) + 1):
-            controller = CautiousController(learner.step_map(), learner.nominal, learner.failures)
+            controller = CautiousController(learner.step_map(), learner.nominal, learner.failures, control, table)
             if number < 1:
                 goals = goals_of(reference, controller.step_map)
                 plan = exploration_plan(controller, learner.residual, state, goals)

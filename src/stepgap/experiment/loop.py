@@ -16,7 +16,9 @@ from threadpoolctl import threadpool_limits
 from stepgap.base.random_streams import random_stream
 from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
-from stepgap.experiment.deployment import Steps, deploy, estimate_noise_floor, summarise
+from stepgap.control.settings import ALL_RULES, ControlSettings
+from stepgap.experiment.deployment import Steps, deploy
+from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
@@ -62,6 +64,7 @@ def run_experiment(
     measure_noise_floor: MeasureNoiseFloor | None = None,
     replays: bool = True,
     known: StepLog | None = None,
+    control: ControlSettings = ALL_RULES,
 ) -> list[Deployment]:
     """Runs the experiment, or resumes one that was interrupted, and keeps its record in `folder`.
 
@@ -82,6 +85,7 @@ def run_experiment(
             steps of an interrupted deployment are kept, and the next deployment starts.
         known: Steps with the same state and command, recorded earlier, that are used for learning before the first
             deployment; even if they come from another robot or map, the errors of this nominal map are learned.
+        control: Settings of step control.
 
     Raises:
         ValueError: The reference does not fit this map.
@@ -97,15 +101,15 @@ def run_experiment(
             learner = Learner.start(nominal, past + log, learning, iteration)
             if iteration > 0 or len(past):
                 write_model(folder, learner.iteration, learner.residual)
-            execute = partial(_execute, learner, make_plant, reference, seed, observer)
+            execute = partial(_execute, learner, make_plant, reference, seed, observer, control)
             steps = _observed(recording.steps(iteration, execute), nominal.space, observer)
             log += steps
-            deployments.append(summarise(steps, reference, _residual_name(learner)))
+            deployments.append(summarise(steps, reference, _residual_name(learner), learner.step_map()))
             summary = _summary(deployments, log, estimate_noise_floor(steps, reference), seed, past)
             if recording.caught_up:
                 write_summary(folder / "summary.json", summary, names)
             observer.on_deployment(deployments[-1])
-            if iteration == learning.iterations or not _still_improves(deployments, scale, learning.tolerance):
+            if iteration == learning.iterations or not _goes_on(deployments, scale, learning):
                 break
         recording.check_finished()
         if measure_noise_floor:
@@ -125,11 +129,13 @@ def _execute(
     reference: Reference,
     seed: int,
     observer: Observer,
+    control: ControlSettings,
 ) -> Steps:
     """Executes a deployment on a new plant, whose fault is reported at the end."""
     iteration = learner.iteration
     plant = make_plant(deployment_generator(seed, iteration))
-    yield from deploy(learner, plant, reference, iteration, 0 if iteration else learner.settings.exploration)
+    exploration = 0 if iteration else learner.settings.exploration
+    yield from deploy(learner, plant, reference, iteration, exploration, control)
     if plant.fault:
         observer.on_fault(plant.fault)
 
@@ -167,6 +173,11 @@ def _as_past(known: StepLog) -> StepLog:
     """Steps renumbered as deployments before number 0."""
     count = max(known.iterations, default=-1) + 1
     return StepLog(known.space, (replace(logged, iteration=logged.iteration - count) for logged in known))
+
+
+def _goes_on(deployments: Sequence[Deployment], scale: Array, learning: LearningSettings) -> bool:
+    """Whether a further deployment may reduce the tracking error, or is made in any case."""
+    return not learning.early_stop or _still_improves(deployments, scale, learning.tolerance)
 
 
 def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import tomli_w
 
@@ -23,12 +23,15 @@ from stepgap.base.settings_file import (
     with_table,
 )
 from stepgap.control.reference import Reference, paper_reference, read_reference, reference_text
+from stepgap.control.settings import ControlSettings
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import StepSpace
+
+T = TypeVar("T")
 
 PAPER = "paper"
 """Name of the built-in reference."""
@@ -44,6 +47,19 @@ WARM_START = "warm_start.csv"
 
 PRESETS: Mapping[str, Callable[[], RealityGap]] = {"paper": RealityGap, "none": RealityGap.none}
 """Values of `[gap] preset`; a preset sets all differences before single keys change some of them."""
+
+PAPER_LEARNING = LearningSettings(
+    residual="fitrgp", early_stop=False, drift=False, remove_yaw_dependence=False, monitor=False
+)
+PAPER_CONTROL = ControlSettings(cautious=False, viability=False, avoid_failures=False)
+METHODS: Mapping[str, tuple[LearningSettings, ControlSettings]] = {
+    "default": (LearningSettings(), ControlSettings()),
+    "paper": (PAPER_LEARNING, PAPER_CONTROL),
+}
+"""Values of `method`, which sets the tables `[learning]` and `[control]` before single keys change some settings.
+
+`paper` is the method as published: MATLAB's `fitrgp`, Eq. 13 without further rules, four redeployments.
+"""
 
 SHORT_OPTIONS = {
     "learning.iterations": "iterations",
@@ -69,6 +85,7 @@ class Experiment:
         gains: Gains of the joint controller.
         command: Bounds of the step command.
         learning: Settings of learning.
+        control: Settings of step control.
         gap: Differences of the twin from the model.
     """
 
@@ -81,6 +98,7 @@ class Experiment:
     gains: Gains = field(default_factory=Gains)
     command: CommandBounds = field(default_factory=CommandBounds)
     learning: LearningSettings = field(default_factory=LearningSettings)
+    control: ControlSettings = field(default_factory=ControlSettings)
     gap: RealityGap = field(default_factory=RealityGap)
 
     def __post_init__(self) -> None:
@@ -214,26 +232,33 @@ def changed_experiment(experiment: Experiment, table: Mapping[str, Any], locate:
         experiment.gains.check(experiment.robot)
     except ValueError as error:
         raise located(error, locate, "gains.") from None
+    if experiment.control.table and (experiment.learning.drift or experiment.learning.online):
+        raise InputError(
+            f"{locate('control.table')} = {experiment.control.table}, but a table does not change during a deployment; "
+            "also set learning.drift = false and learning.online = false, as --method paper does"
+        )
     return experiment
 
 
 def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: Locate) -> Experiment:
     """As `changed_experiment`, but without the check whether settings of different tables fit together."""
-    return merge(*_with_preset(experiment, table, locate), locate, more=("gap.preset",))
+    rest = dict(table)
+    if "method" in rest:
+        learning, control = _chosen(METHODS, rest.pop("method"), locate("method"))
+        experiment = replace(experiment, learning=learning, control=control)
+    gap = rest.get("gap")
+    if isinstance(gap, Mapping) and "preset" in gap:
+        preset = _chosen(PRESETS, gap["preset"], locate("gap.preset"))
+        experiment = replace(experiment, gap=preset())
+        rest["gap"] = {key: value for key, value in gap.items() if key != "preset"}
+    return merge(experiment, rest, locate, more=("method", "gap.preset"))
 
 
-def _with_preset(
-    experiment: Experiment, table: Mapping[str, Any], locate: Locate
-) -> tuple[Experiment, Mapping[str, Any]]:
-    """The experiment with the gap named by `[gap] preset`, and the table without that key."""
-    gap = table.get("gap")
-    if not isinstance(gap, Mapping) or "preset" not in gap:
-        return experiment, table
-    name = gap["preset"]
-    if name not in list(PRESETS):
-        close = get_close_matches(str(name), PRESETS, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else ""
-        wanted = " or ".join(f"'{known}'" for known in PRESETS)
-        raise InputError(f"{locate('gap.preset')} = {format_value(name)}, but it must be {wanted}{hint}")
-    rest = {key: value for key, value in gap.items() if key != "preset"}
-    return replace(experiment, gap=PRESETS[name]()), {**table, "gap": rest}
+def _chosen(choices: Mapping[str, T], name: Any, where: str) -> T:
+    """The choice of this name; `where` names the setting in the message of the InputError if there is none."""
+    if name in list(choices):
+        return choices[name]
+    close = get_close_matches(str(name), choices, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    wanted = " or ".join(f"'{known}'" for known in choices)
+    raise InputError(f"{where} = {format_value(name)}, but it must be {wanted}{hint}")

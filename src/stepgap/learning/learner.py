@@ -149,7 +149,7 @@ class Learner:
 
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
-        if self.monitor.worse:
+        if self.settings.monitor and self.monitor.worse:
             return CorrectedMap(self.nominal, no_residual(*self.model.sizes))
         residual, offset, share = self.residual, self.disturbance.offset(self.yaw), self.disturbance.std(self.yaw)
         return CorrectedMap(self.nominal, residual, offset, share * residual.noise_std)
@@ -215,7 +215,7 @@ def _fitted(
     """Fits the residual to all known steps; the search for hyper-parameters starts at those of `start`."""
     errors = observe(log, nominal)
     kind = settings.residual if len(errors) else "none"
-    if settings.drift and kind != "none":
+    if settings.remove_yaw_dependence and kind != "none":
         cleaned = without_yaw_dependence(errors, iteration)
         residual = fit_residual(kind, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
         if residual.kind != "none":

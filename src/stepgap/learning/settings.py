@@ -33,8 +33,11 @@ class LearningSettings:
             best so far; judged from the second redeployment on.
         lagged_inputs: Quantities of the step before that are inputs, too; `auto` selects those that predict best.
         forgetting_time: Number of steps after which a step's influence has faded; inf: it never fades.
-        drift: Whether a correction is shifted during a deployment by its recent errors and those near the same yaw,
-            and whether the yaw-dependent part of earlier deployments is removed before a residual is fitted.
+        early_stop: Whether redeploying stops before `iterations` when the error no longer falls.
+        drift: Whether a correction is shifted during a deployment by its recent errors and those near the same yaw.
+        remove_yaw_dependence: Whether the yaw-dependent part of the errors of earlier deployments is removed before a
+            residual is fitted to them.
+        monitor: Whether a correction that predicted the latest steps worse than the nominal map is not used.
         online: Whether to learn after every step, from the first one on.
         exploration: Number of steps before the first deployment's tracking whose commands are the most informative.
     """
@@ -44,7 +47,10 @@ class LearningSettings:
     tolerance: float = field(default=0.01, metadata={FORMER_NAME: "least_gain"})
     lagged_inputs: LaggedInputs | Literal["auto"] = field(default="none", metadata={FORMER_NAME: "features"})
     forgetting_time: float = field(default=inf, metadata={FORMER_NAME: "memory"})
+    early_stop: bool = True
     drift: bool = True
+    remove_yaw_dependence: bool = True
+    monitor: bool = True
     online: bool = False
     exploration: int = field(default=0, metadata={FORMER_NAME: "calibration"})
 

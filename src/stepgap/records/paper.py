@@ -55,11 +55,11 @@ def paper_error(measure: str, name: str, iteration: int) -> float | None:
     """Error of the paper's hardware run; None where the paper does not give it.
 
     Args:
-        measure: `rmse`, `mae`, `bias`, `steady_rmse` or `transient_rmse`.
+        measure: A measure of `summary.json`, such as `rmse`; the true errors are not known.
         name: `speed` or `height`.
         iteration: Number of the iteration; 0 is the controller without a GP.
     """
     if measure == "mae" and 0 <= iteration <= LAST_ITERATION:
         return MAE_BY_ITERATION[name][iteration]
     table = {0: NO_GP, LAST_ITERATION: WITH_GP}.get(iteration)
-    return table[measure][name] if table else None
+    return table[measure][name] if table and measure in table else None

@@ -14,7 +14,7 @@ from stepgap.step import Array
 SUMMARY_SCHEMA = 1
 """Version of `summary.json`."""
 
-MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse")
+MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse", "true_rmse")
 """Tracking errors in `summary.json`, each with one number per state coordinate."""
 
 LARGEST_SUMMARY = 2**24
@@ -43,6 +43,10 @@ class Deployment:
         bias: Mean error; shape (n,).
         steady_rmse: RMSE over `Reference.steady`; shape (n,).
         transient_rmse: RMSE over `Reference.transient`; shape (n,).
+        true_rmse: RMSE of the true next state, NaN where it is not known, as on hardware; shape (n,).
+        cut: Number of commands that limits cut.
+        unreachable: Targets that no command holds according to the map with which it began; shape (k, n).
+        missed: Other targets whose steady error exceeds three noise floors; shape (k, n).
     """
 
     iteration: int
@@ -54,6 +58,10 @@ class Deployment:
     bias: Array
     steady_rmse: Array
     transient_rmse: Array
+    true_rmse: Array
+    cut: int
+    unreachable: Array
+    missed: Array
 
     @property
     def errors(self) -> Mapping[str, Array]:
@@ -127,6 +135,9 @@ def deployment_entry(deployment: Deployment, names: Sequence[str]) -> dict[str, 
         "steps": deployment.steps,
         "falls": deployment.falls,
         **{measure: _by_name(names, error) for measure, error in deployment.errors.items()},
+        "cut": deployment.cut,
+        "unreachable": deployment.unreachable.tolist(),
+        "missed": deployment.missed.tolist(),
     }
 
 
@@ -221,6 +232,9 @@ def parse_deployment(entry: Any, names: tuple[str, ...], key: str, source: str) 
         steps=_integer(fields, "steps", 1, source),
         falls=_integer(fields, "falls", 0, source),
         **{measure: _errors(fields, measure, names, source) for measure in MEASURES},
+        cut=_integer(fields, "cut", 0, source),
+        unreachable=_targets(fields, "unreachable", names, source),
+        missed=_targets(fields, "missed", names, source),
     )
 
 
@@ -251,10 +265,23 @@ def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source:
         wanted = ", ".join(names)
         raise ValueError(f"{source}: {key} has {_short(list(values))}, but it must have {wanted}, as in steps.csv")
     for name, value in values.items():
-        known = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if value is not None and not (known and abs(value) <= LARGEST_NUMBER):
+        if value is not None and not _is_number(value):
             raise ValueError(f"{source}: {key} of {name} is {_short(value)}, but it must be a number or null")
     return np.array([np.nan if values[name] is None else float(values[name]) for name in names])
+
+
+def _targets(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source: str) -> Array:
+    """A list of targets, each a list with one number for each state coordinate; shape (k, n)."""
+    values = fields.get(key)
+    rows = values if isinstance(values, list) else [None]
+    if not all(isinstance(row, list) and len(row) == len(names) and all(map(_is_number, row)) for row in rows):
+        raise ValueError(f"{source}: {key} is {_short(values)}, but it must be a list of targets [{', '.join(names)}]")
+    return np.array(rows, float).reshape(-1, len(names))
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a number that is accepted as a measurement."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST_NUMBER
 
 
 def _short(value: Any) -> str:

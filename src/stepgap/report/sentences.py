@@ -2,10 +2,14 @@
 
 import numpy as np
 
+from stepgap.experiment.outcome import TRACKED
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import Deployment
 from stepgap.step import Array, Quantity, StepStatus
+
+MOST_NAMED = 6
+"""Largest number of targets that a sentence names."""
 
 
 def headline(record: RunRecord) -> str:
@@ -18,10 +22,12 @@ def headline(record: RunRecord) -> str:
     to_end = f"the last deployment made all its {_count(last.steps, 'step')} without a fall"
     if first is last:
         return f"One deployment so far, so there is nothing to compare with: {to_end}."
+    far = _beyond_noise(record, last)
+    verdict = f"It did not track: {far}. But {to_end}" if far else f"It tracked: {to_end}"
     if (last.errors["rmse"] < first.errors["rmse"]).all():
-        return f"It tracked: {to_end}, and every tracking error is smaller than in deployment {first.iteration}."
+        return f"{verdict}, and every tracking error is smaller than in deployment {first.iteration}."
     if first.falls:
-        return f"It tracked to the end: {to_end}, whereas {_ended(record, first)}."
+        return f"{verdict}, whereas {_ended(record, first)}."
     if np.isnan(last.errors["rmse"] - first.errors["rmse"]).any():
         return f"No fall, but not every tracking error is known: {to_end}."
     return f"No fall, but not better in every coordinate: {to_end}."
@@ -44,6 +50,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
         if deployment.falls
     ]
     found += _floor(record)
+    found += _limits(record)
     found.append(
         f"{_count(len(record.steps), 'hop')} recorded in {_count(len(record.steps.iterations), 'deployment')} "
         f"on the {plant}, {_count(record.steps.falls, 'fall')}."
@@ -113,6 +120,47 @@ def _floor(record: RunRecord) -> list[str]:
     )
     compared = f" The last steady RMSE is {ratios}." if np.isfinite([errors[row] for row in known]).all() else ""
     return [f"The noise floor (standard deviation of repeated steps) {how}.{compared}"]
+
+
+def _beyond_noise(record: RunRecord, deployment: Deployment) -> str:
+    """Phrase on the errors of a deployment that exceed three noise floors; empty if there are none."""
+    ratios = deployment.errors["rmse"] / np.where(record.noise_floor > 0, record.noise_floor, np.nan)
+    large = [row for row, ratio in enumerate(ratios) if ratio > TRACKED]
+    named = [f"the error of {record.space.state[row].name} is {decimal(ratios[row], 2)} noise floors" for row in large]
+    return " and ".join(named)
+
+
+def _limits(record: RunRecord) -> list[str]:
+    """Sentences on cut commands, and on targets that were not held."""
+    if not record.deployments:
+        return []
+    first, last = record.deployments[0], record.deployments[-1]
+    found = []
+    if last.cut:
+        found.append(
+            f"Limits cut {last.cut} of {last.steps} commands of deployment {last.iteration}; the residual includes what "
+            "they removed."
+        )
+    for of_map, entry in {"nominal map": first, f"map of deployment {last.iteration}": last}.items():
+        if len(entry.unreachable):
+            found.append(f"Unreachable according to the {of_map}: {_targets(record, entry.unreachable)}.")
+    if len(last.missed):
+        found.append(
+            f"Missed in deployment {last.iteration}, with a steady error above {TRACKED:g} noise floors, although "
+            f"reachable according to the map: {_targets(record, last.missed)}."
+        )
+    return found
+
+
+def _targets(record: RunRecord, targets: Array) -> str:
+    """Targets with their units."""
+    count = _count(len(targets), "target")
+    texts = [
+        " ".join(f"{value:.4g}{_unit(quantity)}" for value, quantity in zip(target, record.space.state, strict=True))
+        for target in targets[:MOST_NAMED]
+    ]
+    more = f"; and {len(targets) - MOST_NAMED} more" if len(targets) > MOST_NAMED else ""
+    return f"{count} ({'; '.join(texts)}{more})"
 
 
 def _paper_result() -> str:

@@ -48,7 +48,7 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
         check_reach(nominal, reference, Path(settings.reference).name)
         plants = choose_plants(settings, reference, False, folder)
         run = partial(run_experiment, nominal, plants.make, reference, settings.learning, folder, settings.seed)
-        deployments = run(known=known)
+        deployments = run(known=known, control=settings.control)
         files = [file for pattern in _KEPT[case["keep"]] for file in sorted(folder.glob(pattern))]
         kept = {file.relative_to(folder).as_posix(): file.read_text(encoding="utf-8") for file in files}
         return CaseOutput(_entries(deployments, folder, nominal.space), kept)

@@ -61,7 +61,8 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
     """Errors of the finished deployments as columns, with one number per deployment."""
     done = summary.deployments
     count = {
-        name: _column(np.array([getattr(each, name) for each in done])) for name in ("iteration", "steps", "falls")
+        name: _column(np.array([getattr(each, name) for each in done]))
+        for name in ("iteration", "steps", "falls", "cut")
     }
     errors = {
         measure: {name: np.array([each.errors[measure][i] for each in done], float) for i, name in enumerate(names)}

@@ -1,0 +1,31 @@
+"""The user's settings of step control: which rules restrict the command of Eq. 13, and whether a table replaces it."""
+
+from dataclasses import dataclass
+
+from stepgap.base.ranges import require
+
+
+@dataclass(frozen=True)
+class ControlSettings:
+    """Settings of step control; each rule can be switched off. Without all three, Eq. 13 is solved as it is.
+
+    Attributes:
+        cautious: Whether the command has the least expected squared error, bias² + variance, where the corrected map is
+            uncertain; otherwise its prediction is the target, however uncertain it is.
+        viability: Whether the next state must permit a further step, also if it is off by two standard deviations.
+        avoid_failures: Whether steps that resemble a failed one are not taken.
+        table: Points along each axis of a look-up table of commands that is computed before every deployment and used
+            in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too.
+    """
+
+    cautious: bool = True
+    viability: bool = True
+    avoid_failures: bool = True
+    table: int = 0
+
+    def __post_init__(self) -> None:
+        require(self.table == 0 or 2 <= self.table <= 41, "table", self.table, "be 0, or lie between 2 and 41")
+
+
+ALL_RULES = ControlSettings()
+"""The default: all rules, no table."""

@@ -1,0 +1,106 @@
+"""The outcome of a deployment: tracking errors, noise floor, cut commands, and targets that it did not hold."""
+
+import numpy as np
+
+from stepgap.control.gauss_newton import REACHED
+from stepgap.control.reference import Reference
+from stepgap.control.solve_many import solve_many
+from stepgap.learning.step_log import StepLog
+from stepgap.records.summary import Deployment
+from stepgap.step import Array, StepMap, StepStatus
+
+CUT = 0.01
+"""A command counts as cut by limits if they remove more than this part of its half range."""
+
+TRACKED = 3.0
+"""An error of at most this number of noise floors counts as tracking."""
+
+
+def summarise(steps: StepLog, reference: Reference, residual: str, step_map: StepMap | None = None) -> Deployment:
+    """Outcome of the steps of one deployment.
+
+    Args:
+        steps: The steps.
+        reference: Reference that was tracked.
+        residual: Name of the residual that was used.
+        step_map: Map with which the deployment began. Without it, no target counts as unreachable.
+    """
+    tracked = steps.completed().tracking()
+    numbers = np.array([logged.step - 1 for logged in tracked], dtype=int)
+    error, true_error = tracked.next_state - tracked.target, tracked.true_next_state - tracked.target
+    unreachable = unreachable_targets(step_map, reference) if step_map else np.empty((0, error.shape[1]))
+
+    def rms(rows: Array) -> Array:
+        return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)
+
+    return Deployment(
+        iteration=steps.iterations[0],
+        residual=residual,
+        steps=len(steps),
+        falls=steps.falls,
+        rmse=rms(error),
+        mae=np.mean(np.abs(error), axis=0) if len(error) else rms(error),
+        bias=np.mean(error, axis=0) if len(error) else rms(error),
+        steady_rmse=rms(error[np.isin(numbers, reference.steady)]),
+        transient_rmse=rms(error[np.isin(numbers, reference.transient)]),
+        true_rmse=rms(true_error),
+        cut=count_cut(steps),
+        unreachable=unreachable,
+        missed=missed_targets(steps, reference, unreachable),
+    )
+
+
+def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
+    """Noise floor estimated from the steady steps of one deployment [state units]; shape (n,).
+
+    It is the residual standard error of a linear fit of the next state in state and command. Where the map is not
+    linear, it is larger than the true noise. NaN where the steps are too few.
+    """
+    steady = _steady(steps, reference)
+    inputs = np.hstack([np.ones((len(steady), 1)), steady.state, steady.requested])
+    degrees_of_freedom = len(steady) - inputs.shape[1]
+    if degrees_of_freedom < 1:
+        return np.full(len(steps.space.state), np.nan)
+    fitted = inputs @ np.linalg.lstsq(inputs, steady.next_state, rcond=None)[0]
+    return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / degrees_of_freedom)
+
+
+def count_cut(steps: StepLog) -> int:
+    """Number of steps of whose requested command the limits removed more than `CUT`."""
+    removed = np.abs(steps.requested - steps.applied) / steps.space.command_scale
+    return int((removed > CUT).any(axis=1).sum())
+
+
+def unreachable_targets(step_map: StepMap, reference: Reference) -> Array:
+    """Distinct targets that no command holds according to a map; shape (k, n).
+
+    A target is held if some command leads from it to itself, up to the noise of one step in each coordinate.
+    """
+    targets = np.unique(reference.targets, axis=0)
+    found = solve_many(step_map, targets, targets[:, None])
+    miss = np.abs(found.predicted[:, 0] - targets)
+    near = miss <= np.maximum(step_map.noise_std, REACHED * step_map.space.state_scale)
+    held = found.reached[:, 0] | ((found.status[:, 0] == StepStatus.OK) & near.all(axis=1))
+    return targets[~held]
+
+
+def missed_targets(steps: StepLog, reference: Reference, unreachable: Array) -> Array:
+    """Distinct targets that were missed although they are reachable; shape (k, n).
+
+    A target is missed if the RMSE of the steady steps with this target exceeds `TRACKED` estimated noise floors in some
+    coordinate.
+    """
+    steady, floor = _steady(steps, reference), estimate_noise_floor(steps, reference)
+    missed = []
+    for target in np.unique(steady.target, axis=0):
+        here = (steady.target == target).all(axis=1)
+        rmse = np.sqrt(np.mean((steady.next_state[here] - target) ** 2, axis=0))
+        if (rmse > TRACKED * floor).any() and not (unreachable == target).all(axis=1).any():
+            missed.append(target)
+    return np.array(missed).reshape(-1, len(reference.names))
+
+
+def _steady(steps: StepLog, reference: Reference) -> StepLog:
+    """The steady steps of a deployment that ended with an apex."""
+    numbers = set((reference.steady + 1).tolist())
+    return StepLog(steps.space, (logged for logged in steps.completed() if logged.step in numbers))
