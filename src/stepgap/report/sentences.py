@@ -138,8 +138,8 @@ def _limits(record: RunRecord) -> list[str]:
     found = []
     if last.cut:
         found.append(
-            f"Limits cut {last.cut} of {last.steps} commands of deployment {last.iteration}; the residual includes what "
-            "they removed."
+            f"Limits cut {last.cut} of {last.steps} commands of deployment {last.iteration}; the residual includes "
+            "what they removed."
         )
     for of_map, entry in {"nominal map": first, f"map of deployment {last.iteration}": last}.items():
         if len(entry.unreachable):

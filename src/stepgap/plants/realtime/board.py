@@ -167,7 +167,8 @@ class Board:
         words, numbers = self._words, self._numbers
         if words[Field.HOP_NUMBER] != number:
             return None
-        found = FinishedHop(number, *numbers[Field.SPEED : Field.STATUS].tolist(), StepStatus(words[Field.STATUS]))
+        values = numbers[Field.SPEED : Field.STATUS].tolist()
+        found = FinishedHop._make((number, *values, StepStatus(words[Field.STATUS])))
         return found if words[Field.HOP_NUMBER] == number else None
 
     def count_tick(self, late: float, missed: int) -> None:

@@ -192,7 +192,8 @@ class ControlLoop:
         speed, height = finished.state.tolist()
         requested = np.nan_to_num(finished.command)  # without a command there was no force
         forces = *requested.tolist(), *(requested - finished.lost).tolist()
-        self._board.post_hop(FinishedHop(self._hop, speed, height, *forces, finished.yaw, self._control.status))
+        hop = self._hop, speed, height, *forces, finished.yaw, self._control.status
+        self._board.post_hop(FinishedHop._make(hop))
 
     def _repeat(self, now: float) -> bool:
         """Exchanges a frame between two ticks, at a time [s]; returns False if the rig fails."""
