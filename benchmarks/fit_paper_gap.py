@@ -93,13 +93,17 @@ def values_of(gap: RealityGap) -> Array:
     return np.array([gap.motor_offset_1 if name == "motor_offset" else getattr(gap, name) for name in PRIORS])
 
 
-def first_deployment(gap: RealityGap, seed: int) -> tuple[StepLog, Deployment]:
-    """Deployment 0 of `stepgap run` with this seed.
+def first_deployment(
+    gap: RealityGap,
+    seed: int,
+    bounds: CommandBounds = CommandBounds(),  # noqa: B008  (frozen)
+) -> tuple[StepLog, Deployment]:
+    """Deployment 0 of `stepgap run` with this seed and these bounds of the command.
 
     Raises:
         RigFault: The hop before the first step failed.
     """
-    robot, gains, bounds, reference = RobotParameters(), Gains(), CommandBounds(), paper_reference()
+    robot, gains, reference = RobotParameters(), Gains(), paper_reference()
     nominal = ApexMap(robot, gains, bounds)
     ground = GroundProfile(gap, robot.boom_length, random_stream(seed))
     rng = random_stream(seed, 0)

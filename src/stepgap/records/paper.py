@@ -37,6 +37,13 @@ WITH_GP: Final[Mapping[str, Mapping[str, float]]] = {
 Steady is at least 4 steps after a change of the reference, transient the first 4 steps after each of its 18 changes.
 """
 
+FIRST_STEPS_NO_GP: Final = (0.240, 0.243, 0.129)
+FIRST_STEPS_WITH_GP: Final = (0.144, 0.111, 0.083)
+"""Errors of speed on the first step after the three falls of the target speed, from Fig. 4, at iterations 0 and 4.
+
+They make up 73 % of the sum of the squared transient errors that remained, and 55 % of that of all 227 errors.
+"""
+
 MAE_BY_ITERATION: Final[Mapping[str, tuple[float, ...]]] = {
     "speed": (0.0550, 0.109, 0.0141, 0.0102, 0.0111),
     "height": (0.0186, 0.0088, 0.0085, 0.0029, 0.0028),
