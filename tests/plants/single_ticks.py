@@ -19,6 +19,10 @@ class SingleTicks(Rig):
     def sensor_model(self) -> HopperSensorModel:
         return self._twin.sensor_model
 
+    @property
+    def truth(self) -> tuple[float, ...]:
+        return self._twin.truth
+
     def connect(self) -> None:
         self._twin.connect()
 

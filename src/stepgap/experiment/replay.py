@@ -227,6 +227,10 @@ class _ObservedRig(Rig):
     def health(self) -> Health:
         return self._rig.health
 
+    @property
+    def truth(self) -> tuple[float, ...]:
+        return self._rig.truth
+
     def connect(self) -> None:
         self._rig.connect()
 

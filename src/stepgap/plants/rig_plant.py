@@ -92,7 +92,10 @@ class RigPlant(Plant):
         if np.isnan(within).any():
             self._status = StepStatus.INVALID
         self._state, _, lost, yaw = self._step(tuple(within.tolist()))
-        return StepRecord(state, command, within - lost, self._state, self._status, yaw, requested=within)
+        true_state = np.full(len(state), np.nan)
+        if self._status == StepStatus.OK and self._rig.truth:
+            true_state[:] = self._rig.truth
+        return StepRecord(state, command, within - lost, self._state, self._status, yaw, within, true_state)
 
     def stop(self) -> None:
         """Switches torque off."""

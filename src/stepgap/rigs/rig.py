@@ -72,6 +72,15 @@ class Rig(ABC):
         """Limits of its motors, joints and ticks; None where only the robot's torque limit is known."""
         return None
 
+    @property
+    def truth(self) -> tuple[float, ...]:
+        """State of the robot as it truly was at the end of the last step; empty where it is unknown, as on hardware.
+
+        A simulated rig may know it, in the order of the state that the robot measures. It is recorded for reports only:
+        nothing that controls or learns may read it.
+        """
+        return ()
+
     @abstractmethod
     def connect(self) -> None:
         """Prepares the rig for the first tick, without torque."""

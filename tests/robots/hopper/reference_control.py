@@ -4,14 +4,14 @@ It is the code before the compiled tick: lists of samples, `np.polyfit`, and an 
 one in every tick. Only the torque laws and the leg's geometry are those of the package.
 """
 
-from math import inf, isfinite, isnan, nan, sin, tau
+from math import inf, isfinite, isnan, nan, sin, sqrt, tau
 from typing import NamedTuple
 
 import numpy as np
 
 from stepgap.rigs.rig import HEALTHY, Health, RigFault
 from stepgap.robots.hopper.dynamics import leg_inertia, masses_of
-from stepgap.robots.hopper.estimator import APEX_DROP, SPEED_DELAY
+from stepgap.robots.hopper.estimator import ACCELERATION, APEX_DROP, SPEED_DELAY
 from stepgap.robots.hopper.joint_control import flight_torque, joint_law, stance_torque
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.limits import SafetyLimits
@@ -28,7 +28,7 @@ Torques = tuple[float, float]
 
 
 class FlightFit:
-    """Line and parabola fitted to the samples of one flight.
+    """Lines and parabolas fitted to the samples of one flight.
 
     The samples are positions of the hip, corrected for the leg's motion: x + S sin α₁ / m_x and
     y − S cos α₁ / m_y move as a free body does.
@@ -58,18 +58,32 @@ class FlightFit:
         return bool(self._ys) and self._ys[-1] < self._highest - APEX_DROP
 
     def speed(self) -> float:
-        """Forward speed of the free body [m/s]; NaN before SPEED_DELAY or with fewer samples than a parabola needs."""
+        """Mean forward speed of the free body [m/s]; NaN before SPEED_DELAY or with fewer than three samples."""
         count = len(self._times)
         if count < 3 or self._times[-1] < SPEED_DELAY:
             return nan
         return (count * self._sum_tx - self._sum_t * self._sum_x) / (count * self._sum_tt - self._sum_t**2)
 
-    def apex_height(self) -> float:
-        """Highest point of the fitted parabola [m]."""
-        times = np.array(self._times)
-        centre = times.mean()
-        curvature, slope, level = np.polyfit(times - centre, self._ys, 2)
-        return float(level - slope**2 / (4 * curvature)) if curvature < 0 else nan
+    def apex(self, count: float) -> tuple[float, float]:
+        """Speed [m/s] and height [m] at the vertex of the parabola fitted to y; NaN if it has none.
+
+        The speed is that of the parabola fitted to x, with a normal prior of the acceleration: one more equation.
+
+        Args:
+            count: One count of the yaw encoder [m].
+        """
+        if isnan(self.speed()):
+            return nan, nan
+        times = np.array(self._times) - np.mean(self._times)
+        curvature, slope, level = np.polyfit(times, self._ys, 2)
+        if curvature >= 0:
+            return nan, nan
+        apex = -slope / (2 * curvature)
+        travelled = abs(np.polyfit(times, self._xs, 1)[0]) * self._times[-1]
+        error = sqrt(len(times) / 12) * count / (1 + travelled / count)
+        equations = np.vstack([np.vander(times, 3) / error, [2 / ACCELERATION, 0, 0]])
+        parabola = np.linalg.lstsq(equations, np.array([*self._xs, 0]) / error, rcond=None)[0]
+        return float(np.polyval(np.polyder(parabola), apex)), float(level - slope**2 / (4 * curvature))
 
 
 class JointRates:
@@ -477,11 +491,11 @@ class ReferenceControl:
 
     def _apex(self) -> Array:
         """State at the apex just passed; NaN for a flight that is too short to be measured."""
-        speed = self._fit.speed()
-        if isnan(speed):
-            return np.full(2, np.nan)
-        self._speed = speed
-        return np.array([speed, self._fit.apex_height() - self._leg.shift_y])
+        sensors = self._sensors
+        speed, top = self._fit.apex(sensors.boom_length * tau / sensors.boom_counts_horizontal)
+        if not isnan(speed):
+            self._speed = speed
+        return np.array([speed, top - self._leg.shift_y])
 
     def _update_phase(self, contact_force: float, x: float) -> None:
         """Updates the phase."""

@@ -9,9 +9,9 @@ from stepgap.robots.hopper.estimator import (
     SPEED_DELAY,
     FlightFit,
     JointRates,
-    apex_height,
     apex_passed,
-    fitted_speed,
+    fitted_apex,
+    mean_speed,
     with_reading,
     with_sample,
 )
@@ -21,12 +21,17 @@ COUNT_X = BOOM * 2 * math.pi / 5000  # 2.3 mm
 COUNT_Y = BOOM * 2 * math.pi / 16384
 
 
-def fly(speed, apex, takeoff, gravity=5.2, tick=1e-3, quantise=False):
-    """Fit to a ballistic flight until the apex is detected."""
+EXACT = 1e-9
+"""Count of an encoder that hardly rounds [m]."""
+
+
+def fly(speed, apex, takeoff, gravity=5.2, acceleration=0.0, tick=1e-3, quantise=False):
+    """Fit to a flight until the apex, where it has this speed, is detected; it accelerates forward evenly."""
     rise = math.sqrt(2 * (apex - takeoff) / gravity)
     fit, time = FlightFit(), 0.0
     while not apex_passed(fit):
-        x, y = speed * time, apex - gravity / 2 * (time - rise) ** 2
+        x = speed * time + acceleration * time * (time / 2 - rise)
+        y = apex - gravity / 2 * (time - rise) ** 2
         if quantise:
             x, y = COUNT_X * round(x / COUNT_X), COUNT_Y * round(y / COUNT_Y)
         fit = with_sample(fit, time, x, y)
@@ -34,40 +39,68 @@ def fly(speed, apex, takeoff, gravity=5.2, tick=1e-3, quantise=False):
     return fit, time - rise
 
 
-def test_an_exact_flight_is_fitted_exactly():
-    fit, late = fly(speed=0.31, apex=0.6, takeoff=0.3)
-    assert fitted_speed(fit) == pytest.approx(0.31, abs=1e-12)
-    assert apex_height(fit) == pytest.approx(0.6, abs=1e-12)
+@pytest.mark.parametrize("acceleration", [0.0, -0.06, 0.5])
+def test_an_exact_flight_is_fitted_exactly(acceleration):
+    fit, late = fly(speed=0.31, apex=0.6, takeoff=0.3, acceleration=acceleration)
+    assert fitted_apex(fit, EXACT) == pytest.approx((0.31, 0.6), abs=1e-12)
     assert late == pytest.approx(math.sqrt(2 * APEX_DROP / 5.2), abs=2e-3)
 
 
-def test_quantised_flights_are_resolved_far_below_one_count():
+def test_the_mean_speed_of_a_decelerated_flight_is_that_at_half_of_its_time():
+    fit, late = fly(speed=0.31, apex=0.6, takeoff=0.3, acceleration=-0.06)
+    rise = math.sqrt(2 * 0.3 / 5.2)
+    assert mean_speed(fit) == pytest.approx(0.31 + 0.06 * (rise - fit.latest / 2), abs=1e-12)
+    assert late > 0
+
+
+def rms_errors(fastest, count):
+    """Errors of speed and height at the apex of flights with rounded counts."""
     rng = np.random.default_rng(0)
     errors = []
     for _ in range(200):
-        speed, apex, takeoff = rng.uniform(0, 0.4), rng.uniform(0.52, 0.64), rng.uniform(0.27, 0.29)
-        fit, _ = fly(speed, apex, takeoff, quantise=True)
-        errors.append([fitted_speed(fit) - speed, apex_height(fit) - apex])
-    speed_error, height_error = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert speed_error < 0.002  # differencing at 1 kHz: 2.3 m/s per count
+        speed, apex, takeoff = rng.uniform(0, fastest), rng.uniform(0.52, 0.64), rng.uniform(0.27, 0.29)
+        fit, _ = fly(speed, apex, takeoff, acceleration=rng.normal(0, 0.05), quantise=True)
+        errors.append(np.subtract(fitted_apex(fit, count), (speed, apex)))
+    return np.sqrt(np.mean(np.square(errors), axis=0))
+
+
+def test_quantised_flights_are_resolved_far_below_one_count():
+    speed_error, height_error = rms_errors(0.4, COUNT_X)
+    assert speed_error < 0.0015  # differencing at 1 kHz: 2.3 m/s per count
     assert height_error < COUNT_Y / 3
+
+
+def test_a_flight_of_some_counts_is_resolved_to_less_than_a_count_per_flight():
+    speed_error, _ = rms_errors(0.03, COUNT_X)
+    free_error, _ = rms_errors(0.03, EXACT)
+    assert speed_error < 0.95 * free_error
+    assert speed_error < 0.8 * COUNT_X / 0.4
 
 
 def test_no_speed_is_given_before_the_flight_is_long_enough():
     fit = FlightFit()
-    assert math.isnan(fitted_speed(fit))
+    assert math.isnan(mean_speed(fit))
     for time in np.arange(0, SPEED_DELAY - 1e-9, 1e-3):
         fit = with_sample(fit, time, 0.2 * time, 0.3 + time)
-        assert math.isnan(fitted_speed(fit))
+        assert math.isnan(mean_speed(fit))
     fit = with_sample(fit, SPEED_DELAY, 0.2 * SPEED_DELAY, 0.35)
-    assert fitted_speed(fit) == pytest.approx(0.2)
+    assert mean_speed(fit) == pytest.approx(0.2)
 
 
 def test_a_flight_of_two_late_samples_has_no_speed_yet():
     fit = FlightFit()
     for time in (0.06, 0.12):
         fit = with_sample(fit, time, 0.2 * time, 0.3)
-        assert math.isnan(fitted_speed(fit))
+        assert math.isnan(mean_speed(fit))
+        assert np.isnan(fitted_apex(fit, COUNT_X)).all()
+
+
+def test_heights_without_a_maximum_have_no_apex():
+    fit = FlightFit()
+    for i in range(100):
+        fit = with_sample(fit, i * 1e-3, 0.0, 0.3 + 0.1 * (i * 1e-3) ** 2)
+    assert mean_speed(fit) == 0.0
+    assert np.isnan(fitted_apex(fit, COUNT_X)).all()
 
 
 def test_joint_rates_follow_a_ramp_after_their_span():

@@ -15,7 +15,7 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import NO_COMMAND, Mode, Order, TickFlag
 from stepgap.rigs.rig import HEALTHY, LOST, Health
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.estimator import FlightFit, apex_height, with_sample
+from stepgap.robots.hopper.estimator import FlightFit, fitted_apex, with_sample
 from stepgap.robots.hopper.hop_control import HopControl, HopperControl
 from stepgap.robots.hopper.hop_state import HopState
 from stepgap.robots.hopper.hop_tick import tick
@@ -26,6 +26,7 @@ from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepStatus
+from tests.robots.hopper import reference_control
 from tests.robots.hopper.reference_control import ReferenceControl
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
@@ -194,17 +195,18 @@ def test_sums_of_powers_fit_as_well_as_all_samples():
     """The fits agree up to a flight of 1 s, three times the longest one of the reference."""
     rng = np.random.default_rng(2)
     for _ in range(300):
-        count, duration = int(rng.integers(10, 1000)), 0.0
-        times = np.cumsum(rng.uniform(0.5e-3, 1.5e-3, count))
+        number = int(rng.integers(10, 1000))
+        times = np.cumsum(rng.uniform(0.5e-3, 1.5e-3, number))
         heights = rng.uniform(0.2, 0.9) + rng.uniform(0, 3) * times - rng.uniform(2, 10) / 2 * times**2
-        heights += rng.normal(0, 1e-3, count)
-        fit = FlightFit()
-        for time, height in zip(times.tolist(), heights.tolist(), strict=True):
-            fit = with_sample(fit, time, 0.0, height)
-        a, b, c = np.polyfit(times - times.mean(), heights, 2)
-        duration = times[-1]
-        if a < -0.5 and duration > 0.05:
-            assert apex_height(fit) == pytest.approx(c - b * b / (4 * a), rel=1e-9, abs=1e-10)
+        travelled = rng.uniform(-0.5, 0.5) * times + rng.uniform(-1, 1) * times**2
+        travelled, heights = np.array([travelled, heights]) + rng.normal(0, 1e-3, (2, number))
+        fit, samples = FlightFit(), reference_control.FlightFit()
+        for sample in np.column_stack([times, travelled, heights]).tolist():
+            fit = with_sample(fit, *sample)
+            samples.add(*sample)
+        count = rng.uniform(1e-4, 5e-3)
+        if np.polyfit(times, heights, 2)[0] < -0.5 and times[-1] > 0.05:
+            assert fitted_apex(fit, count) == pytest.approx(samples.apex(count), rel=1e-9, abs=1e-10)
 
 
 def test_the_tick_allocates_no_memory_and_needs_no_interpreter_lock():

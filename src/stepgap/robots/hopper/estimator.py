@@ -1,9 +1,11 @@
 """Speed and height at the apex from quantised encoders.
 
 One count of the yaw encoder is 2.3 mm of travel, so differencing it at 1 kHz would give speeds in multiples of 2.3 m/s.
-In flight, however, the motion has only a few unknown parameters: the centre of mass moves on a straight line in x and
-on a parabola in y. Both are fitted by least squares to the whole flight so far. The fits need only sums of powers, so
-adding a sample takes the same time at every length of the flight.
+In flight, however, the motion has only a few unknown parameters: the centre of mass moves on a parabola in y, and on an
+almost straight line in x, because friction and drag of the boom decelerate it a little. Curves are fitted by least
+squares to the whole flight so far: parabolas for the state at the apex; a line in x for the landing posture, which
+needs the speed soon after take-off. The fits need only sums of powers, so adding a sample takes the same time at every
+length of the flight.
 """
 
 from math import inf
@@ -17,7 +19,13 @@ APEX_DROP = 0.004
 """Distance of the hip below its highest point at which the apex counts as passed [m]."""
 
 SPEED_DELAY = 0.05
-"""Flight time after which the fitted speed is used [s]."""
+"""Flight time after which the speed of the flight is used [s]."""
+
+ACCELERATION = 0.05
+"""Standard deviation of the horizontal accelerations that are expected in flight [m/s²].
+
+Friction of 0.2 N at the tip of a boom with a moving mass of 4 kg decelerates as much.
+"""
 
 CENTRE = 0.15
 """Origin of the times in the sums, as time after take-off [s]; about the middle of an ascent.
@@ -46,6 +54,7 @@ class FlightFit(NamedTuple):
         u4: Σ u⁴.
         x: Σ x.
         ux: Σ u x.
+        u2x: Σ u² x.
         v: Σ v.
         uv: Σ u v.
         u2v: Σ u² v.
@@ -61,6 +70,7 @@ class FlightFit(NamedTuple):
     u4: float = 0.0
     x: float = 0.0
     ux: float = 0.0
+    u2x: float = 0.0
     v: float = 0.0
     uv: float = 0.0
     u2v: float = 0.0
@@ -69,7 +79,7 @@ class FlightFit(NamedTuple):
 @as_written
 def no_samples():
     """`FlightFit` at take-off, without samples."""
-    return FlightFit(0, 0.0, 0.0, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return FlightFit(0, 0.0, 0.0, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @as_written
@@ -88,6 +98,7 @@ def with_sample(fit, time, x, y):
         fit.u4 + u2 * u2,
         fit.x + x,
         fit.ux + u * x,
+        fit.u2x + u2 * x,
         fit.v + v,
         fit.uv + u * v,
         fit.u2v + u2 * v,
@@ -101,35 +112,63 @@ def apex_passed(fit):
 
 
 @as_written
-def fitted_speed(fit):
-    """Forward speed of the free body [m/s]; NaN before SPEED_DELAY or with fewer samples than a parabola needs."""
+def mean_speed(fit):
+    """Slope of the line fitted to x, the mean forward speed of the free body in the flight so far [m/s].
+
+    NaN before SPEED_DELAY or with fewer samples than a parabola needs.
+    """
     if fit.samples < 3 or fit.latest < SPEED_DELAY:
         return np.nan
     return (fit.samples * fit.ux - fit.u * fit.x) / (fit.samples * fit.u2 - fit.u * fit.u)
 
 
 @as_written
-def apex_height(fit):
-    """Highest point of the parabola fitted by least squares [m]; NaN where the parabola has no maximum.
+def fitted_apex(fit, count):
+    """Forward speed [m/s] and height [m] of the free body at the apex, the vertex of the parabola fitted to y.
 
-    With w = u − mean(u) and W_k = Σ w^k the polynomials 1, w and w² − (W₃/W₂) w − W₂/n are orthogonal over the samples,
-    so each coefficient is computed separately.
+    With w = u − mean(u) and W_k = Σ w^k the polynomials 1, w and q = w² − (W₃/W₂) w − W₂/n are orthogonal over the
+    samples, so each coefficient is computed separately. The speed is the derivative of the parabola fitted to x.
+
+    The curvature of x has the normal prior of half an acceleration with standard deviation ACCELERATION, so that its
+    estimate is Σ q x / (Σ q² + (2σ / ACCELERATION)²) for independent errors σ of the samples. It matters only if the
+    robot hardly moves: the rounding errors of n samples at constant speed almost cancel over each whole count, so while
+    the robot moves by M counts, their mean has a standard deviation of about count/√12 / (1 + M) = σ/√n.
+
+    Args:
+        fit: `FlightFit`.
+        count: One count of the yaw encoder as travel of the hip [m].
+
+    Returns:
+        Speed and height; NaN where `mean_speed` is, or where the parabola of y has no maximum.
     """
+    if np.isnan(mean_speed(fit)):
+        return np.nan, np.nan
     n = fit.samples
-    if n < 3:
-        return np.nan
     m = fit.u / n
     w2 = fit.u2 - m * fit.u
     w3 = fit.u3 - m * (3.0 * fit.u2 - 2.0 * m * fit.u)
     w4 = fit.u4 - m * (4.0 * fit.u3 - m * (6.0 * fit.u2 - 3.0 * m * fit.u))
-    wv = fit.uv - m * fit.v
-    w2v = fit.u2v - m * (2.0 * fit.uv - m * fit.v)
-    skew = w3 / w2
-    curvature = (w2v - skew * wv - w2 / n * fit.v) / (w4 - skew * w3 - w2 * w2 / n)
+    skew, level = w3 / w2, w2 / n
+    q2 = w4 - skew * w3 - w2 * level
+    wv, qv = _projections(m, skew, level, fit.v, fit.uv, fit.u2v)
+    curvature = qv / q2
     if not curvature < 0.0:
-        return np.nan
-    slope = wv / w2 - curvature * skew
-    return LEVEL + (fit.v - curvature * w2) / n - slope * slope / (4.0 * curvature)
+        return np.nan, np.nan
+    slope = wv / w2 - curvature * skew  # of y at w = 0
+    apex = -slope / (2.0 * curvature)
+    height = LEVEL + (fit.v - curvature * w2) / n - slope * slope / (4.0 * curvature)
+    wx, qx = _projections(m, skew, level, fit.x, fit.ux, fit.u2x)
+    mean = wx / w2
+    rounding = count * count / (count + abs(mean) * fit.latest)  # √(12 n) σ / n
+    curvature_x = qx / (q2 + n * rounding * rounding / (3.0 * ACCELERATION * ACCELERATION))
+    return mean + curvature_x * (2.0 * apex - skew), height
+
+
+@as_written
+def _projections(m, skew, level, z, uz, u2z):
+    """Σ w z and Σ q z from Σ z, Σ u z and Σ u² z; with w = u − m and q = w² − skew w − level."""
+    wz = uz - m * z
+    return wz, u2z - m * (2.0 * uz - m * z) - skew * wz - level * z
 
 
 class JointRates(NamedTuple):

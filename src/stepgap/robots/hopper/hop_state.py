@@ -73,7 +73,7 @@ class FlightState(NamedTuple):
     Attributes:
         start: Time of take-off [s].
         x: Distance travelled at take-off [m].
-        fit: Line and parabola fitted to its samples.
+        fit: Curves fitted to its samples.
         last_speed: Speed at the last apex [m/s], used while this flight is too short to be fitted.
     """
 

@@ -14,12 +14,12 @@ import numpy as np
 from stepgap.base.compiled import as_written
 from stepgap.base.compiled_record import assign, loaded
 from stepgap.plants.tick_control import Mode, TickFlag
-from stepgap.robots.hopper.estimator import apex_height, fitted_speed
+from stepgap.robots.hopper.estimator import fitted_apex
 from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, FlightState, HopProgress, HopState, TickInputs
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.reduced import uprightness
 from stepgap.robots.hopper.safety import STOPS, brakes, check_torque
-from stepgap.robots.hopper.sensing import sense, update_flight
+from stepgap.robots.hopper.sensing import sense, update_flight, yaw_of
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
 
@@ -60,7 +60,7 @@ def hop_tick(settings, state, inputs):
     hop = _update_status(settings.law.leg, hop, motion, checked.limited)
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
-        flags, hop, flight, apex = _end_hop(hop, flight, apex, phase, body, inputs.time)
+        flags, hop, flight, apex = _end_hop(settings.sensor_model, hop, flight, apex, phase, body, inputs.time)
     flags |= _flags(settings.limits, hop, phase, checked)
     after = HopState(
         inputs.mode, phase, sampled, motion, rates, flight, hop, apex, checked.watch, asked[0], asked[1],
@@ -137,7 +137,7 @@ def _with_status(hop, status):
 
 
 @as_written
-def _end_hop(hop, flight, apex, phase, body, time):
+def _end_hop(model, hop, flight, apex, phase, body, time):
     """Ends the hop if the robot has just passed the apex; fails it if its time is over.
 
     After a flight that is too short for an estimate of speed and height, the hop does not end: the robot has bounced.
@@ -146,12 +146,11 @@ def _end_hop(hop, flight, apex, phase, body, time):
         Flags, `HopProgress`, `FlightState` and `Apex`.
     """
     if hop.status == StepStatus.OK and hop.left_ground and phase == Phase.DESCENT:
-        speed = fitted_speed(flight.fit)
-        height = apex_height(flight.fit) - body.shift_y
-        if not np.isnan(speed):
-            flight = FlightState(flight.start, flight.x, flight.fit, speed)
+        speed, top = fitted_apex(flight.fit, model.boom_length * yaw_of(model, 1.0))
+        height = top - body.shift_y
         if np.isfinite(speed + height):
             lost_x, lost_y = _mean_loss(hop)
+            flight = FlightState(flight.start, flight.x, flight.fit, speed)
             ended = Apex(speed, height, body.yaw, lost_x, lost_y, hop.force_x, hop.force_y)
             return _STEP_ENDED, _new_hop(time + STEP_TIMEOUT, hop.status), flight, ended
     if time > hop.deadline:

@@ -41,12 +41,18 @@ def sense(settings, rates, sampled, inputs):
     phi_2 = inputs.motor_2 * _TURN / model.motor_counts
     alpha_1, alpha_2 = 0.5 * (phi_1 + phi_2), 0.5 * (phi_1 - phi_2)
     rates = with_reading(rates, sampled, alpha_1, alpha_2)
-    yaw = inputs.boom_horizontal * _TURN / model.boom_counts_horizontal
+    yaw = yaw_of(model, inputs.boom_horizontal)
     pitch = inputs.boom_vertical * _TURN / model.boom_counts_vertical
     x, y = model.boom_length * yaw, model.pivot_height + model.boom_length * np.sin(pitch)
     length, hip_rate, shift_x, shift_y = _leg_state(settings.masses, alpha_1, alpha_2, rates.rate_1, rates.rate_2)
     motion = Motion(alpha_1, alpha_2, rates.rate_1, rates.rate_2, length, y)
     return rates, motion, Body(x, yaw, hip_rate, shift_x, shift_y)
+
+
+@as_written
+def yaw_of(model, counts):
+    """Yaw of the boom [rad] for counts of its encoder."""
+    return counts * _TURN / model.boom_counts_horizontal
 
 
 @compiled

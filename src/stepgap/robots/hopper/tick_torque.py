@@ -4,7 +4,7 @@ import numpy as np
 
 from stepgap.base.compiled import as_written, compiled
 from stepgap.plants.tick_control import Mode
-from stepgap.robots.hopper.estimator import fitted_speed
+from stepgap.robots.hopper.estimator import mean_speed
 from stepgap.robots.hopper.joint_control import flight_torque, stance_torque
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.phases import Phase
@@ -31,7 +31,7 @@ def wanted_torque(law, phase, motion, flight, hop, inputs):
 @as_written
 def _posture_torque(law, motion, flight):
     """Torques that hold the landing posture [N·m]."""
-    speed = fitted_speed(flight.fit)
+    speed = mean_speed(flight.fit)
     if np.isnan(speed):
         speed = flight.last_speed
     return flight_torque(law, motion.alpha_1, motion.alpha_2, motion.rate_1, motion.rate_2, speed)

@@ -27,6 +27,7 @@ class Devices(NamedTuple):
         pitch_rounds: Whether the pitch encoder gives integer counts.
         overspeed: Motor speed at which the drives trip [rad/s].
         boom_arc: Whether the hip moves on a sphere about the boom's pivot, not in a plane.
+        boom_elastic: Whether the boom's tip can move against its root.
         boom_length: Distance from pivot to hip [m].
         pivot_height: Height of the pivot above the ground [m].
         floor_yaw: Angle by which the floor is turned under the robot [rad].
@@ -48,6 +49,7 @@ class Devices(NamedTuple):
     pitch_rounds: bool
     overspeed: float
     boom_arc: bool
+    boom_elastic: bool
     boom_length: float
     pivot_height: float
     floor_yaw: float

@@ -15,6 +15,7 @@ from stepgap.base.compiled import as_written
 from stepgap.plants.tick_control import TickFlag
 from stepgap.robots.hopper.hop_tick import UNREADABLE, tick
 from stepgap.robots.hopper.twin.devices import READ, drive, read_counts
+from stepgap.robots.hopper.twin.true_apex import update_apex
 
 NO_NUMBER, NO_TORQUE = 3, 4
 """How a tick ended, besides the outcomes of a reading: a sensor value or a torque is not finite."""
@@ -32,7 +33,8 @@ _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 @as_written
 def run_ticks(
-    control, devices, views, physics, noise, rows, time, tick_time, mode, share, force_x, force_y, applied_1, applied_2,
+    control, devices, views, physics, apex, noise, rows, time, tick_time, mode, share, force_x, force_y, applied_1,
+    applied_2,
 ):  # fmt: skip
     """Runs ticks until a step ends or fails, at most as many as `rows` has.
 
@@ -41,6 +43,7 @@ def run_ticks(
         devices: Record of `Devices`.
         views: `Views`.
         physics: Addresses of MuJoCo's model and data, and the number of physics steps in a tick.
+        apex: Record of `TrueApex`.
         noise: Standard normal numbers for each tick and motor; shape (k, 2).
         rows: Rows of the tick log, which are filled; shape (k, 14).
         time: When the first tick begins [s].
@@ -69,6 +72,7 @@ def run_ticks(
         applied_1, applied_2 = applied
         for _ in range(substeps):
             _mj_step(model, data)
+        update_apex(apex, devices, views)
         time += tick_time
         rows[i] = row
         rows[i, 11], rows[i, 12] = applied_1, applied_2

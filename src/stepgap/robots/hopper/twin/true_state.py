@@ -4,7 +4,6 @@
 # (MuJoCo ships no types for its compiled part.)
 
 from dataclasses import dataclass
-from math import cos, inf, sin
 from typing import Any
 
 import mujoco
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from stepgap.base.compiled_record import Record
 from stepgap.robots.hopper.twin.devices import Views, boom_angles, ground_under
-from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.true_apex import true_hip
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +50,12 @@ class TrueState:
     qpos: NDArray[np.float64]
 
 
-def true_state(
-    model: Any, scratch: Any, gap: RealityGap, devices: Record, views: Views, time: float, held: bool
-) -> TrueState:
+def true_state(model: Any, scratch: Any, devices: Record, views: Views, time: float, held: bool) -> TrueState:
     """Computes the true state from a copy of the motion, so that the motion itself does not change.
 
     Args:
         model: MuJoCo's model.
         scratch: MuJoCo's data for the copy.
-        gap: Differences of the twin from its physics model.
         devices: Record of `Devices`.
         views: Views of MuJoCo's data with the motion.
         time: Time since connecting [s].
@@ -68,27 +64,19 @@ def true_state(
     rig, data = devices[0], scratch
     data.qpos[:], data.qvel[:] = views.qpos, views.qvel
     mujoco.mj_kinematics(model, data)
-    elastic = gap.boom_stiffness < inf
-    deflection, deflection_rate = (data.qpos[2:4].copy(), data.qvel[2:4]) if elastic else (np.zeros(2), np.zeros(2))
-    hip, hip_rate = data.qpos[:2] + deflection, data.qvel[:2] + deflection_rate
-    if gap.boom_arc:
-        radius, (yaw, pitch) = rig["boom_length"], data.qpos[:2]
-        x, z = deflection
-        hip = np.array([radius * yaw + x, gap.boom_pivot_height + radius * sin(pitch) + z * cos(pitch)])
-        turning = np.array([radius, radius * cos(pitch) - z * sin(pitch)])
-        hip_rate = turning * data.qvel[:2] + deflection_rate * [1, cos(pitch)]
+    hip, hip_rate = true_hip(devices, data.qpos, data.qvel)
     motors = [rig["motor_1"], rig["motor_2"]]
     foot = data.geom("foot").xpos.copy()
     opening = data.site("front_joint").xpos - data.site("rear_joint").xpos
     return TrueState(
         time=time,
         held=held,
-        hip=hip,
-        hip_rate=hip_rate,
+        hip=np.array(hip),
+        hip_rate=np.array(hip_rate),
         boom=np.array(boom_angles(rig, data.qpos)),
         leg=data.qpos[motors],
         leg_rate=data.qvel[motors],
-        deflection=deflection,
+        deflection=data.qpos[2:4].copy() if rig["boom_elastic"] else np.zeros(2),
         foot=foot,
         ground_height=ground_under(devices, views.waves, foot),
         contact_force=views.touch[0],

@@ -32,6 +32,7 @@ from stepgap.robots.hopper.twin.devices import (
 from stepgap.robots.hopper.twin.model import GroundProfile, build_model, export_xml, gravity
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.run_ticks import NO_NUMBER, NO_TORQUE, run_ticks
+from stepgap.robots.hopper.twin.true_apex import TrueApex, update_apex
 from stepgap.robots.hopper.twin.true_state import TrueState, true_state
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.step import Array
@@ -109,6 +110,7 @@ class Twin(CompiledRig):
         self._bind()
         self._noise, self._noise_used = NO_NOISE, len(NO_NOISE)
         self._connected, self._fault, self._hold_remaining = False, "", 0
+        self._apex = as_record(TrueApex())
         self._set_floor_yaw(floor_yaw)
         lowest = START_LENGTH + robot.foot_length + max(self._ground.height(floor_yaw), 0.0)
         rule = f"exceed {lowest:.4g}, or the foot is in the ground"
@@ -148,6 +150,7 @@ class Twin(CompiledRig):
             pitch_rounds=gap.boom_counts_vertical < inf,
             overspeed=OVERSPEED,
             boom_arc=gap.boom_arc,
+            boom_elastic=gap.boom_stiffness < inf,
             boom_length=sensors.boom_length,
             pivot_height=sensors.pivot_height,
             floor_yaw=floor_yaw,
@@ -162,6 +165,15 @@ class Twin(CompiledRig):
         """Sensor model of the twin; all zeros are at angle 0."""
         return self._sensor_model
 
+    @property
+    def truth(self) -> tuple[float, ...]:
+        """Forward speed [m/s] and height [m] of the hip at the true apex, its highest point since the last take-off.
+
+        The deflection of the boom, which its encoders do not see, is included. Empty before the first take-off.
+        """
+        speed, height = float(self._apex["speed"][0]), float(self._apex["height"][0])
+        return (speed, height) if isfinite(height) else ()
+
     def connect(self) -> None:
         """Puts the robot into its starting pose, held and with limp motors, and sets the time to zero."""
         model, data = self._model, self._data
@@ -171,7 +183,7 @@ class Twin(CompiledRig):
         self._views.ground[2] = self._ground.height(self._floor_yaw)
         data.eq_active[:] = 1
         mujoco.mj_forward(model, data)
-        self._connected, self._fault = True, ""
+        self._connected, self._fault, self._apex = True, "", as_record(TrueApex())
         self._hold_remaining = self._hold_ticks
         if self._hold_remaining == 0:
             self._release()
@@ -204,6 +216,7 @@ class Twin(CompiledRig):
         if applied[0] != applied[0]:
             raise self._trip(f"torques must be finite, not {torque_1}, {torque_2}")
         mujoco.mj_step(self._model, self._data, self._substeps)
+        update_apex(self._apex, self._devices, self._views)
         self._count_ticks(1)
         return applied
 
@@ -223,6 +236,7 @@ class Twin(CompiledRig):
             self._devices,
             self._views,
             (self._model._address, self._data._address, self._substeps),
+            self._apex,
             noise,
             rows,
             time,
@@ -250,6 +264,7 @@ class Twin(CompiledRig):
         """
         twin = copy(self)
         twin._model, twin._data, twin._rng = copy(self._model), copy(self._data), rng
+        twin._apex = self._apex.copy()
         twin._bind()
         twin._set_floor_yaw(self._floor_yaw + floor_yaw)
         twin._noise, twin._noise_used = NO_NOISE, len(NO_NOISE)
@@ -265,7 +280,7 @@ class Twin(CompiledRig):
     def true_state(self) -> TrueState:
         """True state, for tests and viewers, never for a controller; it does not change the motion."""
         time, held = self._data.time, self._hold_remaining > 0
-        return true_state(self._model, self._scratch, self._gap, self._devices, self._views, time, held)
+        return true_state(self._model, self._scratch, self._devices, self._views, time, held)
 
     def model_xml(self) -> str:
         """The twin as MJCF with visible shapes and its hip free, for any MuJoCo viewer (keyframe `start`)."""
