@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.records.summary import NoiseFloor
 from stepgap.report import WrittenReport, drawing
 
 
 def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
     """Replaces the measurement of the noise floor, which takes as long as a deployment."""
-    patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, 0.01]))
+    floor = NoiseFloor(np.array([0.01, 0.01]), np.array([0.01, 0.01]))
+    patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: floor)
 
 
 def leave_out_report(patch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,7 @@ from stepgap.experiment.replay import REPLAY_UNITS, replay
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLog, read_ticks
 from stepgap.records.steps_csv import read_step_log
+from stepgap.records.summary import NoiseFloor
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.tick import TICK_UNITS
 from tests.cli.command_line import Command, CommandResult, refused
@@ -41,7 +42,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n")
     with pytest.MonkeyPatch.context() as patch:
         leave_out_report(patch)
-        patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: np.array([0.01, np.nan]))
+        floor = NoiseFloor(np.array([0.01, np.nan]), np.array([0.01, np.nan]))
+        patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: floor)
         paths = ["--reference", str(folder / "targets.csv"), "--out", str(folder / "run")]
         main(["run", *paths, "--iterations", "1", "--seed", "5", "--quiet"])
     return folder / "run"

@@ -29,7 +29,7 @@ from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
-from stepgap.records.summary import Deployment
+from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.rigs.rig import RigFault
 from stepgap.step import Array, Codes, StepMap, StepRecord, StepStatus
 from tests.control.maps import LossyHopper, NeverWorks, StumblingHopper
@@ -289,14 +289,15 @@ def test_same_seed_same_bytes_other_seed_others(unbroken: Path, tmp_path: Path) 
 def test_a_measured_noise_floor_is_recorded_and_measured_once(tmp_path: Path) -> None:
     calls: list[tuple[StepMap, float]] = []
 
-    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
+    def measure(step_map: StepMap, rng: np.random.Generator) -> NoiseFloor:
         calls.append((step_map, rng.random()))
-        return np.array([0.003, np.nan])
+        return NoiseFloor(np.array([0.003, np.nan]), np.array([0.002, 0.001]))
 
     for _ in range(2):
         run_experiment(NOMINAL, plant_of(REALITY), REFERENCE, ALWAYS, tmp_path, 3, measure_noise_floor=measure)
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert summary["repeatability"] == {"speed": 0.003, "height": None}
+        assert summary["repeatability_same_yaw"] == {"speed": 0.002, "height": 0.001}
         assert summary["repeatability_measured"] is True
     ((step_map, drawn),) = calls
     assert isinstance(step_map, CorrectedMap)
@@ -309,12 +310,12 @@ def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tm
     """The map is that at the end of the last deployment, with the disturbance estimated so far, also after a resume."""
     maps: list[CorrectedMap] = []
 
-    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
+    def measure(step_map: StepMap, rng: np.random.Generator) -> NoiseFloor:
         assert isinstance(step_map, CorrectedMap)
         maps.append(step_map)
         if len(maps) == 1:
             raise KeyboardInterrupt
-        return np.array([0.003, 0.001])
+        return NoiseFloor(np.array([0.003, 0.001]), np.array([0.002, 0.001]))
 
     def go(folder: Path) -> bytes:
         folder.mkdir(exist_ok=True)

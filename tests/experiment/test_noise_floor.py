@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from stepgap.control.reference import Reference
-from stepgap.experiment.noise_floor import measure_noise_floor
+from stepgap.experiment.noise_floor import REPEATS, YAWS, _pooled, measure_noise_floor
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.records.summary import NoiseFloor
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.step import Array
 from tests.control.maps import NeverWorks
 
 ROBOT, NOMINAL = RobotParameters(), ApexMap()
@@ -21,30 +21,44 @@ REFERENCE = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (5, 
 SILENT = replace(RealityGap(), torque_noise=0.0, ground_roughness=0.0, ground_slope=0.0, boom_tilt=0.0)
 
 
-def measured(gap: RealityGap, seed: int = 1) -> Array:
+def measured(gap: RealityGap, seed: int = 1) -> NoiseFloor:
     twin = Twin(ROBOT, gap, np.random.default_rng(0))
     plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds()))
     return measure_noise_floor(plant, twin, NOMINAL, REFERENCE, np.random.default_rng(seed))
 
 
 def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
-    np.testing.assert_allclose(measured(SILENT), 0, atol=1e-15)
+    np.testing.assert_allclose([*measured(SILENT)], 0, atol=1e-15)
 
 
 def test_noise_and_yaw_contribute_and_the_seed_determines_the_result() -> None:
     noisy, tilted = replace(SILENT, torque_noise=0.02), replace(SILENT, boom_tilt=0.01)
-    assert measured(noisy)[0] > 1e-3
-    assert measured(tilted)[0] > 1e-3
-    assert measured(noisy).tolist() == measured(noisy).tolist()
-    assert measured(noisy).tolist() != measured(noisy, seed=2).tolist()
+    np.testing.assert_allclose(measured(noisy).same_yaw, measured(noisy).any_yaw, rtol=0.4)
+    assert measured(noisy).same_yaw[0] > 1e-3
+    assert measured(tilted).any_yaw[0] > 1e-3
+    np.testing.assert_allclose(measured(tilted).same_yaw, 0, atol=1e-15)
+    assert measured(noisy).any_yaw.tolist() == measured(noisy).any_yaw.tolist()
+    assert measured(noisy).any_yaw.tolist() != measured(noisy, seed=2).any_yaw.tolist()
+
+
+def test_components_of_variance_are_recovered() -> None:
+    rng, yaw_std, noise_std = np.random.default_rng(3), np.array([0.02, 0.001]), np.array([0.01, 0.003])
+    groups = [
+        rng.normal(size=2) + yaw_std * rng.normal(size=(YAWS, 1, 2)) + noise_std * rng.normal(size=(YAWS, REPEATS, 2))
+        for _ in range(2000)
+    ]
+    found = _pooled(groups, 2)
+    np.testing.assert_allclose(found.same_yaw, noise_std, rtol=0.03)
+    np.testing.assert_allclose(found.any_yaw, np.hypot(yaw_std, noise_std), rtol=0.03)
 
 
 def test_the_noise_floor_is_proportional_to_the_noise() -> None:
-    floors = [measured(replace(SILENT, torque_noise=noise)) for noise in (0.004, 0.012)]
+    floors = [measured(replace(SILENT, torque_noise=noise)).same_yaw for noise in (0.004, 0.012)]
     assert floors[1][0] / floors[0][0] == pytest.approx(3, rel=0.2)
 
 
 def test_a_robot_that_cannot_hop_has_no_noise_floor() -> None:
     twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
     plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds(fy_lower=-200, fy_upper=-190)))
-    assert np.isnan(measure_noise_floor(plant, twin, NeverWorks(), REFERENCE, np.random.default_rng(0))).all()
+    found = measure_noise_floor(plant, twin, NeverWorks(), REFERENCE, np.random.default_rng(0))
+    assert np.isnan([*found]).all()

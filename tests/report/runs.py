@@ -101,7 +101,13 @@ def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: 
         | {"cut": 0, "unreachable": [], "missed": []}
         for number in range(iterations)
     ]
-    content = {"schema": 1, "seed": 0, "iterations": entries, "repeatability": unknown}
+    content = {
+        "schema": 1,
+        "seed": 0,
+        "iterations": entries,
+        "repeatability": unknown,
+        "repeatability_same_yaw": unknown,
+    }
     (folder / "summary.json").write_text(json.dumps(content), encoding="utf-8")
 
 

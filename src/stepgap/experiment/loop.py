@@ -26,11 +26,11 @@ from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.plant import Plant
 from stepgap.records.model_files import write_model
 from stepgap.records.steps_csv import digest
-from stepgap.records.summary import Deployment, Summary, write_summary
+from stepgap.records.summary import Deployment, NoiseFloor, Summary, write_summary
 from stepgap.step import Array, StepMap, StepSpace
 
-MeasureNoiseFloor = Callable[[StepMap, np.random.Generator], Array]
-"""Measures the noise floor of a plant under the step controller of a map; shape (n,)."""
+MeasureNoiseFloor = Callable[[StepMap, np.random.Generator], NoiseFloor]
+"""Measures the noise floor of a plant under the step controller of a map."""
 
 
 def deployment_generator(seed: int, iteration: int) -> np.random.Generator:
@@ -117,9 +117,8 @@ def run_experiment(
             if noise_floor is None:
                 last_map = reduce(Learner.after, steps.completed(), learner).step_map()
                 noise_floor = measure_noise_floor(last_map, random_stream(seed, iteration, 1))
-            write_summary(
-                folder / "summary.json", replace(summary, noise_floor=noise_floor, noise_floor_measured=True), names
-            )
+            floors = {"noise_floor": noise_floor.any_yaw, "noise_floor_same_yaw": noise_floor.same_yaw}
+            write_summary(folder / "summary.json", replace(summary, **floors, noise_floor_measured=True), names)
     return deployments
 
 

@@ -1,9 +1,10 @@
 """The noise floor of the twin: the standard deviation of the next state when a step is repeated.
 
-A controller that knows neither the noise nor the yaw cannot track better on average; a controller that estimates the
-disturbance (`learning.disturbance`) can.
+A controller that knows neither the noise nor the yaw cannot track better on average. A controller that estimates the
+disturbance (`learning.disturbance`) can, but not better than the standard deviation at one yaw.
 """
 
+from collections.abc import Sequence
 from copy import deepcopy
 from math import tau
 
@@ -12,6 +13,7 @@ import numpy as np
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.records.summary import NoiseFloor
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
@@ -21,20 +23,23 @@ REPEATED_TARGETS = 20
 SETTLING = 6
 """Number of steps towards a target before the repeated one."""
 
-REPEATS = 12
-"""Number of repetitions of a step."""
+YAWS = 6
+"""Number of yaw angles at which a step is repeated."""
+
+REPEATS = 2
+"""Number of repetitions at each yaw, which differ in noise only."""
 
 
 def measure_noise_floor(
     plant: RigPlant, twin: Twin, step_map: StepMap, reference: Reference, rng: np.random.Generator
-) -> Array:
-    """Pooled standard deviation of the next state when the twin repeats a step [state units]; shape (n,).
+) -> NoiseFloor:
+    """Pooled standard deviations of the next state when the twin repeats a step [state units].
 
     The repetitions have the same command, the same true motion of robot, boom and drives at the apex, and the same
-    memory of the control, hence the same measured state. The torque noise, including its present value, and the yaw are
-    drawn again: the floor is turned by a random angle, because the yaw is not part of the state. The standard deviation
-    is that of the measured next state. Where the yaw-dependent disturbance is estimated, tracking errors may be a
-    little smaller.
+    memory of the control, hence the same measured state. The torque noise, including its present value, is drawn again
+    for each of them. The yaw is drawn again for every second one: the floor is turned by a random angle, because the
+    yaw is not part of the state. The variances within and between the yaw angles are the components of a one-way
+    analysis of variance with random effects (Searle, Casella, McCulloch, Variance Components, ch. 3).
 
     Args:
         plant: Plant of the twin.
@@ -44,11 +49,11 @@ def measure_noise_floor(
         rng: Draws noise and yaw of the repeated steps.
 
     Returns:
-        NaN where no step could be repeated twice.
+        NaN where no step could be repeated at two yaw angles.
     """
     starts = np.unique([0, *reference.changes])
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, REPEATED_TARGETS).round().astype(int))]
-    controller, deviations, degrees_of_freedom = StepController(step_map), [np.zeros((0, len(reference.names)))], 0
+    controller, groups = StepController(step_map), list[Array]()
     with plant:
         state = plant.start()
         for target in reference.targets[chosen]:
@@ -56,14 +61,12 @@ def measure_noise_floor(
                 record = plant.take_step(_command(controller, state, target))
                 state = record.next_state
                 if record.status != StepStatus.OK:
-                    return _pooled(deviations, degrees_of_freedom)
+                    return _pooled(groups, len(reference.names))
             command = _command(controller, state, target)
-            found = np.array([repeated(plant, twin, command, rng, rng.uniform(0, tau)) for _ in range(REPEATS)])
-            found = found[np.isfinite(found).all(axis=1)]
-            if len(found) > 1:
-                deviations.append(found - found.mean(axis=0))
-                degrees_of_freedom += len(found) - 1
-    return _pooled(deviations, degrees_of_freedom)
+            yaws = rng.uniform(0, tau, YAWS)
+            found = np.array([[repeated(plant, twin, command, rng, yaw) for _ in range(REPEATS)] for yaw in yaws])
+            groups.append(found[np.isfinite(found).all(axis=(1, 2))])
+    return _pooled(groups, len(reference.names))
 
 
 def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, floor_yaw: float = 0.0) -> Array:
@@ -87,6 +90,20 @@ def _command(controller: StepController, state: Array, target: Array) -> Array:
         return controller.step_map.space.command_centre
 
 
-def _pooled(deviations: list[Array], degrees_of_freedom: int) -> Array:
-    squares = np.sum(np.vstack(deviations) ** 2, axis=0)
-    return np.sqrt(squares / degrees_of_freedom) if degrees_of_freedom else np.full_like(squares, np.nan)
+def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:
+    """Components of variance of repeated steps (yaws, repeats, n), one array for each target; n is the `size`."""
+    within, between = np.zeros((2, size))
+    within_freedom = between_freedom = 0
+    for found in groups:
+        if len(found) > 1:
+            means = found.mean(axis=1)
+            within += np.sum((found - means[:, None]) ** 2, axis=(0, 1))
+            between += REPEATS * np.sum((means - means.mean(axis=0)) ** 2, axis=0)
+            within_freedom += len(found) * (REPEATS - 1)
+            between_freedom += len(found) - 1
+    if not between_freedom:
+        return NoiseFloor(np.full(size, np.nan), np.full(size, np.nan))
+    noise, noise_and_yaw = within / within_freedom, between / between_freedom
+    # The mean square between yaw angles is σ² of the noise + REPEATS · σ² of the yaw.
+    any_yaw = noise + np.maximum(noise_and_yaw - noise, 0.0) / REPEATS
+    return NoiseFloor(np.sqrt(any_yaw), np.sqrt(noise))

@@ -22,6 +22,7 @@ from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.records.summary import NoiseFloor
 from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import Rig, RigFault
@@ -32,7 +33,7 @@ from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin_machine import TwinMachine
-from stepgap.step import Array, StepMap
+from stepgap.step import StepMap
 
 SIMULATED = (TWIN, EMULATED_RING)
 """Plants whose deployments can be simulated again."""
@@ -82,7 +83,7 @@ def choose_plants(
     make_twin = partial(_twin, settings, _ground(settings))
     twin = make_twin(np.random.default_rng(0))
 
-    def measure(step_map: StepMap, rng: np.random.Generator) -> Array:
+    def measure(step_map: StepMap, rng: np.random.Generator) -> NoiseFloor:
         twin = make_twin(rng)
         return measure_noise_floor(plant_on(settings, twin), twin, step_map, reference, rng)
 

@@ -9,8 +9,8 @@ from typing import Self
 from stepgap.experiment.deployment import Steps
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
-from stepgap.records.summary import Summary, WarmStart, read_summary
-from stepgap.step import Array, StepSpace
+from stepgap.records.summary import NoiseFloor, Summary, WarmStart, read_summary
+from stepgap.step import StepSpace
 
 _REMEDY = "resume with the record, settings, versions and machine that it was started with"
 """Remedy when a replay does not give the recorded steps."""
@@ -81,10 +81,13 @@ class Recording:
         if self._recorded:
             raise RecordError(f"{self._path}: it has steps after the last deployment of this experiment; {_REMEDY}")
 
-    def measured_noise_floor(self, deployments: int) -> Array | None:
+    def measured_noise_floor(self, deployments: int) -> NoiseFloor | None:
         """Noise floor that was measured after this number of deployments; None if it was not."""
         known = self._summary
-        return known.noise_floor if known.noise_floor_measured and len(known.deployments) == deployments else None
+        any_yaw, same_yaw = known.noise_floor, known.noise_floor_same_yaw
+        if not known.noise_floor_measured or len(known.deployments) != deployments:
+            return None
+        return None if any_yaw is None or same_yaw is None else NoiseFloor(any_yaw, same_yaw)
 
     def _check_same(self, known: LoggedStep, replayed: LoggedStep) -> None:
         """Raises RecordError unless the replayed step equals the recorded one exactly."""

@@ -65,6 +65,12 @@ class RunRecord:
         return np.full(len(self.space.state), np.nan) if known is None else known
 
     @property
+    def noise_floor_same_yaw(self) -> Array:
+        """The same at one yaw, so that only the noise differs, NaN where unknown; shape (n,)."""
+        known = self.summary.noise_floor_same_yaw
+        return np.full(len(self.space.state), np.nan) if known is None else known
+
+    @property
     def shown_iterations(self) -> list[int]:
         """Deployments that figures show: the finished ones or, while there are none, those with steps."""
         return [deployment.iteration for deployment in self.deployments] or self.steps.iterations

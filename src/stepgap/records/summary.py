@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -69,6 +69,18 @@ class Deployment:
         return {measure: getattr(self, measure) for measure in MEASURES}
 
 
+class NoiseFloor(NamedTuple):
+    """Standard deviation of the next state when a step is repeated, as measured; NaN where it is not known.
+
+    Attributes:
+        any_yaw: If the yaw differs from repetition to repetition; shape (n,).
+        same_yaw: If only the noise differs; shape (n,).
+    """
+
+    any_yaw: Array
+    same_yaw: Array
+
+
 @dataclass(frozen=True)
 class WarmStart:
     """The steps that were known before a run.
@@ -90,6 +102,7 @@ class Summary:
         seed: Random seed of the run.
         deployments: Finished deployments in ascending order.
         noise_floor: Standard deviation of repeated steps, NaN where unknown; shape (n,). Key `repeatability`.
+        noise_floor_same_yaw: The same at one yaw, NaN where unknown; shape (n,). Key `repeatability_same_yaw`.
         noise_floor_measured: Whether the noise floor was measured by repeating steps, not estimated from steady steps.
         versions: Versions of the software, as far as recorded.
         steps_sha256: Digest of the steps of the deployments; empty if not recorded.
@@ -99,6 +112,7 @@ class Summary:
     seed: int | None = None
     deployments: tuple[Deployment, ...] = ()
     noise_floor: Array | None = None
+    noise_floor_same_yaw: Array | None = None
     noise_floor_measured: bool = False
     versions: tuple[tuple[str, str], ...] = ()
     steps_sha256: str = ""
@@ -113,12 +127,16 @@ def write_summary(path: Path, summary: Summary, names: Sequence[str]) -> None:
         summary: Content of the file, with at least one deployment and the noise floor.
         names: State coordinates of the run.
     """
-    noise_floor = np.full(len(names), np.nan) if summary.noise_floor is None else summary.noise_floor
+    floor, same_yaw = (
+        np.full(len(names), np.nan) if known is None else known
+        for known in (summary.noise_floor, summary.noise_floor_same_yaw)
+    )
     content = {
         "schema": SUMMARY_SCHEMA,
         "seed": summary.seed,
         "iterations": [deployment_entry(deployment, names) for deployment in summary.deployments],
-        "repeatability": _by_name(names, noise_floor),
+        "repeatability": _by_name(names, floor),
+        "repeatability_same_yaw": _by_name(names, same_yaw),
         "repeatability_measured": summary.noise_floor_measured,
         "steps_sha256": summary.steps_sha256,
         **({"warm_start": asdict(summary.warm_start)} if summary.warm_start else {}),
@@ -177,6 +195,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
         _integer(fields, "seed", 0, source),
         tuple(deployments),
         _errors(fields, "repeatability", names, source),
+        _errors(fields, "repeatability_same_yaw", names, source),
         fields.get("repeatability_measured") is True,
         tuple((name, str(version)) for name, version in versions.items()),
         str(fields.get("steps_sha256", "")),

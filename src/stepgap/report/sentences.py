@@ -1,5 +1,7 @@
 """The results of a run in sentences."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stepgap.experiment.outcome import TRACKED
@@ -112,14 +114,21 @@ def _floor(record: RunRecord) -> list[str]:
     ratios = ", ".join(f"{decimal(errors[row] / floor[row], 2)} times that in {state[row].name}" for row in known)
     how = (
         f"is {values}, measured with the same command and the same motion at the apex, but at other yaw angles and "
-        "with other noise. A controller that knows neither noise nor yaw cannot be better on average; one that "
-        "estimates the yaw-dependent disturbance (learning.drift) can"
+        "with other noise. A controller that knows neither noise nor yaw cannot be better on average. One that "
+        "estimates the yaw-dependent disturbance (learning.drift) can, but not better than the noise alone: "
+        f"{_alone(record, known)}"
         if record.summary.noise_floor_measured
         else f"is at most about {values}, the residual standard error of a linear fit to the steady steps of the last "
         "deployment; the true noise floor may be smaller"
     )
     compared = f" The last steady RMSE is {ratios}." if np.isfinite([errors[row] for row in known]).all() else ""
     return [f"The noise floor (standard deviation of repeated steps) {how}.{compared}"]
+
+
+def _alone(record: RunRecord, rows: Sequence[int]) -> str:
+    """Phrase on the standard deviation of steps that are repeated at one yaw."""
+    state, floor = record.space.state, record.noise_floor_same_yaw
+    return ", ".join(f"{decimal(floor[row])}{_unit(state[row])} in {state[row].name}" for row in rows)
 
 
 def _beyond_noise(record: RunRecord, deployment: Deployment) -> str:

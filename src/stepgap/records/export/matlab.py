@@ -68,12 +68,15 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
         measure: {name: np.array([each.errors[measure][i] for each in done], float) for i, name in enumerate(names)}
         for measure in MEASURES
     }
-    noise_floor = np.full(len(names), np.nan) if summary.noise_floor is None else summary.noise_floor
+    floors = {"repeatability": summary.noise_floor, "repeatability_same_yaw": summary.noise_floor_same_yaw}
     return {
         **count,
         "residual": np.array([each.residual for each in done], dtype=object),
         **errors,
-        "repeatability": dict(zip(names, noise_floor.tolist(), strict=True)),
+        **{
+            key: dict(zip(names, [np.nan] * len(names) if floor is None else floor.tolist(), strict=True))
+            for key, floor in floors.items()
+        },
         "seed": np.nan if summary.seed is None else float(summary.seed),
         "versions": _struct(dict(summary.versions)),
     }

@@ -30,8 +30,9 @@ class RobotParameters:
         boom_inertia_horizontal: Boom inertia against horizontal motion of the hip I_z [kg·m²].
         boom_length: From the boom's pivot to the hip R [m].
         gravity: Downward acceleration g [m/s²].
-        torque_limit: Largest torque of one motor [N·m]. Not in the paper: above the 30 N·m that the
-            reference needs, so that it acts only in case of a fault.
+        torque_limit: Largest torque of one motor [N·m]. Not in the paper: above the 12 to 14 N·m that the
+            reference needs in the model, and the 17 N·m that the twin was asked for, so that it acts only in case of
+            a fault.
     """
 
     top_length: float = 0.11

@@ -19,7 +19,7 @@ from stepgap.robots.hopper.sensors import HopperSensorModel
 INTERFACE = "stepgap0"
 """Name of the network interface that a master opens."""
 
-PATIENT_REPLY = 0.2
+PATIENT_REPLY = 0.45
 """Timeout for a frame of a ring in lock-step [s]; its simulated time stands still while a frame is awaited."""
 
 PATIENT_WATCHDOG = 0.5
