@@ -14,12 +14,17 @@ STATE_MEANINGS = {
     "": "state at the apex before the step",
     "target_": "target state after the step",
     "next_": "state after the step, as measured; NaN after a fall",
+    "true_next_": "state after the step as it truly was, known only in a simulation; else NaN",
     "predicted_": "state after the step as predicted when it began; NaN where no command was known",
     "std_": "standard deviation of that prediction",
 }
 """Meaning of a state coordinate's column, by its prefix."""
 
-COMMAND_MEANINGS = {"": "requested command", "applied_": "command that the joints received, which learning uses"}
+COMMAND_MEANINGS = {
+    "": "command of the controller",
+    "requested_": "command that was requested of the joints, which learning uses",
+    "applied_": "command that the joints received",
+}
 """Meaning of a command coordinate's column, by its prefix."""
 
 

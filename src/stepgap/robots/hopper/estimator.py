@@ -115,7 +115,8 @@ def apex_passed(fit):
 def mean_speed(fit):
     """Slope of the line fitted to x, the mean forward speed of the free body in the flight so far [m/s].
 
-    NaN before SPEED_DELAY or with fewer samples than a parabola needs.
+    It has little noise soon after take-off, and at touchdown, after equally long ascent and descent, it is the speed at
+    the apex. NaN before SPEED_DELAY or with fewer samples than a parabola needs.
     """
     if fit.samples < 3 or fit.latest < SPEED_DELAY:
         return np.nan
@@ -159,7 +160,7 @@ def fitted_apex(fit, count):
     height = LEVEL + (fit.v - curvature * w2) / n - slope * slope / (4.0 * curvature)
     wx, qx = _projections(m, skew, level, fit.x, fit.ux, fit.u2x)
     mean = wx / w2
-    rounding = count * count / (count + abs(mean) * fit.latest)  # √(12 n) σ / n
+    rounding = count * count / (count + abs(mean) * fit.latest)  # count / (1 + M)
     curvature_x = qx / (q2 + n * rounding * rounding / (3.0 * ACCELERATION * ACCELERATION))
     return mean + curvature_x * (2.0 * apex - skew), height
 
