@@ -12,11 +12,13 @@ import tomli_w
 
 from stepgap.base.errors import InputError, StepGapError
 from stepgap.base.settings_file import to_table
-from stepgap.bench import learning as bench_learning
-from stepgap.bench import learning_plan
-from stepgap.bench.learning import SKIPPED, Trial, count_covered, hopping_gap, measure_twin, methods
+from stepgap.bench import learning_plan, tasks
+from stepgap.bench import trial as trial_module
+from stepgap.bench.learning import count_covered, measure_twin
 from stepgap.bench.learning_plan import LearningPlan, learning_results, read_learning_plan
-from stepgap.control import reference
+from stepgap.bench.methods.registry import SKIPPED, methods
+from stepgap.bench.tasks import Change, Task, square_reference
+from stepgap.bench.trial import Trial, hopping_gap
 from stepgap.control.reference import Reference, parse_reference, reference_text
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseResult
@@ -30,11 +32,12 @@ from tests.cli.command_line import Command, refused
 
 SHORT = Reference.from_segments(("speed", "height"), [(1, (0.0, 0.55)), (5, (0.17, 0.58))], steps=10)
 NOMINAL = ApexMap()
+TASK = Task("reference", SHORT)
 
 
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reference, "paper_reference", lambda: SHORT)
+    monkeypatch.setattr(tasks, "paper_reference", lambda: SHORT)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
 
 
@@ -46,26 +49,26 @@ def test_every_twin_of_the_family_is_drawn_independently() -> None:
 
 
 def test_every_method_has_the_same_twin_and_the_same_seed_gives_the_same_numbers() -> None:
-    rows = measure_twin(SHORT, 0, 1, ["linear", "auto", "online"])
+    rows = measure_twin(TASK, 0, 1, ["linear", "auto", "online"])
     assert [row["method"] for row in rows] == ["none", "linear", "auto", "online"]
     for row in rows:
         assert (row["twin"], row["seed"], row["steps"], row["falls"]) == (0, 1, 10, 0)
         assert np.isfinite([row["error"], *row["rmse"], *row["transient_rmse"]]).all()
-    assert measure_twin(SHORT, 0, 1, ["online"]) == [rows[0], rows[-1]]
-    assert measure_twin(SHORT, 0, 2, [])[0]["error"] != rows[0]["error"]
+    assert measure_twin(TASK, 0, 1, ["online"]) == [rows[0], rows[-1]]
+    assert measure_twin(TASK, 0, 2, [])[0]["error"] != rows[0]["error"]
 
 
 def test_equal_residuals_are_deployed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    trial = Trial(NOMINAL, RealityGap(), SHORT, twin=0, seed=0)
-    log = trial.deploy(trial.uncorrected(), 0)
-    first = methods()["linear"](trial, log)
-    assert methods()["linear"](trial, log) is first
-    assert methods()["constant"](trial, log) is not first
+    trial = Trial(NOMINAL, RealityGap(), TASK, twin=0, seed=0)
+    first = methods()["linear"](trial)
+    assert first[0] is trial.first
+    assert methods()["linear"](trial)[1] is first[1]
+    assert methods()["constant"](trial)[1] is not first[1]
 
 
 def test_a_deployment_is_recorded_as_it_was_made() -> None:
-    trial, ticks = Trial(NOMINAL, RealityGap(), SHORT, twin=0, seed=0), []
-    log, again = trial.deploy(trial.uncorrected(), 0), trial.deploy(trial.uncorrected(), 0, on_ticks=ticks.extend)
+    trial, ticks = Trial(NOMINAL, RealityGap(), TASK, twin=0, seed=0), []
+    log, again = trial.first, trial.deploy(trial.uncorrected(NOMINAL), 0, on_ticks=ticks.extend)
     np.testing.assert_array_equal(again.next_state, log.next_state)
     assert len(ticks) > 500 * len(log)
 
@@ -73,11 +76,10 @@ def test_a_deployment_is_recorded_as_it_was_made() -> None:
 def test_draws_that_fall_at_once_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
     lame = RealityGap(torque_scale=0.1)
     draws = iter([lame, RealityGap()])
-    monkeypatch.setattr(bench_learning, "random_gap", lambda rng: next(draws))
-    assert hopping_gap(NOMINAL, SHORT, 0) == (RealityGap(), 1)
-    fallen = Trial(NOMINAL, lame, SHORT, twin=0, seed=0)
-    log = fallen.deploy(fallen.uncorrected(), 0)
-    assert log.falls == 1 or not len(log)
+    monkeypatch.setattr(trial_module, "random_gap", lambda rng: next(draws))
+    assert hopping_gap(NOMINAL, TASK, 0) == (RealityGap(), 1)
+    fallen = Trial(NOMINAL, lame, TASK, twin=0, seed=0)
+    assert fallen.first.falls == 1 or not len(fallen.first)
 
 
 def test_coverage_counts_steps_within_the_interval() -> None:
@@ -89,6 +91,43 @@ def test_coverage_counts_steps_within_the_interval() -> None:
     steps = [logged(0.0195, 0.01), logged(-0.0197, 0.01), logged(0.0, 0.01), logged(0.0, 0.0)]
     covered, counted = count_covered(StepLog(NOMINAL.space, steps))
     assert (covered.tolist(), counted) == ([2, 3], 3)
+
+
+def test_a_task_gives_every_twin_its_numbers_and_changes_only_the_deployment_that_is_measured() -> None:
+    task = Task("heavier", SHORT, {"torque_limit": 30.0}, Change(6, {"body_mass_scale": 1.15}))
+    gap, _ = hopping_gap(NOMINAL, task, 0)
+    assert gap.torque_limit == 30
+    trial = Trial(NOMINAL, gap, task, twin=0, seed=0)
+    unchanged, changed = trial.first, trial.measure(trial.uncorrected(NOMINAL), 0)
+    np.testing.assert_array_equal(changed.next_state[:5], unchanged.next_state[:5])
+    heights = (changed.next_state - unchanged.next_state)[5:, 1]
+    assert (heights < -0.001).all(), "the heavier robot hops lower"
+    rows = measure_twin(task, 0, 0, ["linear"])
+    assert (rows[0]["task"], rows[0]["deployments"], rows[1]["deployments"]) == ("heavier", 1, 2)
+    np.testing.assert_array_equal(methods()["linear"](trial)[0].next_state, unchanged.next_state)
+
+
+def test_the_square_wave_never_rests_and_its_steady_error_is_unknown() -> None:
+    square = square_reference()
+    assert not len(square.steady)
+    assert (np.diff(square.targets[:, 0]) != 0).sum() == len(square) // 4
+    assert np.unique(square.targets, axis=0).tolist() == [[0.15, 0.58], [0.15, 0.62], [0.35, 0.58], [0.35, 0.62]]
+    short = Reference(square.names, square.targets[:9])
+    (row,) = measure_twin(Task("square", short), 0, 0, [])
+    assert row["steady_rmse"] is None
+    assert np.isfinite([*row["rmse"], *row["transient_rmse"]]).all()
+
+
+def test_every_task_has_twins_that_differ_as_it_says() -> None:
+    found = tasks.tasks()
+    assert {name: task.name for name, task in found.items()} == {name: name for name in found}
+    drawn = random_gap(np.random.default_rng(0))
+    assert found["reference"].gap_of(drawn) == drawn
+    assert found["rough"].gap_of(drawn).ground_roughness == 0.01
+    assert found["torque_limit"].gap_of(drawn).torque_limit == 13
+    change = found["payload"].change
+    assert change
+    assert change.of(drawn).body_mass_scale == pytest.approx(1.15 * drawn.body_mass_scale)
 
 
 PLAN = LearningPlan(twins=2, seeds=2, methods=("constant",), reference=reference_text(SHORT))
@@ -111,7 +150,7 @@ def test_processes_measure_the_same_as_one_call_after_the_other(tiny: None, step
     result = stepgap(*COMMAND, "--out", "both", "--processes", 2)
     assert result.code == 0, result.err
     assert result.out.endswith("\nboth/results.json\nboth/summary.json\nboth/learning.png\n")
-    first, second = (measure_twin(SHORT, twin, 0, ["constant"]) for twin in (0, 1))
+    first, second = (measure_twin(TASK, twin, 0, ["constant"]) for twin in (0, 1))
     rows = json.loads(Path("both/results.json").read_text())
     assert rows == [first[0], second[0], first[1], second[1]]
     assert json.loads(Path("both/summary.json").read_text()) == summarise_learning(rows)
@@ -142,7 +181,7 @@ def test_shards_that_are_merged_and_a_continued_call_give_the_same_files(
 def test_failed_cases_are_named_and_left_out_until_they_are_measured_again(
     tiny: None, in_a_thread: None, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def measure(reference: Reference, twin: int, seed: int, names: list[str]) -> list[dict[str, object]]:
+    def measure(task: Task, twin: int, seed: int, names: list[str]) -> list[dict[str, object]]:
         raise StepGapError("the boom\nbroke")
 
     with monkeypatch.context() as patch:
@@ -164,6 +203,7 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
     refused(stepgap(*learning, "--methods", "linear,magic"), "--methods magic: it must be one of integral")
     if "sysid" in SKIPPED:
         refused(stepgap(*learning, "--methods", "sysid"), "sysid", "stepgap[sysid]")
+    refused(stepgap(*learning, "--task", "stairs"), "--task stairs: it must be one of reference, payload")
     refused(stepgap(*learning, "--twins", "0"), "twins")
     refused(stepgap(*learning, "--shard", "3/2"), "--shard 3/2: must be I/N")
     refused(stepgap(*learning, "--merge", "none", "--out", "new"), "--merge none: contains no learning.toml")
@@ -177,6 +217,7 @@ def test_bad_input_is_refused(stepgap: Command) -> None:
     [
         ({"twins": 0}, "learning.toml: twins = 0, but it must lie between 1 and 1000"),
         ({"twins": "two"}, "learning.toml: twins = 'two', but it must be an integer"),
+        ({"task": "stairs"}, "learning.toml: task = 'stairs', but it must be one of reference, payload"),
         ({"seed": 1}, "learning.toml: seed: unknown key; did you mean seeds?"),
         ({"methods": ["magic"]}, "learning.toml: methods magic: it must be one of integral"),
     ],

@@ -11,6 +11,7 @@ import pytest
 
 from stepgap.base.settings_file import InputError
 from stepgap.bench.learning import measure_twin
+from stepgap.bench.tasks import Task
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import run_experiment
 from stepgap.learning.entry_points import load_residual_model, residual_names
@@ -108,7 +109,7 @@ def test_settings_accept_it_and_it_adds_its_lagged_inputs() -> None:
 @pytest.mark.usefixtures("installed")
 def test_the_benchmark_compares_it() -> None:
     short = Reference.from_segments(("speed", "height"), [(1, (0.0, 0.55)), (5, (0.17, 0.58))], steps=10)
-    rows = measure_twin(short, 0, 1, [NAME])
+    rows = measure_twin(Task("short", short), 0, 1, [NAME])
     assert [row["method"] for row in rows] == ["none", NAME]
     assert np.isfinite(rows[-1]["error"])
 

@@ -1,7 +1,7 @@
 """The comparison of learning methods as cases, one for each twin and seed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +11,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
 from stepgap.base.settings_file import build, read_toml, to_table, with_table
 from stepgap.bench.learning import measure_twin
+from stepgap.bench.tasks import DEFAULT_TASK, tasks
 from stepgap.control.reference import parse_reference
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseOutput
@@ -33,17 +34,20 @@ class LearningPlan:
         seeds: Number of seeds of each twin.
         methods: Names of methods.
         reference: Reference to track, as CSV text.
+        task: Name of the task.
     """
 
     twins: int
     seeds: int
     methods: tuple[str, ...]
     reference: str
+    task: str = DEFAULT_TASK
 
     def __post_init__(self) -> None:
         for name in ("twins", "seeds"):
             number = getattr(self, name)
             require(1 <= number <= MOST_REPETITIONS, name, number, f"lie between 1 and {MOST_REPETITIONS}")
+        require(self.task in tasks(), "task", self.task, f"be one of {', '.join(tasks())}")
 
     def __len__(self) -> int:
         return self.twins * self.seeds
@@ -58,10 +62,10 @@ class LearningPlan:
         return number % self.twins, number // self.twins
 
     def case(self, number: int) -> str:
-        """Twin, seed, methods and reference of a case, as TOML."""
+        """Twin, seed, methods, reference and task of a case, as TOML."""
         twin, seed = self.twin_and_seed(number)
-        methods = list(self.methods)
-        return tomli_w.dumps({"twin": twin, "seed": seed, "methods": methods, "reference": self.reference})
+        shared = {"methods": list(self.methods), "reference": self.reference, "task": self.task}
+        return tomli_w.dumps({"twin": twin, "seed": seed} | shared)
 
 
 def read_learning_plan(path: Path) -> LearningPlan:
@@ -77,7 +81,8 @@ def read_learning_plan(path: Path) -> LearningPlan:
 def measure_case(case: Mapping[str, Any]) -> CaseOutput:
     """Measures all methods on the twin of a case; the result is the list of their rows."""
     reference = parse_reference(case["reference"], CommandBounds().space())
-    return CaseOutput(measure_twin(reference, case["twin"], case["seed"], case["methods"]))
+    task = replace(tasks()[case["task"]], reference=reference)
+    return CaseOutput(measure_twin(task, case["twin"], case["seed"], case["methods"]))
 
 
 class LearningResults(NamedTuple):

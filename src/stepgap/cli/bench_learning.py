@@ -39,24 +39,26 @@ def bench_learning_(
     twins: Count | None = None,
     seeds: Count | None = None,
     methods: str | None = None,
+    task: str | None = None,
     quick: Flag = False,
     out: Path = Path("bench_learning"),
     execution: Execution = THIS_MACHINE,
 ) -> None:
-    """Compare ways to learn on random twins: errors, hops needed, falls, intervals; about an hour of one core.
+    """Compare ways to learn on random twins: errors, hops needed, falls, intervals; some hours of one core.
 
     Args:
         twins: Number of random twins. [default: 20]
         seeds: Number of seeds of each twin. [default: 3]
         methods: Names of the methods, as NAME,NAME. [default: all]
-        quick: Take half a minute: 2 twins, 1 seed, and only the methods linear and gp.
-        out: Folder for the measurements, their summary and the figure. With --resume, also twins, seeds and methods
-            are those in it, unless they are given.
+        task: What the robot is to do: reference, payload, torque_limit, square or rough. [default: reference]
+        quick: Take half a minute: 2 twins, 1 seed, and only the methods linear and gp_on_linear.
+        out: Folder for the measurements, their summary and the figure. With --resume, also twins, seeds, methods and
+            task are those in it, unless they are given.
     """
     from stepgap.bench.learning_plan import measure_case
 
-    plan = _plan_in_folder(out, execution) if not (twins or seeds or methods or quick) else None
-    plan = plan or _new_plan(twins, seeds, methods, quick)
+    plan = _plan_in_folder(out, execution) if not (twins or seeds or methods or task or quick) else None
+    plan = plan or _new_plan(twins, seeds, methods, task, quick)
     shard = shard_of(execution)
     with (
         opened(out, plan, execution, shard) as cases,
@@ -80,21 +82,27 @@ def _plan_in_folder(out: Path, execution: Execution) -> "LearningPlan | None":
     return plan
 
 
-def _new_plan(twins: int | None, seeds: int | None, methods: str | None, quick: bool) -> "LearningPlan":
-    from stepgap.bench.learning import default_methods
+def _new_plan(
+    twins: int | None, seeds: int | None, methods: str | None, task: str | None, quick: bool
+) -> "LearningPlan":
     from stepgap.bench.learning_plan import LearningPlan
-    from stepgap.control.reference import paper_reference, reference_text
+    from stepgap.bench.methods.registry import QUICK, default_methods
+    from stepgap.bench.tasks import DEFAULT_TASK, tasks
+    from stepgap.control.reference import reference_text
 
-    chosen = methods.split(",") if methods else ["linear", "gp"] if quick else default_methods()
+    chosen = methods.split(",") if methods else QUICK if quick else default_methods()
     _check_methods(chosen, "--methods")
+    known, name = tasks(), task or DEFAULT_TASK
+    if name not in known:
+        raise InputError(f"--task {name}: it must be one of {', '.join(known)}")
     size = (2, 1) if quick else (twins or DEFAULT_TWINS, seeds or DEFAULT_SEEDS)
-    return LearningPlan(*size, tuple(chosen), reference_text(paper_reference()))
+    return LearningPlan(*size, tuple(chosen), reference_text(known[name].reference), name)
 
 
 def _check_methods(chosen: "Sequence[str]", source: str) -> None:
     """Raises InputError if a method is unknown or cannot be used here."""
-    from stepgap.bench.learning import SKIPPED
-    from stepgap.bench.learning import methods as known_methods
+    from stepgap.bench.methods.registry import SKIPPED
+    from stepgap.bench.methods.registry import methods as known_methods
 
     if unknown := [name for name in chosen if name not in known_methods()]:
         missing = SKIPPED.get(unknown[0], f"it must be one of {', '.join(known_methods())}")
@@ -105,7 +113,8 @@ def _summarise(plan: "LearningPlan", folder: "CaseFolder", quiet: bool) -> None:
     """Prints the table, writes all rows, their summary and the figure, and prints the paths of the files."""
     from stepgap.base.files import write_whole
     from stepgap.bench.learning_plan import learning_results
-    from stepgap.report.learning import describe_learning, learning_picture, summarise_learning
+    from stepgap.report.learning import describe_learning, summarise_learning
+    from stepgap.report.learning_figure import learning_picture
 
     results = learning_results(plan, folder)
     if not results.rows:
@@ -128,7 +137,7 @@ def _summarise(plan: "LearningPlan", folder: "CaseFolder", quiet: bool) -> None:
 
 def _left_out(plan: "LearningPlan", results: "LearningResults") -> "list[str]":
     """Lines about methods and cases that are not in the summary."""
-    from stepgap.bench.learning import SKIPPED
+    from stepgap.bench.methods.registry import SKIPPED
 
     lines = [f"{name} skipped: {reason}" for name, reason in SKIPPED.items()]
     if results.failed:

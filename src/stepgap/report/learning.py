@@ -1,16 +1,13 @@
-"""Results of `stepgap bench learning`: measures of each method over all twins and seeds, table and figure."""
+"""Results of `stepgap bench learning`: measures of each method over all twins and seeds, and their table."""
 
 import math
-from collections.abc import Sequence
-from io import BytesIO
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from stepgap.experiment.bands import PAPER_BAND, WINDOW
-from stepgap.report.colours import BLUE, GREY
+from stepgap.report.paired import CONFIDENCE, LARGEST_RATIO, PairedDifference, holm, paired_difference
 
 DeploymentRow = dict[str, Any]
 """Measures of one deployment as plain data for JSON; a deployment without a step has none."""
@@ -20,6 +17,12 @@ Key = tuple[int, int]
 
 UNCORRECTED = "none"
 """Name of deployment 0, from which the other methods learn."""
+
+DEFAULT = "gp_on_linear"
+"""Name of the method that the others are compared with: the default settings of a run."""
+
+WITHOUT = "-"
+"""METHOD-RULE is the name of a method without one of its rules, which is compared with the method itself."""
 
 BEYOND_NOISE = 2.0
 """Number of standard deviations of the difference between uncorrected deployments that counts as significant."""
@@ -34,16 +37,47 @@ def summarise_learning(rows: Sequence[DeploymentRow]) -> dict[str, Any]:
     for row in rows:
         table.setdefault(row["method"], {})[row["twin"], row["seed"]] = row
     first = table[UNCORRECTED]
-    noise = _noise(first)
+    noise, differences = _noise(first), _differences(table)
     return {
-        "schema": 1,
+        "schema": 2,
+        "task": rows[0]["task"],
         "pairs": len(first),
         "drawn_again": sum({twin: row["drawn_again"] for (twin, _), row in first.items()}.values()),
         "noise": noise,
         "methods": [
-            {"method": method, **_measures(found, first, noise), "better_than_gp": _better(found, table.get("gp", {}))}
+            {"method": method, **_measures(found, first, noise), "difference": differences.get(method)}
             for method, found in table.items()
         ],
+    }
+
+
+def compared_with(method: str, measured: Collection[str]) -> str | None:
+    """Name of the method that a method is compared with; None if there is none among the measured ones."""
+    full = method.partition(WITHOUT)[0]
+    other = full if full != method and full in measured else DEFAULT
+    return other if other in measured and other != method else None
+
+
+def _differences(table: Mapping[str, Mapping[Key, DeploymentRow]]) -> dict[str, dict[str, Any]]:
+    """Paired difference of each method that is compared with another one, as plain data for JSON."""
+    errors = {method: {key: tracking_error_of(row) for key, row in found.items()} for method, found in table.items()}
+    pairs = {method: other for method in table if (other := compared_with(method, table))}
+    found = {method: paired_difference(errors[method], errors[other]) for method, other in pairs.items()}
+    adjusted = holm([difference.p_value for difference in found.values()])
+    return {
+        method: {"to": pairs[method], **_plain(difference, p_value)}
+        for (method, difference), p_value in zip(found.items(), adjusted, strict=True)
+    }
+
+
+def _plain(difference: PairedDifference, adjusted: float) -> dict[str, Any]:
+    known = math.isfinite(adjusted)
+    return {
+        "ratio": difference.ratio,
+        "interval": [difference.low, difference.high] if known else None,
+        "p_value": difference.p_value if known else None,
+        "adjusted_p_value": adjusted if known else None,
+        "significant": adjusted < 1 - CONFIDENCE if known else None,
     }
 
 
@@ -83,19 +117,15 @@ def _measures(rows: dict[Key, DeploymentRow], first: dict[Key, DeploymentRow], n
     }
 
 
-def _better(rows: dict[Key, DeploymentRow], others: dict[Key, DeploymentRow]) -> int | None:
-    """Number of twins and seeds with a smaller error than another method; None if that was not measured."""
-    if not others:
-        return None
-    return sum(tracking_error_of(row) < tracking_error_of(others[key]) for key, row in rows.items())
-
-
 def _ratio(error: float, uncorrected: float) -> float:
     """Ratio of two errors; 1 where both deployments fell."""
     return 1.0 if error == uncorrected == math.inf else error / uncorrected
 
 
-def _median(rows: dict[Key, DeploymentRow], name: str) -> list[float | None]:
+def _median(rows: dict[Key, DeploymentRow], name: str) -> list[float | None] | None:
+    """Median of each coordinate, None where it is infinite; None if the error is unknown."""
+    if any(row[name] is None for row in rows.values() if not row["falls"]):
+        return None
     values = [row[name] if not row["falls"] else [math.inf, math.inf] for row in rows.values()]
     return [_finite(value) for value in np.median(values, axis=0).tolist()]
 
@@ -108,7 +138,7 @@ HEADER = (
     "method",
     *("speed [mm/s]", "transient", "steady"),
     *("height [mm]", "transient", "steady"),
-    *("ratio", "hops", "in band", "falls", "worse", "beats gp", "speeds in", "heights in"),
+    *("ratio", "hops", "in band", "falls", "worse", "relative", "interval", "significant", "speeds in", "heights in"),
 )
 """Columns of the table."""
 
@@ -127,7 +157,10 @@ def describe_learning(summary: dict[str, Any]) -> str:
         "ratio: error of both coordinates together, relative to that of deployment 0.",
         f"hops: number of hops until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s and "
         f"{1e3 * PAPER_BAND[1]:.1f} mm; in band: number of twins and seeds that reach this.",
-        "beats gp: number with a smaller error than gp. in: fraction of steps within the 95 % interval.",
+        f"relative: error relative to {DEFAULT}, or for METHOD{WITHOUT}RULE to METHOD, on the same twin and seed; "
+        f"geometric mean, where a fall counts {LARGEST_RATIO:g} times. interval: its 95 % interval by Student's t over",
+        "the means of the twins. significant: p < 0.05 after Holm's correction for all comparisons of this table.",
+        "in: fraction of steps within the predicted 95 % interval.",
     ]
     if summary["noise"] is not None:
         lines.append(
@@ -139,47 +172,24 @@ def describe_learning(summary: dict[str, Any]) -> str:
 
 def _cells(row: dict[str, Any]) -> list[str]:
     """Cells of one line of the table."""
-    errors = [row[name][i] for i in (0, 1) for name in ("rmse", "transient_rmse", "steady_rmse")]
+    errors = [(row[name], i) for i in (0, 1) for name in ("rmse", "transient_rmse", "steady_rmse")]
     return [
         row["method"],
-        *("∞" if error is None else f"{1e3 * error:.1f}" for error in errors),
+        *("-" if error is None else "∞" if error[i] is None else f"{1e3 * error[i]:.1f}" for error, i in errors),
         "∞" if row["ratio"] is None else f"{row['ratio']:.2f}",
         "never" if row["hops_to_band"] is None else f"{row['hops_to_band']:.0f}",
-        *(
-            "-" if row[name] is None else str(row[name])
-            for name in ("reached_band", "falls", "worse", "better_than_gp")
-        ),
+        *("-" if row[name] is None else str(row[name]) for name in ("reached_band", "falls", "worse")),
+        *_difference_cells(row["difference"]),
         *(f"{share:.1%}" for share in row["coverage"] or ()),
         *("-" for _ in range(0 if row["coverage"] else 2)),
     ]
 
 
-def learning_picture(rows: Sequence[DeploymentRow], form: str) -> bytes:
-    """Draws the error of each method relative to that of `gp` (or of `none`) on the same twin and seed."""
-    base = "gp" if any(row["method"] == "gp" for row in rows) else UNCORRECTED
-    errors = {(row["twin"], row["seed"]): tracking_error_of(row) for row in rows if row["method"] == base}
-    ratios: dict[str, list[float]] = {}
-    for row in rows:
-        error, compared = tracking_error_of(row), errors[row["twin"], row["seed"]]
-        if row["method"] != base and math.isfinite(error + compared):
-            ratios.setdefault(row["method"], []).append(error / compared)
-    names = sorted(ratios, key=lambda name: float(np.median(ratios[name])), reverse=True)
-    figure = Figure(figsize=(8, 0.6 + 0.38 * len(names)), layout="constrained")
-    axes = figure.subplots()
-    axes.axvline(1, color=GREY, linewidth=1)
-    for row, name in enumerate(names):
-        values = np.array(ratios[name])
-        low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
-        offsets = row + 0.25 * np.linspace(-1, 1, len(values))
-        axes.plot(values, offsets, ".", color="0.6", markersize=4, zorder=1)
-        axes.plot([low, high], [row, row], "-", color=BLUE, linewidth=3, zorder=2)
-        axes.plot(middle, row, "D", color=BLUE, markerfacecolor="white", markersize=6, zorder=3)
-    axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{ratio:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_yticks(range(len(names)), names)
-    axes.set_xlabel(f"tracking error relative to {base}: each twin and seed, quartiles and median")
-    stream = BytesIO()
-    figure.savefig(stream, format=form, dpi=150)
-    return stream.getvalue()
+def _difference_cells(difference: dict[str, Any] | None) -> list[str]:
+    """Ratio, interval and significance."""
+    if difference is None:
+        return ["-"] * 3
+    ratio, interval, significant = (difference[name] for name in ("ratio", "interval", "significant"))
+    if interval is None:
+        return [f"{ratio:.2f}", "-", "-"]
+    return [f"{ratio:.2f}", f"{interval[0]:.2f}–{interval[1]:.2f}", "yes" if significant else "no"]

@@ -465,6 +465,43 @@ def test_a_fork_on_a_turned_floor_lands_on_the_turned_floor():
     assert make(gap, start_height=0.5, floor_yaw=pi / 2).true_state().ground_height == after.ground_height
 
 
+# A change in the midst of the motion
+
+
+def test_a_twin_that_becomes_what_it_is_continues_bit_for_bit():
+    gap = replace(RealityGap(), delay=3e-3)
+    twins = [make(gap, start_height=0.4, start_speed=0.3, hold=0.02) for _ in range(2)]
+    servos = [Servo(twin) for twin in twins]
+    for ticks in (15, 60, 120):  # held, in flight, in stance
+        for servo in servos:
+            for _ in range(ticks):
+                servo.tick()
+        twins[1].become(gap)
+        assert [servos[0].tick() for _ in range(60)] == [servos[1].tick() for _ in range(60)]
+        assert twins[0].true_state().qpos.tolist() == twins[1].true_state().qpos.tolist()
+
+
+def test_a_twin_that_becomes_heavier_keeps_its_motion_and_then_moves_as_the_heavier_one():
+    gap, heavy = RealityGap(torque_noise=0.0), RealityGap(torque_noise=0.0, body_mass_scale=1.3)
+    twin, light, heavier = (make(each, start_height=0.4, start_speed=0.3, hold=0.02) for each in (gap, gap, heavy))
+    for each in (twin, light):
+        run(each, 60)
+    twin.become(heavy)
+    assert twin.true_state().qpos.tolist() == light.true_state().qpos.tolist()
+    assert twin.read() == light.read()
+    assert run(twin, 200) != run(light, 200)
+    for each in (twin, heavier):
+        each.connect()
+        run(each, 200)
+    assert twin.true_state().qpos.tolist() == heavier.true_state().qpos.tolist()
+
+
+@pytest.mark.parametrize("change", [{"delay": 3e-3}, {"motor_counts": 1000.0}, {"boom_stiffness": inf}])
+def test_a_moving_twin_keeps_its_devices(change):
+    with pytest.raises(ValueError, match="keeps its sensors, delays and joints"):
+        make(RealityGap()).become(replace(RealityGap(), **change))
+
+
 # Rig
 
 

@@ -272,6 +272,25 @@ class Twin(CompiledRig):
             twin._views.force[self._motors] = self._gap.torque_noise * twin._next_noise(1)[0]
         return twin
 
+    def become(self, gap: RealityGap) -> None:
+        """Changes the differences from the physics model in the midst of the motion, as when a load is picked up.
+
+        The motion and the state of the drives go on. The ground keeps its profile.
+
+        Raises:
+            ValueError: The sensors, the delay or the joints would be other ones.
+        """
+        sensors = twin_sensor_model(self._robot, gap, self._sensor_model.tick)
+        model = build_model(self._robot, gap, self._model.opt.timestep)
+        sizes = ("nq", "nu", "na", "neq", "nhistory")
+        if sensors != self._sensor_model or any(getattr(model, n) != getattr(self._model, n) for n in sizes):
+            raise ValueError("a robot that moves keeps its sensors, delays and joints; only other numbers may change")
+        data = mujoco.MjData(model)
+        mujoco.mj_copyData(data, model, self._data)
+        self._gap, self._model, self._data = gap, model, data
+        self._bind()
+        self._set_floor_yaw(self._floor_yaw)
+
     def close(self) -> None:
         """Switches torque off; the twin can be connected again."""
         self._torque_off()

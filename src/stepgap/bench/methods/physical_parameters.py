@@ -1,22 +1,15 @@
-"""Baselines for the Gaussian process: an integral correction, and the model with identified parameters."""
+"""The physics model with the parameters that predict the recorded steps best."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.observations import error_of
-from stepgap.learning.residual import Residual, no_residual
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.observations import Observations
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.step import Array, Outcome, StepMap, StepSpace
-
-INTEGRAL_GAIN = 0.2
-"""Fraction of a step's error that the integral correction adopts; set once and not tuned."""
 
 STATE_ERROR_SCALE = np.array([0.01, 0.002])
 """Error of the next speed [m/s] and height [m] with the cost of a parameter one prior standard deviation off."""
@@ -55,55 +48,6 @@ class AdjustedMap(StepMap):
         return jacobian * np.repeat([1.0, self.command_scale], [len(self.space.state), len(self.space.command)])
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class IntegralCorrection:
-    """Integral correction: a constant added to the nominal map, b ← b + k (actual − nominal − b) after every step.
-
-    It is used in place of a `Learner`; a failed step does not change b.
-
-    Attributes:
-        nominal: Map of the physics model.
-        shift: b; shape (n,).
-    """
-
-    nominal: StepMap
-    shift: Array
-
-    @classmethod
-    def start(cls, nominal: StepMap, log: StepLog) -> Self:
-        """The correction before a deployment, with b after the steps of a log."""
-        correction = cls(nominal, np.zeros(len(nominal.space.state)))
-        for logged in log.completed():
-            correction = correction.after(logged)
-        return correction
-
-    @property
-    def residual(self) -> Residual:
-        """Empty residual: there is no model of the error except b."""
-        return no_residual(len(self.nominal.space.state), len(self.nominal.space.command))
-
-    @property
-    def failures(self) -> Array:
-        """Empty array, since failed steps are not stored; shape (0, n + m)."""
-        return np.empty((0, sum(self.residual.sizes)))
-
-    @property
-    def pending(self) -> None:
-        """None: there is nothing to compute in the background."""
-
-    def step_map(self) -> CorrectedMap:
-        """Map for planning the next step; it has no standard deviation."""
-        return CorrectedMap(AdjustedMap(self.nominal, self.shift), self.residual)
-
-    def after(self, logged: LoggedStep) -> Self:
-        """The correction after the executed step."""
-        error = error_of(logged.record, self.nominal)
-        if not np.isfinite(error).all():
-            return self
-        return replace(self, shift=self.shift + INTEGRAL_GAIN * (error - self.shift))
-
-
 @dataclass(frozen=True)
 class PhysicalError:
     """Differences of a robot from its model that can be observed from one apex per hop.
@@ -135,14 +79,14 @@ PARAMETER_PRIOR_STD = PhysicalError()
 """Standard deviations of the prior: the defaults above."""
 
 
-def identify(nominal: ApexMap, log: StepLog) -> AdjustedMap:
-    """The physics model with parameters fitted to the recorded steps by least squares with a weak prior."""
-    steps = log.completed()
+def identify(nominal: ApexMap, steps: Observations) -> AdjustedMap:
+    """The physics model with parameters fitted to recorded steps by least squares with a weak prior."""
     prior_std = np.array([getattr(PARAMETER_PRIOR_STD, field.name) for field in fields(PARAMETER_PRIOR_STD)])
+    next_state = nominal.evaluate(steps.state, steps.applied_command).next_state + steps.error
 
     def residuals(scaled: Array) -> Array:
         step_map = with_error(nominal, PhysicalError(*(scaled * prior_std).tolist()))
-        error = (steps.next_state - step_map.evaluate(steps.state, steps.applied).next_state) / STATE_ERROR_SCALE
+        error = (next_state - step_map.evaluate(steps.state, steps.applied_command).next_state) / STATE_ERROR_SCALE
         return np.concatenate([np.nan_to_num(error, nan=FAILED_STEP_COST).ravel(), scaled])
 
     limits = np.full(len(prior_std), 3.0)

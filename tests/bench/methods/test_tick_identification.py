@@ -6,9 +6,9 @@ import mujoco.sysid
 import numpy as np
 import pytest
 
-from stepgap.bench import identification as sysid
-from stepgap.bench.baselines import PhysicalError, erring_robot, with_error
-from stepgap.bench.identification import (
+from stepgap.bench.methods import tick_identification as sysid
+from stepgap.bench.methods.physical_parameters import PhysicalError, erring_robot, with_error
+from stepgap.bench.methods.tick_identification import (
     BEFORE,
     HIP_ERROR_SCALE,
     HIP_FIT,

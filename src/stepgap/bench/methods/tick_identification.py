@@ -21,7 +21,13 @@ import numpy as np
 from mujoco import sysid
 from numpy.typing import NDArray
 
-from stepgap.bench.baselines import PARAMETER_PRIOR_STD, AdjustedMap, PhysicalError, erring_robot, with_error
+from stepgap.bench.methods.physical_parameters import (
+    PARAMETER_PRIOR_STD,
+    AdjustedMap,
+    PhysicalError,
+    erring_robot,
+    with_error,
+)
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.leg import foot, four_bar, knee_angle, leg_of
 from stepgap.robots.hopper.parameters import RobotParameters

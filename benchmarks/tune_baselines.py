@@ -1,0 +1,68 @@
+"""Tunes the gain of the integral and the forgetting factor of recursive least squares, on twins that are not reported.
+
+Prints the geometric mean of the tracking error relative to that without correction, for each value of each method.
+`stepgap bench learning` reports twins 0 to 19; these are twins 900 to 907. The result, with seed 0:
+
+    (see docs/learning_benchmark.md)
+
+    ./go python benchmarks/tune_baselines.py [--twins 8] [--methods integral,rls]
+"""
+
+import argparse
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from stepgap import ApexMap
+from stepgap.bench.methods import affine, integral
+from stepgap.bench.tasks import DEFAULT_TASK, tasks
+from stepgap.bench.trial import Method, Trial, hopping_gap
+from stepgap.experiment.deployment import summarise
+from stepgap.learning.step_log import StepLog
+
+FIRST_TWIN = 900
+"""First of the twins on which is tuned."""
+
+GAINS = (0.05, 0.1, 0.2, 0.3, 0.5)
+FACTORS = (0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
+
+TUNED: dict[str, tuple[Callable[..., Sequence[StepLog]], str, tuple[float, ...]]] = {
+    "integral": (integral.integral, "gain", GAINS),
+    "integral_plain": (integral.integral_plain, "gain", GAINS),
+    "rls": (affine.rls, "forgetting", FACTORS),
+    "rls_plain": (affine.rls_plain, "forgetting", FACTORS),
+}
+"""Function, name of its parameter and the values that are tried, by the name of the method."""
+
+
+def error_of(trial: Trial, method: Method) -> float:
+    """Tracking error in half ranges; infinite after a fall."""
+    steps = method(trial)[-1]
+    found = summarise(steps, trial.task.reference, "")
+    return np.inf if found.falls else float(np.linalg.norm(found.rmse / steps.space.state_scale))
+
+
+def main() -> None:
+    """Prints a line for each method and value."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--twins", type=int, default=8)
+    parser.add_argument("--methods", default=",".join(TUNED))
+    options = parser.parse_args()
+    nominal, task = ApexMap(), tasks()[DEFAULT_TASK]
+    trials = [
+        Trial(nominal, hopping_gap(nominal, task, twin)[0], task, twin, seed=0)
+        for twin in range(FIRST_TWIN, FIRST_TWIN + options.twins)
+    ]
+    uncorrected = [error_of(trial, lambda trial: [trial.first]) for trial in trials]
+    for name in options.methods.split(","):
+        method, parameter, values = TUNED[name]
+        for value in values:
+            chosen = partial(method, **{parameter: value})
+            errors = [error_of(trial, chosen) for trial in trials]
+            ratio = np.exp(np.mean(np.log(np.divide(errors, uncorrected))))
+            print(f"{name:15s} {parameter} {value:<6g} {ratio:.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""All methods of `stepgap bench learning` by name."""
+
+from functools import partial
+
+from stepgap.bench.methods import affine, integral, physics
+from stepgap.bench.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, residual
+from stepgap.bench.trial import UNCORRECTED_LEARNING, Method
+from stepgap.learning.entry_points import residual_models, residual_names
+from stepgap.learning.settings import AUTO, LearningSettings
+from stepgap.report.learning import UNCORRECTED
+
+SKIPPED: dict[str, str] = {name: physics.SYSID_MISSING for name in ("sysid", "sysid_plain") if physics.SYSID_MISSING}
+"""Methods that cannot be used, with the reason."""
+
+QUICK = ("linear", "gp_on_linear")
+"""Names of the methods of a quick comparison."""
+
+TEMPLATE_RESIDUALS = ("linear", "quadratic", "gp_on_linear")
+"""Residuals that are learned on top of the template."""
+
+CLASSICAL: dict[str, Method] = {
+    "integral": integral.integral,
+    "integral_plain": integral.integral_plain,
+    "identified": partial(physics.identified, settings=physics.WITH_DISTURBANCE),
+    "identified_plain": physics.identified_plain,
+    "identified_gp_on_linear": partial(physics.identified, settings=LearningSettings()),
+    "sysid": partial(physics.sysid, settings=physics.WITH_DISTURBANCE),
+    "sysid_plain": partial(physics.sysid, settings=UNCORRECTED_LEARNING),
+    "rls": affine.rls,
+    "rls_plain": affine.rls_plain,
+}
+"""Methods of control and identification, with and without what the default learner has besides its residual."""
+
+LAGGED: dict[str, Method] = {
+    "quadratic_previous_error": partial(
+        corrected, settings=LearningSettings(residual="quadratic", lagged_inputs="previous_error")
+    ),
+}
+"""Residuals with inputs from the step before."""
+
+FROM_THE_FIRST_HOP: dict[str, Method] = {
+    "online": partial(from_the_first_hop, settings=LearningSettings(online=True)),
+    "exploring": partial(from_the_first_hop, settings=LearningSettings(exploration=EXPLORATION)),
+    "exploring_online": partial(from_the_first_hop, settings=LearningSettings(online=True, exploration=EXPLORATION)),
+}
+"""Methods that learn during deployment 0, all with the default residual."""
+
+TEMPLATE: dict[str, Method] = {
+    "template_none": affine.template_uncorrected,
+    **{f"template_{kind}": partial(affine.template_residual, kind=kind) for kind in TEMPLATE_RESIDUALS},
+    "template_online": affine.template_online,
+}
+"""Methods whose nominal map is a template of four numbers."""
+
+
+def methods() -> dict[str, Method]:
+    """All methods by name, including every installed residual except `none`, which is deployment 0."""
+    kinds = (*(name for name in residual_names() if name != UNCORRECTED), AUTO)
+    residuals: dict[str, Method] = {kind: partial(residual, kind=kind) for kind in kinds}
+    known = CLASSICAL | residuals | LAGGED | FROM_THE_FIRST_HOP | TEMPLATE
+    return {name: method for name, method in known.items() if name not in SKIPPED}
+
+
+def default_methods() -> list[str]:
+    """Names of the methods that are compared by default; their residuals are the candidates of `auto`."""
+    kinds = [model.name for model in residual_models() if model.candidate and model.name != UNCORRECTED]
+    names = [*CLASSICAL, *kinds, AUTO, *LAGGED, *FROM_THE_FIRST_HOP, *TEMPLATE]
+    return [name for name in names if name not in SKIPPED]
