@@ -7,6 +7,7 @@ from stepgap.experiment.bands import PAPER_BAND, hops_to_band
 from stepgap.report.learning import (
     BEYOND_NOISE,
     DEFAULT,
+    ERRORS,
     DeploymentRow,
     compared_with,
     describe_learning,
@@ -28,7 +29,7 @@ def test_the_band_is_reached_when_no_later_window_leaves_it() -> None:
 
 
 def row(method: str, seed: int, error: float, falls: int = 0, **more: object) -> DeploymentRow:
-    measures = {name: [error, error / 10] for name in ("rmse", "transient_rmse", "steady_rmse")}
+    measures = {name: [error, error / 10] for name in ERRORS}
     return (
         {"task": "reference", "twin": 0, "seed": seed, "method": method, "steps": 9, "falls": falls, "error": error}
         | measures

@@ -46,6 +46,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         return row | {"steps": 0, "falls": 1}
     found = summarise(steps, trial.task.reference, method)
     tracked = [log.tracking().completed() for log in deployments]
+    true_errors = tracked[-1].true_next_state - tracked[-1].target
     errors = np.concatenate([log.next_state - log.target for log in tracked])
     earlier = sum(map(len, deployments)) - len(errors)  # exploratory and failed hops
     hops = None if found.falls else hops_to_band(errors)
@@ -57,6 +58,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         "rmse": known_numbers(found.rmse),
         "transient_rmse": known_numbers(found.transient_rmse),
         "steady_rmse": known_numbers(found.steady_rmse),
+        "true_rmse": known_numbers(np.sqrt(np.mean(true_errors**2, axis=0))),
         "hops_to_band": None if hops is None else hops + earlier,
         "covered": covered.tolist(),
         "counted": counted,

@@ -24,6 +24,9 @@ DEFAULT = "gp_on_linear"
 WITHOUT = "-"
 """METHOD-RULE is the name of a method without one of its rules, which is compared with the method itself."""
 
+ERRORS = ("rmse", "transient_rmse", "steady_rmse", "true_rmse")
+"""Names of the root-mean-square errors of a deployment; the last one is that of the true states."""
+
 BEYOND_NOISE = 2.0
 """Number of standard deviations of the difference between uncorrected deployments that counts as significant."""
 
@@ -107,7 +110,7 @@ def _measures(rows: dict[Key, DeploymentRow], first: dict[Key, DeploymentRow], n
     hops = [row.get("hops_to_band") for row in rows.values()]
     return {
         "count": len(rows),
-        **{name: _median(rows, name) for name in ("rmse", "transient_rmse", "steady_rmse")},
+        **{name: _median(rows, name) for name in ERRORS},
         "ratio": _finite(float(np.median(ratio))),
         "hops_to_band": _finite(float(np.median([math.inf if hop is None else hop for hop in hops]))),
         "reached_band": sum(hop is not None for hop in hops),
@@ -136,8 +139,8 @@ def _finite(value: float) -> float | None:
 
 HEADER = (
     "method",
-    *("speed [mm/s]", "transient", "steady"),
-    *("height [mm]", "transient", "steady"),
+    *("speed [mm/s]", "transient", "steady", "true"),
+    *("height [mm]", "transient", "steady", "true"),
     *("ratio", "hops", "in band", "falls", "worse", "relative", "interval", "significant", "speeds in", "heights in"),
 )
 """Columns of the table."""
@@ -154,6 +157,7 @@ def describe_learning(summary: dict[str, Any]) -> str:
     lines += [
         "",
         f"Speed and height: RMSE, median over {summary['pairs']} twins and seeds; a fall counts as an infinite error.",
+        "true: RMSE of the robot's true state, without the errors of its sensors.",
         "ratio: error of both coordinates together, relative to that of deployment 0.",
         f"hops: number of hops until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s and "
         f"{1e3 * PAPER_BAND[1]:.1f} mm; in band: number of twins and seeds that reach this.",
@@ -172,7 +176,7 @@ def describe_learning(summary: dict[str, Any]) -> str:
 
 def _cells(row: dict[str, Any]) -> list[str]:
     """Cells of one line of the table."""
-    errors = [(row[name], i) for i in (0, 1) for name in ("rmse", "transient_rmse", "steady_rmse")]
+    errors = [(row[name], i) for i in (0, 1) for name in ERRORS]
     return [
         row["method"],
         *("-" if error is None else "∞" if error[i] is None else f"{1e3 * error[i]:.1f}" for error, i in errors),

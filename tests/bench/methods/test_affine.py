@@ -70,7 +70,7 @@ def test_recursive_least_squares_is_the_weighted_batch_solution() -> None:
         return np.hstack([np.ones((len(state), 1)), state, command])
 
     state, command, after = (
-        np.vstack([getattr(log, name) for log in (before, now)]) for name in ("state", "applied", "next_state")
+        np.vstack([getattr(log, name) for log in (before, now)]) for name in ("state", "requested", "next_state")
     )
     known, error = features(state, command), after - nominal.evaluate(state, command).next_state
     weight = factor ** np.arange(len(known))[::-1]

@@ -82,11 +82,11 @@ PARAMETER_PRIOR_STD = PhysicalError()
 def identify(nominal: ApexMap, steps: Observations) -> AdjustedMap:
     """The physics model with parameters fitted to recorded steps by least squares with a weak prior."""
     prior_std = np.array([getattr(PARAMETER_PRIOR_STD, field.name) for field in fields(PARAMETER_PRIOR_STD)])
-    next_state = nominal.evaluate(steps.state, steps.applied_command).next_state + steps.error
+    next_state = nominal.evaluate(steps.state, steps.command).next_state + steps.error
 
     def residuals(scaled: Array) -> Array:
         step_map = with_error(nominal, PhysicalError(*(scaled * prior_std).tolist()))
-        error = (next_state - step_map.evaluate(steps.state, steps.applied_command).next_state) / STATE_ERROR_SCALE
+        error = (next_state - step_map.evaluate(steps.state, steps.command).next_state) / STATE_ERROR_SCALE
         return np.concatenate([np.nan_to_num(error, nan=FAILED_STEP_COST).ravel(), scaled])
 
     limits = np.full(len(prior_std), 3.0)
