@@ -2,14 +2,17 @@
 
 from functools import partial
 
-from stepgap.bench.methods import affine, integral, physics
+from stepgap.bench.methods import affine, ensemble, integral, inverse, physics
 from stepgap.bench.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, residual
 from stepgap.bench.trial import UNCORRECTED_LEARNING, Method
 from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.report.learning import UNCORRECTED
 
-SKIPPED: dict[str, str] = {name: physics.SYSID_MISSING for name in ("sysid", "sysid_plain") if physics.SYSID_MISSING}
+REASONS = {"sysid": physics.SYSID_MISSING, "sysid_plain": physics.SYSID_MISSING, "ensemble": ensemble.MISSING}
+"""Why methods that need further packages cannot be used; empty if they can."""
+
+SKIPPED = {name: reason for name, reason in REASONS.items() if reason}
 """Methods that cannot be used, with the reason."""
 
 QUICK = ("linear", "gp_on_linear")
@@ -31,12 +34,14 @@ CLASSICAL: dict[str, Method] = {
 }
 """Methods of control and identification, with and without what the default learner has besides its residual."""
 
-LAGGED: dict[str, Method] = {
+OTHER_LEARNING: dict[str, Method] = {
+    "delta_command": inverse.delta_command,
+    "ensemble": ensemble.ensemble,
     "quadratic_previous_error": partial(
         corrected, settings=LearningSettings(residual="quadratic", lagged_inputs="previous_error")
     ),
 }
-"""Residuals with inputs from the step before."""
+"""Other ways to learn from deployment 0 than the installed residuals."""
 
 FROM_THE_FIRST_HOP: dict[str, Method] = {
     "online": partial(from_the_first_hop, settings=LearningSettings(online=True)),
@@ -57,12 +62,12 @@ def methods() -> dict[str, Method]:
     """All methods by name, including every installed residual except `none`, which is deployment 0."""
     kinds = (*(name for name in residual_names() if name != UNCORRECTED), AUTO)
     residuals: dict[str, Method] = {kind: partial(residual, kind=kind) for kind in kinds}
-    known = CLASSICAL | residuals | LAGGED | FROM_THE_FIRST_HOP | TEMPLATE
+    known = CLASSICAL | residuals | OTHER_LEARNING | FROM_THE_FIRST_HOP | TEMPLATE
     return {name: method for name, method in known.items() if name not in SKIPPED}
 
 
 def default_methods() -> list[str]:
     """Names of the methods that are compared by default; their residuals are the candidates of `auto`."""
     kinds = [model.name for model in residual_models() if model.candidate and model.name != UNCORRECTED]
-    names = [*CLASSICAL, *kinds, AUTO, *LAGGED, *FROM_THE_FIRST_HOP, *TEMPLATE]
+    names = [*CLASSICAL, *kinds, AUTO, *OTHER_LEARNING, *FROM_THE_FIRST_HOP, *TEMPLATE]
     return [name for name in names if name not in SKIPPED]
