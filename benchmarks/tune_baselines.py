@@ -18,7 +18,7 @@ from stepgap import ApexMap
 from stepgap.bench.methods import affine, integral
 from stepgap.bench.tasks import DEFAULT_TASK, tasks
 from stepgap.bench.trial import Method, Trial, hopping_gap
-from stepgap.experiment.deployment import summarise
+from stepgap.experiment.outcome import summarise
 from stepgap.learning.step_log import StepLog
 
 FIRST_TWIN = 900

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.base.normal import INTERVAL_95
 from stepgap.bench.methods.redeployment import uncorrected
-from stepgap.bench.methods.registry import methods
+from stepgap.bench.methods.registry import method_of
 from stepgap.bench.tasks import Task
 from stepgap.bench.trial import Trial, hopping_gap
 from stepgap.experiment.bands import hops_to_band
@@ -24,12 +24,12 @@ from stepgap.step import Array
 
 def measure_twin(task: Task, twin: int, seed: int, names: Sequence[str]) -> list[DeploymentRow]:
     """Measures of all methods on a twin; the first row is that of the uncorrected deployment."""
-    nominal, known = ApexMap(), methods()
+    nominal, chosen = ApexMap(), {name: method_of(name) for name in names}
     with threadpool_limits(limits=1, user_api="blas"):
         gap, drawn_again = hopping_gap(nominal, task, twin)
         trial = Trial(nominal, gap, task, twin, seed)
         first = _row(trial, UNCORRECTED, uncorrected(trial)) | {"drawn_again": drawn_again}
-        return [first, *(_row(trial, name, known[name](trial)) for name in names)]
+        return [first, *(_row(trial, name, method(trial)) for name, method in chosen.items())]
 
 
 def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> DeploymentRow:
@@ -46,7 +46,6 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         return row | {"steps": 0, "falls": 1}
     found = summarise(steps, trial.task.reference, method)
     tracked = [log.tracking().completed() for log in deployments]
-    true_errors = tracked[-1].true_next_state - tracked[-1].target
     errors = np.concatenate([log.next_state - log.target for log in tracked])
     earlier = sum(map(len, deployments)) - len(errors)  # exploratory and failed hops
     hops = None if found.falls else hops_to_band(errors)
@@ -58,7 +57,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         "rmse": known_numbers(found.rmse),
         "transient_rmse": known_numbers(found.transient_rmse),
         "steady_rmse": known_numbers(found.steady_rmse),
-        "true_rmse": known_numbers(np.sqrt(np.mean(true_errors**2, axis=0))),
+        "true_rmse": known_numbers(found.true_rmse),
         "hops_to_band": None if hops is None else hops + earlier,
         "covered": covered.tolist(),
         "counted": counted,

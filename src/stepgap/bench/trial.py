@@ -4,17 +4,19 @@ Twin T draws its gap from `random_stream(T)` and its floor from `random_stream(T
 `random_stream(T, seed, K)` for every method, so methods are compared under equal noise.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from math import tau
 
 from stepgap.base.random_streams import random_stream
 from stepgap.bench.tasks import Change, Task
+from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.deployment import AdaptiveMap, Steps, deploy
+from stepgap.learning.disturbance import without_yaw_dependence
 from stepgap.learning.learner import Learner
+from stepgap.learning.observations import Observations, observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.compiled_rig import Rows
@@ -32,6 +34,9 @@ from stepgap.step import StepMap
 FIRST_STEPS = 20
 """Number of steps that the uncorrected robot must make without a fall; otherwise the twin is drawn again."""
 
+FIRST = "deployment 0"
+"""Key of deployment 0 among the deployments that methods have in common."""
+
 UNCORRECTED_LEARNING = LearningSettings(residual="none")
 """Settings of a learner that does not learn."""
 
@@ -46,7 +51,9 @@ class Trial:
         task: What the robot is to do.
         twin: Number of the twin.
         seed: Seed of the noise.
-        redeployed: Steps of the first redeployment, by the residual used as JSON.
+        learning: Settings of learning that are changed for every learner, by their names.
+        control: Settings of step control; deployment 0 without correction always has all rules.
+        made: Deployments that several methods have in common, by what distinguishes them.
     """
 
     nominal: ApexMap
@@ -54,16 +61,34 @@ class Trial:
     task: Task
     twin: int
     seed: int
-    redeployed: dict[str, StepLog] = field(default_factory=dict)
+    learning: Mapping[str, bool] = field(default_factory=dict)
+    control: ControlSettings = ALL_RULES
+    made: dict[str, StepLog] = field(default_factory=dict)
 
-    @cached_property
+    def once(self, key: str, make: Callable[[], StepLog]) -> StepLog:
+        """Makes a deployment that several methods have in common, unless it was made before."""
+        if key not in self.made:
+            self.made[key] = make()
+        return self.made[key]
+
+    @property
     def first(self) -> StepLog:
         """Steps of deployment 0 without correction, from which most methods learn."""
-        return self.deploy(self.uncorrected(self.nominal), 0)
+        all_rules = replace(self, control=ALL_RULES)
+        return self.once(FIRST, lambda: all_rules.deploy(self.uncorrected(self.nominal), 0))
+
+    def learner(self, nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int) -> Learner:
+        """Learner before a deployment, with the changes of its settings that the trial makes."""
+        return Learner.start(nominal, log, replace(settings, **self.learning), iteration)
 
     def uncorrected(self, nominal: StepMap) -> Learner:
         """Learner without any knowledge but a map."""
-        return Learner.start(nominal, StepLog(nominal.space), UNCORRECTED_LEARNING, 0)
+        return self.learner(nominal, StepLog(nominal.space), UNCORRECTED_LEARNING, 0)
+
+    def cleaned_errors(self) -> Observations:
+        """Errors of the nominal map in deployment 0, less their yaw-dependent part unless that rule is off."""
+        errors = observe(self.first, self.nominal)
+        return without_yaw_dependence(errors, 1) if self.learning.get("remove_yaw_dependence", True) else errors
 
     def twin_of(self, iteration: int) -> Twin:
         """Twin of a deployment."""
@@ -91,7 +116,7 @@ class Trial:
         return self._record(steps_on, iteration, self.task.change, None, None)
 
     def _tracking(self, learner: AdaptiveMap, iteration: int, exploration: int) -> Callable[[Plant], Steps]:
-        return lambda plant: deploy(learner, plant, self.task.reference, iteration, exploration)
+        return lambda plant: deploy(learner, plant, self.task.reference, iteration, exploration, self.control)
 
     def _record(
         self,

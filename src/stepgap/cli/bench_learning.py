@@ -49,7 +49,8 @@ def bench_learning_(
     Args:
         twins: Number of random twins. [default: 20]
         seeds: Number of seeds of each twin. [default: 3]
-        methods: Names of the methods, as NAME,NAME. [default: all]
+        methods: Names of the methods, as NAME,NAME; METHOD-RULE is a method without a rule, such as
+            gp_on_linear-drift. [default: all, each with all its rules]
         task: What the robot is to do: reference, payload, torque_limit, square or rough. [default: reference]
         quick: Take half a minute: 2 twins, 1 seed, and only the methods linear and gp_on_linear.
         out: Folder for the measurements, their summary and the figure. With --resume, also twins, seeds, methods and
@@ -101,11 +102,13 @@ def _new_plan(
 
 def _check_methods(chosen: "Sequence[str]", source: str) -> None:
     """Raises InputError if a method is unknown or cannot be used here."""
-    from stepgap.bench.methods.registry import SKIPPED
+    from stepgap.bench.methods.ablation import ABLATIONS
+    from stepgap.bench.methods.registry import SKIPPED, is_method
     from stepgap.bench.methods.registry import methods as known_methods
 
-    if unknown := [name for name in chosen if name not in known_methods()]:
-        missing = SKIPPED.get(unknown[0], f"it must be one of {', '.join(known_methods())}")
+    if unknown := [name for name in chosen if not is_method(name)]:
+        names = f"it must be one of {', '.join(known_methods())}; also METHOD-RULE with one of {', '.join(ABLATIONS)}"
+        missing = SKIPPED.get(unknown[0], names)
         raise InputError(f"{source} {unknown[0]}: {missing}")
 
 

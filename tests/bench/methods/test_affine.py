@@ -1,5 +1,7 @@
 """Affine nominal maps: templates, and recursive least squares against its batch solution."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,7 +62,7 @@ def test_recursive_least_squares_is_the_weighted_batch_solution() -> None:
     nominal = linearised(NOMINAL, REFERENCE)
     truth = AdjustedMap(nominal, np.array([0.03, -0.01]), command_scale=0.8)
     before, now = steps_of(truth, 20, noise=0.5), steps_of(truth, 10, noise=0.5, iteration=1)
-    learner = Learner.start(nominal, before, rls_settings(factor, drift=False), 1)
+    learner = Learner.start(nominal, before, replace(rls_settings(factor), drift=False), 1)
     for logged in now:
         learner = learner.after(logged)
 

@@ -5,7 +5,7 @@ is viable are void with these methods.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import log
 from typing import final
@@ -141,12 +141,12 @@ def rls(trial: Trial, forgetting: float = RLS_FORGETTING) -> Sequence[StepLog]:
 
 def rls_plain(trial: Trial, forgetting: float = PLAIN_RLS_FORGETTING) -> Sequence[StepLog]:
     """As `rls`, without the disturbance filter and the removal of the yaw-dependent part."""
-    return _redeployed_rls(trial, rls_settings(forgetting, drift=False))
+    return _redeployed_rls(trial, replace(rls_settings(forgetting), drift=False, remove_yaw_dependence=False))
 
 
-def rls_settings(forgetting: float, drift: bool = True) -> LearningSettings:
+def rls_settings(forgetting: float) -> LearningSettings:
     """Settings with which a learner updates its linear residual by recursive least squares with a forgetting factor."""
-    return LearningSettings(residual="linear", online=True, forgetting_time=-1 / log(forgetting), drift=drift)
+    return LearningSettings(residual="linear", online=True, forgetting_time=-1 / log(forgetting))
 
 
 def _redeployed_rls(trial: Trial, settings: LearningSettings) -> Sequence[StepLog]:

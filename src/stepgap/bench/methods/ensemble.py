@@ -15,9 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.bench.trial import Trial
-from stepgap.learning.disturbance import without_yaw_dependence
-from stepgap.learning.learner import Learner
-from stepgap.learning.observations import observe
 from stepgap.learning.polynomial import NOISE_SCALE
 from stepgap.learning.regression import BatchRegression, Regression, ResidualModel, TrainingData
 from stepgap.learning.residual_fit import fit_residual
@@ -172,6 +169,6 @@ ENSEMBLE = ResidualModel("ensemble", "an ensemble of neural networks", _fit, _fr
 
 def ensemble(trial: Trial) -> Sequence[StepLog]:
     """A redeployment with the ensemble as the residual, with everything else of the default learner."""
-    learner = Learner.start(trial.nominal, trial.first, LearningSettings(residual="constant"), 1)
-    observations = without_yaw_dependence(observe(trial.first, trial.nominal), 1)
-    return [trial.first, trial.measure(replace(learner, model=fit_residual(ENSEMBLE, observations)), 1)]
+    learner = trial.learner(trial.nominal, trial.first, LearningSettings(residual="constant"), 1)
+    model = fit_residual(ENSEMBLE, trial.cleaned_errors())
+    return [trial.first, trial.measure(replace(learner, model=model), 1)]

@@ -113,7 +113,7 @@ def delta_command(trial: Trial) -> Sequence[StepLog]:
     """A redeployment with the error of the command learned from deployment 0, with the default regression."""
     inverse = inverse_of(trial.nominal)
     known = StepLog(inverse.space, map(inverse.read_backwards, trial.first.completed()))
-    learner = Learner.start(inverse, known, LearningSettings(), 1)
+    learner = trial.learner(inverse, known, LearningSettings(), 1)
     track = partial(_track, learner, inverse, trial.nominal, reference=trial.task.reference)
     return [trial.first, trial.measure_steps(track, 1)]
 

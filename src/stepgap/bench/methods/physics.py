@@ -14,7 +14,6 @@ import mujoco.sysid
 from stepgap.bench.methods.physical_parameters import AdjustedMap, identify
 from stepgap.bench.methods.redeployment import redeployed
 from stepgap.bench.trial import UNCORRECTED_LEARNING, Trial
-from stepgap.learning.disturbance import without_yaw_dependence
 from stepgap.learning.observations import observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
@@ -47,7 +46,7 @@ def sysid(trial: Trial, settings: LearningSettings) -> Sequence[StepLog]:
 @lru_cache(maxsize=1)
 def identified_map(trial: Trial) -> AdjustedMap:
     """The model identified from the steps of deployment 0 less their yaw-dependent part."""
-    return identify(trial.nominal, without_yaw_dependence(observe(trial.first, trial.nominal), 1))
+    return identify(trial.nominal, trial.cleaned_errors())
 
 
 @lru_cache(maxsize=1)

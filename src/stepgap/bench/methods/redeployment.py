@@ -2,9 +2,10 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 
 from stepgap.bench.trial import Trial
-from stepgap.learning.learner import Learner
+from stepgap.experiment.settings import PAPER_CONTROL, PAPER_LEARNING
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.step import StepMap
@@ -25,7 +26,7 @@ def redeployed(
         settings: Settings of the learner.
     """
     log = StepLog(nominal.space, (logged for deployment in known for logged in deployment))
-    return [*known, trial.measure(Learner.start(nominal, log, settings, len(known)), len(known))]
+    return [*known, trial.measure(trial.learner(nominal, log, settings, len(known)), len(known))]
 
 
 def residual(trial: Trial, kind: str) -> Sequence[StepLog]:
@@ -33,16 +34,24 @@ def residual(trial: Trial, kind: str) -> Sequence[StepLog]:
 
     `auto` chooses one of the others; then it makes the same deployment, which is not computed again.
     """
-    learner = Learner.start(trial.nominal, trial.first, LearningSettings(residual=kind), 1)
-    key = json.dumps(learner.residual.to_dict())
-    if key not in trial.redeployed:
-        trial.redeployed[key] = trial.measure(learner, 1)
-    return [trial.first, trial.redeployed[key]]
+    learner = trial.learner(trial.nominal, trial.first, LearningSettings(residual=kind), 1)
+    key = json.dumps([learner.residual.to_dict(), dict(trial.learning), asdict(trial.control)])
+    return [trial.first, trial.once(key, lambda: trial.measure(learner, 1))]
 
 
 def corrected(trial: Trial, settings: LearningSettings) -> Sequence[StepLog]:
     """One redeployment by a learner with the exact nominal map."""
     return redeployed(trial, trial.nominal, [trial.first], settings)
+
+
+def paper(trial: Trial) -> Sequence[StepLog]:
+    """The published method: `fitrgp`, Eq. 13 without further rules, four redeployments, each with a new fit."""
+    trial, deployments = replace(trial, control=PAPER_CONTROL), [trial.first]
+    while len(deployments) < PAPER_LEARNING.iterations:
+        log = StepLog(trial.nominal.space, (logged for deployment in deployments for logged in deployment))
+        learner = trial.learner(trial.nominal, log, PAPER_LEARNING, len(deployments))
+        deployments.append(trial.deploy(learner, len(deployments)))
+    return redeployed(trial, trial.nominal, deployments, PAPER_LEARNING)
 
 
 def uncorrected(trial: Trial) -> Sequence[StepLog]:
@@ -53,5 +62,5 @@ def uncorrected(trial: Trial) -> Sequence[StepLog]:
 def from_the_first_hop(trial: Trial, settings: LearningSettings, nominal: StepMap | None = None) -> Sequence[StepLog]:
     """Deployment 0 by a learner that learns in it, with the exact nominal map or another one."""
     nominal = nominal or trial.nominal
-    learner = Learner.start(nominal, StepLog(nominal.space), settings, 0)
+    learner = trial.learner(nominal, StepLog(nominal.space), settings, 0)
     return [trial.measure(learner, 0, settings.exploration)]

@@ -3,11 +3,12 @@
 from functools import partial
 
 from stepgap.bench.methods import affine, ensemble, integral, inverse, physics
-from stepgap.bench.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, residual
+from stepgap.bench.methods.ablation import ABLATIONS, ablated
+from stepgap.bench.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, paper, residual
 from stepgap.bench.trial import UNCORRECTED_LEARNING, Method
 from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.settings import AUTO, LearningSettings
-from stepgap.report.learning import UNCORRECTED
+from stepgap.report.learning import UNCORRECTED, WITHOUT
 
 REASONS = {"sysid": physics.SYSID_MISSING, "sysid_plain": physics.SYSID_MISSING, "ensemble": ensemble.MISSING}
 """Why methods that need further packages cannot be used; empty if they can."""
@@ -35,6 +36,7 @@ CLASSICAL: dict[str, Method] = {
 """Methods of control and identification, with and without what the default learner has besides its residual."""
 
 OTHER_LEARNING: dict[str, Method] = {
+    "paper": paper,
     "delta_command": inverse.delta_command,
     "ensemble": ensemble.ensemble,
     "quadratic_previous_error": partial(
@@ -59,11 +61,30 @@ TEMPLATE: dict[str, Method] = {
 
 
 def methods() -> dict[str, Method]:
-    """All methods by name, including every installed residual except `none`, which is deployment 0."""
+    """All methods by name, including every installed residual except `none`, which is deployment 0.
+
+    Each can also be run without a rule, as METHOD-RULE: `method_of`.
+    """
     kinds = (*(name for name in residual_names() if name != UNCORRECTED), AUTO)
     residuals: dict[str, Method] = {kind: partial(residual, kind=kind) for kind in kinds}
     known = CLASSICAL | residuals | OTHER_LEARNING | FROM_THE_FIRST_HOP | TEMPLATE
     return {name: method for name, method in known.items() if name not in SKIPPED}
+
+
+def method_of(name: str) -> Method:
+    """The method METHOD or METHOD-RULE; raises KeyError if there is none of this name."""
+    full, without, rule = name.partition(WITHOUT)
+    found = methods()[full]
+    return partial(ablated, method=found, ablation=ABLATIONS[rule]) if without else found
+
+
+def is_method(name: str) -> bool:
+    """Whether there is a method of this name that can be used."""
+    try:
+        method_of(name)
+    except KeyError:
+        return False
+    return True
 
 
 def default_methods() -> list[str]:
