@@ -39,7 +39,10 @@ def learning_picture(rows: Sequence[DeploymentRow], form: str) -> bytes:
     axes.set_yticks(range(len(order)), [compared[index][0] for index in order])
     axes.set_ylim(-0.7, len(order) - 0.3)
     base = DEFAULT if DEFAULT in errors else UNCORRECTED
-    axes.set_xlabel(f"tracking error relative to {base}: each twin and seed, geometric mean, 95 % interval")
+    axes.set_xlabel(
+        f"tracking error relative to {base}, of METHOD-RULE relative to METHOD\n"
+        "points: twins and seeds; diamond: geometric mean, filled if significant"
+    )
     stream = BytesIO()
     figure.savefig(stream, format=form, dpi=150)
     return stream.getvalue()

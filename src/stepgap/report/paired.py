@@ -15,7 +15,7 @@ from scipy.stats import t as student
 
 from stepgap.step import Array
 
-LARGEST_RATIO = 10.0
+LARGEST_RATIO = 30.0
 """A ratio of errors that is larger, or smaller than its inverse, counts as this, since a fall has an infinite error."""
 
 CONFIDENCE = 0.95
