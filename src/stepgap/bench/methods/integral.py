@@ -23,10 +23,10 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, StepMap
 
-INTEGRAL_GAIN = 0.2
+INTEGRAL_GAIN = 0.5
 """Gain k of the method `integral`."""
 
-PLAIN_INTEGRAL_GAIN = 0.2
+PLAIN_INTEGRAL_GAIN = 0.5
 """Gain k of the method `integral_plain`."""
 
 
