@@ -66,7 +66,7 @@ KEPT = 1.5
 DIVERGED = 10.0
 """Scaled difference of a robot that falls."""
 
-ROUNDS = 3
+ROUNDS = 2
 """Largest number of Gauss–Newton steps."""
 
 
