@@ -162,8 +162,8 @@ def describe_learning(summary: dict[str, Any]) -> str:
         f"hops: number of hops until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s and "
         f"{1e3 * PAPER_BAND[1]:.1f} mm; in band: number of twins and seeds that reach this.",
         f"relative: error relative to that of {DEFAULT} on the same twin and seed, geometric mean; a fall counts as a",
-        f"ratio of {LARGEST_RATIO:g}. METHOD{WITHOUT}RULE is METHOD without a rule, relative to METHOD. interval: 95 %,",
-        "by Student's t over the means of the twins. significant: p < 0.05 after Holm's correction for all comparisons.",
+        f"ratio of {LARGEST_RATIO:g}. METHOD{WITHOUT}RULE is METHOD without a rule, relative to METHOD. interval:",
+        "95 % by Student's t over the means of the twins. significant: p < 0.05 after Holm's correction.",
         "in: fraction of steps within the predicted 95 % interval.",
     ]
     if summary["noise"] is not None:
