@@ -75,7 +75,7 @@ class RealityGap:
         boom_pivot_height: Height of the boom's pivot above the mean ground [m]. Known to the
             controller; in the plane it only converts between height and pitch counts.
         boom_stiffness: Stiffness of the boom's tip against its root, vertically and horizontally [N/m].
-            The encoders sit at the root and do not see the deflection; no gap inf.
+            The encoders sit at the root and do not see the deflection, at an apex some 0.5 mm; no gap inf.
         boom_damping_ratio: Damping ratio of that deflection with the carried mass; no effect on a rigid boom.
         boom_friction: Coulomb friction of the boom's horizontal bearing, at the tip [N]; no gap 0.
         boom_drag: Viscous friction there, bearing and air, at the tip [N·s/m]; no gap 0.
