@@ -23,7 +23,7 @@ def step(iteration: int, number: int) -> LoggedStep:
 
 
 def deployment(iteration: int) -> Deployment:
-    return Deployment(iteration, "none", 2, 0, *[NONE] * 6, 0, NONE, NONE)
+    return Deployment(iteration, "none", 2, 0, NONE, NONE, NONE, NONE, NONE, NONE, 0, NONE, NONE)
 
 
 def tick(time: float, phase: Phase) -> list[float]:
