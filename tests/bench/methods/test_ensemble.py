@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from stepgap.bench.methods import ensemble as module
 from stepgap.bench.methods.ensemble import DECAY, ENSEMBLE, MOST_ITERATIONS, UNITS, Ensemble
@@ -29,7 +30,8 @@ def test_a_network_is_that_of_scikit_learn() -> None:
     values = (data.values - data.values.mean()) / data.values.std()
     options = {"activation": "tanh", "solver": "lbfgs", "alpha": DECAY, "max_iter": MOST_ITERATIONS}
     peer = sklearn.MLPRegressor(hidden_layer_sizes=UNITS, random_state=1, **options)
-    peer.fit(data.scaled(data.points)[sample], values[sample])
+    with threadpool_limits(limits=1, user_api="blas"):
+        peer.fit(data.scaled(data.points)[sample], values[sample])
     inputs = data.scaled(QUERIES)
     np.testing.assert_allclose(found.value_and_gradient(inputs)[0], peer.predict(inputs), rtol=1e-9)
     assert 0 < found.unseen.sum() < len(values)

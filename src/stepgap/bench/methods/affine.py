@@ -25,11 +25,11 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus
 TEMPLATE_SCALE = 0.7
 """Factor by which the derivatives of the template are too small."""
 
-RLS_FORGETTING = 0.98
+RLS_FORGETTING = 0.99
 """Factor of the weight of a step's error after every further step, in the method `rls`."""
 
-PLAIN_RLS_FORGETTING = 0.98
-"""That factor in the method `rls_plain`."""
+PLAIN_RLS_FORGETTING = 0.99
+"""That factor in the method `rls_plain`; it was not tuned on its own."""
 
 
 @final
