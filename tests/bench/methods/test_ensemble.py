@@ -5,7 +5,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from stepgap.bench.methods import ensemble as module
-from stepgap.bench.methods.ensemble import DECAY, ENSEMBLE, MOST_ITERATIONS, UNITS, Ensemble
+from stepgap.bench.methods.ensemble import DECAY, ENSEMBLE, HIDDEN_UNITS, MOST_ITERATIONS, Ensemble
 from stepgap.learning.regression import ResidualModel
 from tests.learning.residual_contract import QUERIES, ResidualContract, training_data
 
@@ -29,7 +29,7 @@ def test_a_network_is_that_of_scikit_learn() -> None:
     sample = np.random.default_rng(1).integers(0, len(data.values), len(data.values))
     values = (data.values - data.values.mean()) / data.values.std()
     options = {"activation": "tanh", "solver": "lbfgs", "alpha": DECAY, "max_iter": MOST_ITERATIONS}
-    peer = sklearn.MLPRegressor(hidden_layer_sizes=UNITS, random_state=1, **options)
+    peer = sklearn.MLPRegressor(hidden_layer_sizes=HIDDEN_UNITS, random_state=1, **options)
     with threadpool_limits(limits=1, user_api="blas"):
         peer.fit(data.scaled(data.points)[sample], values[sample])
     inputs = data.scaled(QUERIES)

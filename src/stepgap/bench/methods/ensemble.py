@@ -23,11 +23,11 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.step import Array
 
-MISSING = "" if find_spec("sklearn") else "needs the package scikit-learn"
+SKLEARN_MISSING = "" if find_spec("sklearn") else "needs the package scikit-learn"
 """Why the ensemble cannot be used; empty if it can."""
 
 NETWORKS = 5
-UNITS = (32, 32)
+HIDDEN_UNITS = (32, 32)
 DECAY = 0.1
 """Penalty on the weights, scikit-learn's `alpha`."""
 MOST_ITERATIONS = 300
@@ -140,7 +140,7 @@ def _trained(points: Array, values: Array, seed: int) -> Network:
     count = len(values)
     sample = np.random.default_rng(seed).integers(0, count, count)
     network = MLPRegressor(
-        hidden_layer_sizes=UNITS,
+        hidden_layer_sizes=HIDDEN_UNITS,
         activation="tanh",
         solver="lbfgs",
         alpha=DECAY,

@@ -10,7 +10,7 @@ from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.settings import AUTO, LearningSettings
 from stepgap.report.learning import UNCORRECTED, WITHOUT
 
-REASONS = {"sysid": physics.SYSID_MISSING, "sysid_plain": physics.SYSID_MISSING, "ensemble": ensemble.MISSING}
+REASONS = {"sysid": physics.SYSID_MISSING, "sysid_plain": physics.SYSID_MISSING, "ensemble": ensemble.SKLEARN_MISSING}
 """Why methods that need further packages cannot be used; empty if they can."""
 
 SKIPPED = {name: reason for name, reason in REASONS.items() if reason}
