@@ -1,7 +1,7 @@
 """Finds several twins that are all consistent with Fig. 4 of the paper, to show what the figure cannot determine.
 
-A member of the family starts at random: its fitted differences at a draw from their priors, all others at a draw from
-the family of random twins. Then the fitted differences are fitted as in `fit_paper_gap.py`, with two changes:
+A member of the family starts at random: half-way between the preset `paper` and a draw from the family of random
+twins, with the fitted differences of the preset. Then these are fitted as in `fit_paper_gap.py`, with two changes:
 
 - The forward command force is bounded at −12.5 N, by `[command] fx_lower`. On the hardware nearly the whole error in
   transients, without a GP and after four redeployments, is that of the first step after the three falls of the target
@@ -50,7 +50,7 @@ from stepgap.records import paper
 from stepgap.records.steps_csv import read_step_log
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds
-from stepgap.robots.hopper.twin.family import random_gap
+from stepgap.robots.hopper.twin.family import DRAWN, random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array
 
@@ -62,6 +62,9 @@ FIRST_STEP_TOLERANCE = 0.03
 
 KEPT = 1.5
 """Largest mean squared scaled difference of a member that is kept."""
+
+SHARE = 0.5
+"""Part of the way from the preset to a random twin at which a member starts."""
 
 DIVERGED = 10.0
 """Scaled difference of a robot that falls."""
@@ -92,11 +95,14 @@ def differences(gap: RealityGap, stairs: Array) -> Array:
 
 
 def start_of(member: int) -> RealityGap:
-    """Random start: fitted differences from their priors, the others from the family of random twins."""
-    rng = random_stream(7000 + member)
-    others = random_gap(rng)
-    values = np.array([rng.normal(prior.mean, prior.std) for prior in PRIORS.values()])
-    return with_values(replace(others, torque_noise=RealityGap().torque_noise), values)
+    """Random start: the preset, moved by `SHARE` towards a twin of the family of random twins."""
+    preset, other = RealityGap(), random_gap(random_stream(7000 + member))
+    moved = {
+        name: getattr(preset, name) + SHARE * (getattr(other, name) - getattr(preset, name))
+        for name in DRAWN
+        if name != "torque_noise"
+    }
+    return with_values(replace(preset, **moved), values_of(preset))
 
 
 def fit_member(member: int, stairs: Array) -> tuple[int, RealityGap, float]:

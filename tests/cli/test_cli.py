@@ -344,7 +344,7 @@ def test_a_failure_is_no_bad_input(
     assert Path("run/steps.csv").read_text().count("\n") == 5, "recorded steps are kept, so that the run can be resumed"
 
 
-@pytest.mark.parametrize(("size", "file"), [(1000, "experiment.toml"), (1600, "steps.csv")])
+@pytest.mark.parametrize(("size", "file"), [(1000, "experiment.toml"), (2000, "steps.csv")])
 def test_the_error_of_a_full_disk_names_the_file(finished: Path, stepgap: Command, size: int, file: str) -> None:
     with largest_file(size):
         result = stepgap("run", finished / "short.toml", "--out", "run", "--quiet")

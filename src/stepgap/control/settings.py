@@ -15,8 +15,8 @@ class ControlSettings:
         viability: Whether the next state must permit a further step, also if it is off by two standard deviations.
         avoid_failures: Whether steps that resemble a failed one are not taken.
         table: Points along each axis of a look-up table of commands that is computed before every deployment and used
-            in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too. It covers the range
-            of use of state and target: for a state outside, the command is that of the nearest state inside.
+            in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too. It covers the
+            range of use of state and target: for a state outside, the command is that of the nearest state inside.
     """
 
     cautious: bool = True

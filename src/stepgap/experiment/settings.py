@@ -31,7 +31,7 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParamete
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import StepSpace
 
-T = TypeVar("T")
+_Choice = TypeVar("_Choice")
 
 PAPER = "paper"
 """Name of the built-in reference."""
@@ -254,7 +254,7 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
     return merge(experiment, rest, locate, more=("method", "gap.preset"))
 
 
-def _chosen(choices: Mapping[str, T], name: Any, where: str) -> T:
+def _chosen(choices: Mapping[str, _Choice], name: Any, where: str) -> _Choice:
     """The choice of this name; `where` names the setting in the message of the InputError if there is none."""
     if name in list(choices):
         return choices[name]
