@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.bands import interval_coverage
 from stepgap.records import paper
-from stepgap.records.summary import MEASURES
+from stepgap.records.summary import MEASURED, MEASURES
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.figures import tracking_figure
 from stepgap.report.sentences import decimal
@@ -73,7 +73,8 @@ def test_the_papers_numbers_are_shown_only_for_its_reference(page: Page, like_pa
     assert len(rows) == 2 * 5
     for row, (name, iteration) in zip(rows, product(paper.STATE_NAMES, range(5)), strict=True):
         theirs = [number for kind, number in row if kind.startswith("paper")]
-        assert theirs == [paper.paper_error(measure, name, iteration) for measure in MEASURES]
+        assert theirs == [paper.paper_error(measure, name, iteration) for measure in MEASURED]
+        assert len([kind for kind, _ in row if kind.startswith("run")]) == len(MEASURED), "true errors are not known"
     theirs = ("On the paper's hardware", "For comparison", "The paper's points", "Hops to the paper's band")
     assert not [text for text in theirs if text in page.text]
     assert not [text for text in theirs if text not in like_paper.text]

@@ -17,6 +17,9 @@ SUMMARY_SCHEMA = 1
 MEASURES = ("rmse", "mae", "bias", "steady_rmse", "transient_rmse", "true_rmse")
 """Tracking errors in `summary.json`, each with one number per state coordinate."""
 
+MEASURED = tuple(measure for measure in MEASURES if measure != "true_rmse")
+"""Those that are known of any robot, also of hardware."""
+
 LARGEST_SUMMARY = 2**24
 """Largest `summary.json` that is read [bytes]."""
 

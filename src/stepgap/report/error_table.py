@@ -7,7 +7,7 @@ import numpy as np
 from stepgap.experiment.bands import PAPER_BAND, WINDOW, hops_to_band, tracking_errors, window_errors
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
-from stepgap.records.summary import MEASURES
+from stepgap.records.summary import MEASURED, MEASURES, Deployment
 from stepgap.report.html import safe, table, with_unit
 from stepgap.report.sentences import decimal
 from stepgap.step import Array
@@ -17,31 +17,42 @@ def error_table(record: RunRecord, row: int, plant: str) -> str:
     """Errors of one state coordinate by deployment, next to the paper's where the reference is the paper's."""
     quantity, hardware = record.space.state[row], record.like_paper
     entries = {deployment.iteration: deployment for deployment in record.deployments}
+    known = [measure for measure in MEASURES if measure in MEASURED or _is_known(measure, row, entries.values())]
     decimals, lines = _decimals([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
     for iteration in sorted(set(entries) | set(range(paper.LAST_ITERATION + 1) if hardware else ())):
         entry = entries.get(iteration)
         counts = [entry.residual, str(entry.steps), str(entry.falls)] if entry else ["–"] * 3
-        ours = [entry.errors[measure][row] if entry else None for measure in MEASURES]
-        theirs = [paper.paper_error(measure, quantity.name, iteration) for measure in MEASURES] if hardware else []
+        ours = [entry.errors[measure][row] if entry else None for measure in known]
+        theirs = [paper.paper_error(measure, quantity.name, iteration) for measure in MEASURED] if hardware else []
         texts = "".join(f"<td>{safe(count)}</td>" for count in counts)
         lines.append(
             f'<tr><th scope="row">{iteration}</th>{texts}{_cells(ours, "run", decimals)}{_cells(theirs, "paper")}</tr>'
         )
     return (
         f'<div class="wide"><table><caption>Error of {safe(with_unit(quantity))}</caption>'
-        f"<thead>{_heads(plant, hardware)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
+        f"<thead>{_heads(plant, hardware, known)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
     )
 
 
-def _heads(plant: str, hardware: bool) -> str:
+def _is_known(measure: str, row: int, entries: Iterable[Deployment]) -> bool:
+    """Whether the error is known of some deployment."""
+    return any(np.isfinite(entry.errors[measure][row]) for entry in entries)
+
+
+def _heads(plant: str, hardware: bool, known: Sequence[str]) -> str:
     """The two header rows: the source of the numbers, and the names of the columns."""
-    sources = f'<th colspan="4"></th><th colspan="{len(MEASURES)}" scope="colgroup">this run: {safe(plant)}</th>'
-    measures = [measure.replace("_", " ").replace("rmse", "RMSE").replace("mae", "MAE") for measure in MEASURES]
-    columns = "".join(f'<th scope="col">{head}</th>' for head in ("deployment", "residual", "hops", "falls", *measures))
+    sources = f'<th colspan="4"></th><th colspan="{len(known)}" scope="colgroup">this run: {safe(plant)}</th>'
+    heads = ("deployment", "residual", "hops", "falls", *map(_title, known))
+    columns = "".join(f'<th scope="col">{head}</th>' for head in heads)
     if hardware:
-        sources += f'<th colspan="{len(MEASURES)}" scope="colgroup" class="paper">the paper: hardware</th>'
-        columns += "".join(f'<th scope="col" class="paper">{measure}</th>' for measure in measures)
+        sources += f'<th colspan="{len(MEASURED)}" scope="colgroup" class="paper">the paper: hardware</th>'
+        columns += "".join(f'<th scope="col" class="paper">{_title(measure)}</th>' for measure in MEASURED)
     return f"<tr>{sources}</tr>\n<tr>{columns}</tr>"
+
+
+def _title(measure: str) -> str:
+    """Heading of the column of a measure."""
+    return measure.replace("_", " ").replace("rmse", "RMSE").replace("mae", "MAE")
 
 
 def _decimals(errors: Sequence[float]) -> int | None:
