@@ -57,10 +57,11 @@ class RealityGap:
     The defaults are the preset `paper`: with them the uncorrected controller of the model makes the errors that the
     paper reports for its hardware on average over the reference, but not stair by stair: the means on the 18 stairs
     explain a tenth of the variance of the hardware's. Torque scale and saturation, boom inertia, the friction of boom
-    and ground and the zeros of the motor encoders were fitted to these errors by `benchmarks/fit_paper_gap.py`. Noise, roughness and tilt were chosen so that steady steps after learning scatter as
-    in the paper; the other values are plausible. Other differences may explain the hardware equally well: the preset is
-    a robot like the paper's, not an identification of it. `RealityGap.none()` is the model itself: planar, rigid and
-    exact. Scales multiply the number in `RobotParameters`, so 1 is no gap.
+    and ground and the zeros of the motor encoders were fitted to these errors by `benchmarks/fit_paper_gap.py`. Noise,
+    roughness and tilt were chosen so that steady steps after learning scatter as in the paper; the other values are
+    plausible. Other differences may explain the hardware equally well: the preset is a robot like the paper's, not an
+    identification of it. `RealityGap.none()` is the model itself: planar, rigid and exact. Scales multiply the number
+    in `RobotParameters`, so 1 is no gap.
 
     Attributes:
         body_mass_scale: Factor on the body mass M; no gap 1.
