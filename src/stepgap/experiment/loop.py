@@ -117,8 +117,8 @@ def run_experiment(
             if noise_floor is None:
                 last_map = reduce(Learner.after, steps.completed(), learner).step_map()
                 noise_floor = measure_noise_floor(last_map, random_stream(seed, iteration, 1))
-            floors = {"noise_floor": noise_floor.any_yaw, "noise_floor_same_yaw": noise_floor.same_yaw}
-            write_summary(folder / "summary.json", replace(summary, **floors, noise_floor_measured=True), names)
+            summary = replace(summary, noise_floor=noise_floor, noise_floor_measured=True)
+            write_summary(folder / "summary.json", summary, names)
     return deployments
 
 
@@ -161,7 +161,7 @@ def _summary(deployments: Sequence[Deployment], log: StepLog, noise_floor: Array
     return Summary(
         seed,
         tuple(deployments),
-        noise_floor,
+        NoiseFloor(noise_floor, np.full_like(noise_floor, np.nan)),
         versions=tuple(versions_here().items()),
         steps_sha256=digest(log),
         warm_start=warm_start_of(past),

@@ -102,7 +102,7 @@ def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:
             within_freedom += len(found) * (REPEATS - 1)
             between_freedom += len(found) - 1
     if not between_freedom:
-        return NoiseFloor(np.full(size, np.nan), np.full(size, np.nan))
+        return NoiseFloor.unknown(size)
     noise, noise_and_yaw = within / within_freedom, between / between_freedom
     # The mean square between yaw angles is σ² of the noise + REPEATS · σ² of the yaw.
     any_yaw = noise + np.maximum(noise_and_yaw - noise, 0.0) / REPEATS

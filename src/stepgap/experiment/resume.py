@@ -84,10 +84,7 @@ class Recording:
     def measured_noise_floor(self, deployments: int) -> NoiseFloor | None:
         """Noise floor that was measured after this number of deployments; None if it was not."""
         known = self._summary
-        any_yaw, same_yaw = known.noise_floor, known.noise_floor_same_yaw
-        if not known.noise_floor_measured or len(known.deployments) != deployments:
-            return None
-        return None if any_yaw is None or same_yaw is None else NoiseFloor(any_yaw, same_yaw)
+        return known.noise_floor if known.noise_floor_measured and len(known.deployments) == deployments else None
 
     def _check_same(self, known: LoggedStep, replayed: LoggedStep) -> None:
         """Raises RecordError unless the replayed step equals the recorded one exactly."""

@@ -16,7 +16,7 @@ from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
 from stepgap.records.paper import STATE_NAMES
 from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
-from stepgap.records.summary import LARGEST_NUMBER, Deployment, Summary, read_summary
+from stepgap.records.summary import LARGEST_NUMBER, Deployment, NoiseFloor, Summary, read_summary
 from stepgap.step import Array, StepSpace
 
 
@@ -61,14 +61,16 @@ class RunRecord:
     @property
     def noise_floor(self) -> Array:
         """Noise floor, the standard deviation of repeated steps, NaN where unknown; shape (n,)."""
-        known = self.summary.noise_floor
-        return np.full(len(self.space.state), np.nan) if known is None else known
+        return self._floors.any_yaw
 
     @property
     def noise_floor_same_yaw(self) -> Array:
         """The same at one yaw, so that only the noise differs, NaN where unknown; shape (n,)."""
-        known = self.summary.noise_floor_same_yaw
-        return np.full(len(self.space.state), np.nan) if known is None else known
+        return self._floors.same_yaw
+
+    @property
+    def _floors(self) -> NoiseFloor:
+        return self.summary.noise_floor or NoiseFloor.unknown(len(self.space.state))
 
     @property
     def shown_iterations(self) -> list[int]:

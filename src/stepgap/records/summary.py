@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, Self
 
 import numpy as np
 
@@ -73,15 +73,20 @@ class Deployment:
 
 
 class NoiseFloor(NamedTuple):
-    """Standard deviation of the next state when a step is repeated, as measured; NaN where it is not known.
+    """Standard deviation of the next state when a step is repeated; NaN where it is not known.
 
     Attributes:
-        any_yaw: If the yaw differs from repetition to repetition; shape (n,).
-        same_yaw: If only the noise differs; shape (n,).
+        any_yaw: If the yaw differs from repetition to repetition; shape (n,). Key `repeatability`.
+        same_yaw: If only the noise differs; shape (n,). Key `repeatability_same_yaw`.
     """
 
     any_yaw: Array
     same_yaw: Array
+
+    @classmethod
+    def unknown(cls, size: int) -> Self:
+        """A noise floor that is not known, for n coordinates."""
+        return cls(np.full(size, np.nan), np.full(size, np.nan))
 
 
 @dataclass(frozen=True)
@@ -104,8 +109,7 @@ class Summary:
     Attributes:
         seed: Random seed of the run.
         deployments: Finished deployments in ascending order.
-        noise_floor: Standard deviation of repeated steps, NaN where unknown; shape (n,). Key `repeatability`.
-        noise_floor_same_yaw: The same at one yaw, NaN where unknown; shape (n,). Key `repeatability_same_yaw`.
+        noise_floor: Standard deviation of repeated steps.
         noise_floor_measured: Whether the noise floor was measured by repeating steps, not estimated from steady steps.
         versions: Versions of the software, as far as recorded.
         steps_sha256: Digest of the steps of the deployments; empty if not recorded.
@@ -114,8 +118,7 @@ class Summary:
 
     seed: int | None = None
     deployments: tuple[Deployment, ...] = ()
-    noise_floor: Array | None = None
-    noise_floor_same_yaw: Array | None = None
+    noise_floor: NoiseFloor | None = None
     noise_floor_measured: bool = False
     versions: tuple[tuple[str, str], ...] = ()
     steps_sha256: str = ""
@@ -130,16 +133,13 @@ def write_summary(path: Path, summary: Summary, names: Sequence[str]) -> None:
         summary: Content of the file, with at least one deployment and the noise floor.
         names: State coordinates of the run.
     """
-    floor, same_yaw = (
-        np.full(len(names), np.nan) if known is None else known
-        for known in (summary.noise_floor, summary.noise_floor_same_yaw)
-    )
+    floor = summary.noise_floor or NoiseFloor.unknown(len(names))
     content = {
         "schema": SUMMARY_SCHEMA,
         "seed": summary.seed,
         "iterations": [deployment_entry(deployment, names) for deployment in summary.deployments],
-        "repeatability": _by_name(names, floor),
-        "repeatability_same_yaw": _by_name(names, same_yaw),
+        "repeatability": _by_name(names, floor.any_yaw),
+        "repeatability_same_yaw": _by_name(names, floor.same_yaw),
         "repeatability_measured": summary.noise_floor_measured,
         "steps_sha256": summary.steps_sha256,
         **({"warm_start": asdict(summary.warm_start)} if summary.warm_start else {}),
@@ -197,8 +197,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
     return Summary(
         _integer(fields, "seed", 0, source),
         tuple(deployments),
-        _errors(fields, "repeatability", names, source),
-        _errors(fields, "repeatability_same_yaw", names, source),
+        NoiseFloor(*(_errors(fields, key, names, source) for key in ("repeatability", "repeatability_same_yaw"))),
         fields.get("repeatability_measured") is True,
         tuple((name, str(version)) for name, version in versions.items()),
         str(fields.get("steps_sha256", "")),

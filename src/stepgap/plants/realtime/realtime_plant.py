@@ -88,7 +88,8 @@ class RealtimePlant(Plant):
         self._hop += 1
         session.board.post_command(self._hop, *within.tolist())
         hop = self._await_hop(session)
-        requested, applied = np.array(hop[3:5]), np.array(hop[5:7])
+        requested = np.array([hop.requested_fx, hop.requested_fy])
+        applied = np.array([hop.applied_fx, hop.applied_fy])
         return StepRecord(state, command, applied, self._state, hop.status, hop.yaw, requested=requested)
 
     def stop(self) -> None:

@@ -12,7 +12,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.ranges import LARGEST_INTEGER
 from stepgap.records.export.columns import Column
 from stepgap.records.run_folder import RunRecord
-from stepgap.records.summary import MEASURES, Summary
+from stepgap.records.summary import MEASURES, NoiseFloor, Summary
 
 LONGEST_FIELD_NAME = 63
 """Largest length of a field's name in MATLAB."""
@@ -68,15 +68,13 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
         measure: {name: np.array([each.errors[measure][i] for each in done], float) for i, name in enumerate(names)}
         for measure in MEASURES
     }
-    floors = {"repeatability": summary.noise_floor, "repeatability_same_yaw": summary.noise_floor_same_yaw}
+    floor = summary.noise_floor or NoiseFloor.unknown(len(names))
     return {
         **count,
         "residual": np.array([each.residual for each in done], dtype=object),
         **errors,
-        **{
-            key: dict(zip(names, [np.nan] * len(names) if floor is None else floor.tolist(), strict=True))
-            for key, floor in floors.items()
-        },
+        "repeatability": dict(zip(names, floor.any_yaw.tolist(), strict=True)),
+        "repeatability_same_yaw": dict(zip(names, floor.same_yaw.tolist(), strict=True)),
         "seed": np.nan if summary.seed is None else float(summary.seed),
         "versions": _struct(dict(summary.versions)),
     }
