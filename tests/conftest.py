@@ -81,8 +81,14 @@ def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def svg_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    leave_out_files_of_figures(monkeypatch)
+def every_format() -> None:
+    """Reports write the files of their figures too, which takes three times as long as the figures of the page."""
+
+
+@pytest.fixture(autouse=True)
+def _page_only(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "every_format" not in request.fixturenames:
+        leave_out_files_of_figures(monkeypatch)
 
 
 @pytest.fixture

@@ -25,6 +25,16 @@ def leave_out_report(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("stepgap.cli.run_report.report_run", report_run)
 
 
+def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:
+    """A sweep writes its tables and an empty report."""
+
+    def report_sweep(folder: Path) -> WrittenReport:
+        (folder / "report.html").touch()
+        return WrittenReport(folder / "report.html", ())
+
+    patch.setattr("stepgap.cli.sweep_report.report_sweep", report_sweep)
+
+
 def leave_out_files_of_figures(patch: pytest.MonkeyPatch) -> None:
     """Figures are drawn for the page alone; their PNG and PDF files are empty."""
     saved = drawing._saved

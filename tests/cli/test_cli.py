@@ -362,6 +362,7 @@ def test_a_full_disk_loses_nothing(finished: Path, stepgap: Command, size: int, 
     assert result == CommandResult(1, "", f"stepgap: run/{file}: {FILE_TOO_LARGE}\n")
 
 
+@pytest.mark.usefixtures("every_format")
 def test_the_error_of_a_full_disk_names_the_file_of_the_report(finished: Path, stepgap: Command) -> None:
     copied(finished / "run", Path("run"))
     with largest_file(50_000):

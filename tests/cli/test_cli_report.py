@@ -19,6 +19,7 @@ from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult, refused
+from tests.quick_runs import leave_out_files_of_figures
 from tests.report.sweep.tables import combinations_of, write_results_table
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -30,7 +31,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("finished")
     (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
     (folder / "short.toml").write_text(SHORT)
-    main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
+    with pytest.MonkeyPatch.context() as patch:
+        leave_out_files_of_figures(patch)
+        main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
     return folder / "run"
 
 
@@ -76,7 +79,6 @@ def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
     assert stepgap("run", *settings, "--out", "run", "--quiet") == CommandResult(0, "run/report.html\n", "")
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_a_rigs_motion_comes_from_its_tick_logs(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,7 +109,6 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     assert "missing in the report: replay (run/ticks/ticks-0.mcap: No such file" in result.err
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_missing_parts_are_reported(finished: Path, stepgap: Command) -> None:
     Path("run").mkdir()
     rows = (finished / "steps.csv").read_text()
@@ -121,7 +122,6 @@ def test_missing_parts_are_reported(finished: Path, stepgap: Command) -> None:
     )
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_steps_that_cannot_be_reproduced_have_no_replay(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     settings = Path("run/experiment.toml")
@@ -134,7 +134,6 @@ def test_steps_that_cannot_be_reproduced_have_no_replay(finished: Path, stepgap:
     assert "<script" not in text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_settings_that_are_not_valid_are_named(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     Path("run/experiment.toml").write_text("unheard_of = 1\n")
@@ -165,7 +164,6 @@ def test_runs_are_compared(finished: Path, stepgap: Command) -> None:
     refused(stepgap("report", "a", "--out", "other.html"), "--out: valid only with several runs")
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
     settings = combinations_of({"gap.delay": [0.001, 0.002], "learning.residual": ["gp", "linear"], "seed": [1, 2, 3]})
     write_results_table(Path("sweep"), settings, np.random.default_rng(0).uniform(0.01, 0.02, (12, 2, 2)))
@@ -194,7 +192,6 @@ def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
     assert {name: content for name, content in before.items() if name != "results.csv"} == contents(Path("sweep"))
 
 
-@pytest.mark.usefixtures("svg_only")
 @pytest.mark.parametrize("name", ["steps.csv", "summary.json", "experiment.toml", "models/iteration_1.json"])
 def test_damaged_files_are_refused_and_nothing_is_written(finished: Path, stepgap: Command, name: str) -> None:
     shutil.copytree(finished, "run")

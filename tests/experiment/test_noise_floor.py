@@ -33,12 +33,13 @@ def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
 
 def test_noise_and_yaw_contribute_and_the_seed_determines_the_result() -> None:
     noisy, tilted = replace(SILENT, torque_noise=0.02), replace(SILENT, boom_tilt=0.01)
-    np.testing.assert_allclose(measured(noisy).same_yaw, measured(noisy).any_yaw, rtol=0.4)
-    assert measured(noisy).same_yaw[0] > 1e-3
-    assert measured(tilted).any_yaw[0] > 1e-3
-    np.testing.assert_allclose(measured(tilted).same_yaw, 0, atol=1e-15)
-    assert measured(noisy).any_yaw.tolist() == measured(noisy).any_yaw.tolist()
-    assert measured(noisy).any_yaw.tolist() != measured(noisy, seed=2).any_yaw.tolist()
+    with_noise, with_tilt = measured(noisy), measured(tilted)
+    np.testing.assert_allclose(with_noise.same_yaw, with_noise.any_yaw, rtol=0.4)
+    assert with_noise.same_yaw[0] > 1e-3
+    assert with_tilt.any_yaw[0] > 1e-3
+    np.testing.assert_allclose(with_tilt.same_yaw, 0, atol=1e-15)
+    assert with_noise.any_yaw.tolist() == measured(noisy).any_yaw.tolist()
+    assert with_noise.any_yaw.tolist() != measured(noisy, seed=2).any_yaw.tolist()
 
 
 def test_components_of_variance_are_recovered() -> None:

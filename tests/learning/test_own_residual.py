@@ -114,6 +114,7 @@ def test_the_benchmark_compares_it() -> None:
     assert np.isfinite(rows[-1]["error"])
 
 
+@pytest.mark.usefixtures("every_format")
 @pytest.mark.usefixtures("installed")
 def test_a_run_uses_it_and_the_report_includes_it(tmp_path: Path) -> None:
     def plant(rng: np.random.Generator) -> ModelPlant:

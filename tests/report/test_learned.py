@@ -42,7 +42,6 @@ def test_the_last_model_and_its_numbers(folder: Path) -> None:
     assert "of 40" in coverage_table(record)
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_a_missing_model_is_reported(folder: Path, tmp_path: Path) -> None:
     assert read_learned_residual(folder, 0, SPACE) is None
     shutil.copytree(folder, tmp_path / "run")
@@ -94,6 +93,7 @@ def test_gaits_hold_the_targets(folder: Path) -> None:
     assert gait_table(gait).count("<tr>") == 1 + len(gait.targets)
 
 
+@pytest.mark.usefixtures("every_format")
 def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "run")
     page = Page(report_of(tmp_path / "run", RunContext("map", {"seed": 1}, LossyHopper())))
@@ -102,7 +102,6 @@ def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
     assert (tmp_path / "run" / "figures" / "gait.pdf").read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_a_run_that_still_explores_has_no_gait(folder: Path, tmp_path: Path) -> None:
     header, first, *_ = (folder / "steps.csv").read_text().splitlines(keepends=True)
     (tmp_path / "steps.csv").write_text(header + first.replace("0,1,", "0,0,", 1))

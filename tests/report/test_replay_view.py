@@ -44,7 +44,6 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
     assert [step[0] for step in entry["steps"]] == list(range(1, 41))
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_a_page_with_a_replay_stands_alone(folder: Path) -> None:
     replay = Replay({0: motion(300), 1: motion(200)}, RobotParameters(), 0.4)
     page = Page(report_of(folder, RunContext(replay=replay)))

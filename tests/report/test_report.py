@@ -111,6 +111,7 @@ def test_pictures_are_pictures(written: Path) -> None:
         assert 0.01 < np.mean(picture[..., :3].min(axis=-1) < 0.9) < 0.5
 
 
+@pytest.mark.usefixtures("every_format")
 def test_writing_again_gives_the_same_bytes(written: Path) -> None:
     before = {path: path.read_bytes() for path in written.rglob("*") if path.is_file()}
     report_of(written)
@@ -148,7 +149,6 @@ def test_a_part_of_the_papers_reference_is_another_one(
     assert replace(record, summary=replace(record.summary, deployments=deployments)).like_paper == like
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_first_deployment_alone(tmp_path: Path) -> None:
     page = Page(report_of(make_run(tmp_path / "run", iterations=0)))
     check_alone(page)
@@ -158,7 +158,6 @@ def test_first_deployment_alone(tmp_path: Path) -> None:
     assert "The map gave no standard deviation" in page.text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_falls(tmp_path: Path) -> None:
     page = Page(report_of(make_run(tmp_path / "run", iterations=1, lasts=(15, 0))))
     check_alone(page)
@@ -167,7 +166,6 @@ def test_falls(tmp_path: Path) -> None:
     assert "17 hops recorded in 2 deployments on the simulated twin, 2 falls." in page.text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_a_stop_is_no_fall(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", iterations=0, lasts=(15,))
     for name, texts in {"steps.csv": (",fell", ",stopped"), "summary.json": ("steps_sha256", "former_sha256")}.items():
@@ -176,7 +174,6 @@ def test_a_stop_is_no_fall(tmp_path: Path) -> None:
     assert "It did not track to the end: deployment 0 ended without an apex (stopped) at step 16." in text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_a_run_in_progress(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("x",), steps=3)
     write_summary(folder, ("x",), 3, 1)
@@ -190,7 +187,6 @@ def test_a_run_in_progress(tmp_path: Path) -> None:
     assert "paper's hardware" not in page.text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_hostile_text_stays_text(tmp_path: Path) -> None:
     names = (HOSTILE.replace(",", ""), "../../名\u202e", "AUX")
     folder = write_run(tmp_path / "run", names, residual=HOSTILE[:100])
@@ -209,14 +205,12 @@ def test_hostile_text_stays_text(tmp_path: Path) -> None:
         assert re.fullmatch(r"[a-z0-9_-]+\.(pdf|png)", path.name)
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_equal_file_names_are_kept_apart(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("a b", "A_b"), steps=2, iterations=1)
     report_of(folder)
     assert len(list((folder / "figures").glob("*.png"))) == 4
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_units_of_a_given_space(tmp_path: Path) -> None:
     space = StepSpace((Quantity("tilt", "rad", -1, 1),), (Quantity("push", "N", -1, 1),))
     page = Page(report_of(write_run(tmp_path / "run", ("tilt",), steps=2), RunContext("hardware of ours"), space))

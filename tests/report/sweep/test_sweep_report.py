@@ -143,6 +143,7 @@ def test_figures_are_saved(sweep: Path) -> None:
     assert all(path.stat().st_size > 5_000 for path in (sweep / "figures").iterdir())
 
 
+@pytest.mark.usefixtures("every_format")
 def test_the_same_table_gives_the_same_bytes(sweep: Path) -> None:
     before = {path: path.read_bytes() for path in sweep.rglob("*") if path.is_file()}
     write_sweep_report(sweep, replace(CONTEXT, defaults={"seed": 0, "gap": {"body_mass_scale": 1.1}}))
@@ -190,7 +191,6 @@ def test_names_are_short_where_they_stay_different() -> None:
     assert list(short_names(names).values()) == ["gap.torque_limit", "robot.torque_limit", "delay", "twin"]
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
     settings = {name: texts[:100] for name, texts in combinations_of(AXES).items()}
     folder = write_results_table(tmp_path, settings, errors_of(settings, np.random.default_rng(0)))
@@ -204,7 +204,6 @@ def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
     assert written.missing == ("settings (the folder contains no experiment.toml)",)
 
 
-@pytest.mark.usefixtures("svg_only")
 @pytest.mark.parametrize("count", [1, 2, 9])
 def test_few_cases_have_a_page(tmp_path: Path, count: int) -> None:
     settings = {"a": [str(row % 2) for row in range(count)], "seed": list(map(str, range(count)))}
@@ -215,7 +214,6 @@ def test_few_cases_have_a_page(tmp_path: Path, count: int) -> None:
     assert "There is no sensitivity: cases with comparable errors are fewer than 16." in page.text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_all_cases_failed(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(30), "seed": [0]})
     failed = {case: f"reason {case}" for case in range(30)}
@@ -227,7 +225,6 @@ def test_all_cases_failed(tmp_path: Path) -> None:
     assert "reason 20" not in page.text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_all_cases_fell(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
     folder = write_results_table(tmp_path, settings, np.ones((30, 2, 2)), fell=dict.fromkeys(range(30), 1))
@@ -238,7 +235,6 @@ def test_all_cases_fell(tmp_path: Path) -> None:
     assert "Cases with a fall in the last deployment (the first 10 of 30)" in page.text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_deployment_0_alone(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
     errors = np.random.default_rng(0).uniform(1, 2, (30, 1, 1))
@@ -248,7 +244,6 @@ def test_deployment_0_alone(tmp_path: Path) -> None:
     assert "before learning" not in page.source
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_only_the_most_important_settings_are_drawn(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     settings = {f"s{row:02d}": list(map(str, rng.integers(0, 2, 200))) for row in range(15)}
@@ -261,7 +256,6 @@ def test_only_the_most_important_settings_are_drawn(tmp_path: Path) -> None:
     assert "speed error: s14 (" in page.text
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_hostile_text_stays_text(tmp_path: Path) -> None:
     text = HOSTILE.replace("\n", "")
     axes = {text: [f"{text}{row}" for row in range(3)], "名\u202e": ["\x1b[31m", "$x"], "seed": range(6)}
@@ -303,7 +297,6 @@ def test_no_matplotlib_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert not (folder / "figures").exists()
 
 
-@pytest.mark.usefixtures("svg_only")
 def test_nothing_is_written_for_a_bad_table(sweep: Path, tmp_path: Path) -> None:
     whole = (sweep / RESULTS).read_text()
     for damaged in (whole[: len(whole) // 2], "", "a,b\n1,2\n", whole.replace("\n1,", "\n-1,")):
