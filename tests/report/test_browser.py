@@ -3,7 +3,6 @@
 from functools import partial
 from pathlib import Path
 
-import pytest
 from playwright.sync_api import expect
 
 from stepgap.report import RunContext
