@@ -53,7 +53,8 @@ SETTINGS = RigSettings(
     boom_vertical=Encoder(slave="boom_vertical", counts_per_turn=16384),
     contact=Contact(slave="contact_force", newton_per_count=0.1, touchdown_force=5),
     limits=SafetyLimits(torque=20.0),
-    reply_timeout=0.02,  # a busy machine may keep the ring waiting
+    reply_timeout=0.45,  # a busy machine may keep the ring waiting
+    watchdog=0.5,
 )
 
 
@@ -202,7 +203,7 @@ def test_a_slave_that_refuses_its_mapping_is_named() -> None:
         (lambda at: Unplugged(at, "boom_vertical", 5), False),
         (lambda at: PowerLost(at, "drive_2", 5), False),
         (lambda at: DriveFault(at, "drive_1"), False),
-        (lambda at: Silence(at, 200), False),
+        (lambda at: Silence(at, 600), False),
     ],
     ids=[
         "one lost",
