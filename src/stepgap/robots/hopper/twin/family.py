@@ -4,6 +4,7 @@ Every difference of the preset `RealityGap()` is drawn independently, between no
 difference; differences of either sign get a random sign. No draw is selected by how well learning works on it.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import isinf
 from typing import NamedTuple
@@ -55,13 +56,34 @@ NOT_IN_PRESET = {"boom_drag": 0.2, "torque_imbalance": 0.01, "ground_slope": 3e-
 
 
 def random_gap(rng: np.random.Generator) -> RealityGap:
-    """Draws a twin of the family: no gap + share × (preset − no gap), or preset / share where no gap is infinite."""
+    """Draws a twin of the family."""
+    return gap_of_shares(random_shares(rng))
+
+
+def random_shares(rng: np.random.Generator) -> dict[str, float]:
+    """Draws the share of each difference in `DRAWN`."""
+    return {name: _random_share(shares, rng) for name, shares in DRAWN.items()}
+
+
+def gap_of_shares(wanted: Mapping[str, float]) -> RealityGap:
+    """Differences by their shares of the preset's: no gap + share × (preset − no gap).
+
+    Where no gap is an infinite value, such as that of a stiffness, the difference is preset / share.
+
+    Args:
+        wanted: Share of each difference in `DRAWN`; others are the preset's.
+
+    Raises:
+        ValueError: A difference is out of its range.
+    """
     none, preset = RealityGap.none(), replace(RealityGap(), **NOT_IN_PRESET)
     values = {}
-    for name, shares in DRAWN.items():
-        share = rng.uniform(shares.lowest, shares.highest)
-        if shares.signed and rng.random() < 0.5:
-            share = -share
+    for name, share in wanted.items():
         absent, present = getattr(none, name), getattr(preset, name)
         values[name] = present / max(share, 1e-3) if isinf(absent) else absent + share * (present - absent)
     return replace(preset, **values)
+
+
+def _random_share(shares: Shares, rng: np.random.Generator) -> float:
+    share = rng.uniform(shares.lowest, shares.highest)
+    return -share if shares.signed and rng.random() < 0.5 else share
