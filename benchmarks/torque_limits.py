@@ -57,7 +57,8 @@ def measure(limit: float, seed: int, iterations: int) -> str:
         record = read_run_folder(folder, nominal.space)
         last = record.deployments[-1]
         steps = record.steps.of_iteration(last.iteration)
-        covered = [inside / known for inside, known in (interval_coverage(steps, i) for i in (0, 1))]
+        inside, known = interval_coverage(steps)
+        covered = inside / known
         held = ~(reference.targets[:, None] == last.unreachable[None]).all(axis=2).any(axis=1)
         steady = np.intersect1d(reference.steady, np.flatnonzero(held))
         numbers = np.array([logged.step - 1 for logged in steps.completed()])

@@ -14,12 +14,13 @@ from stepgap.base.errors import InputError, StepGapError
 from stepgap.base.settings_file import to_table
 from stepgap.bench import learning_plan, tasks
 from stepgap.bench import trial as trial_module
-from stepgap.bench.learning import count_covered, measure_twin
+from stepgap.bench.learning import measure_twin
 from stepgap.bench.learning_plan import LearningPlan, learning_results, read_learning_plan
 from stepgap.bench.methods.registry import SKIPPED, methods
 from stepgap.bench.tasks import Change, Task, square_reference
 from stepgap.bench.trial import Trial, hopping_gap
 from stepgap.control.reference import Reference, parse_reference, reference_text
+from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseResult
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -89,8 +90,8 @@ def test_coverage_counts_steps_within_the_interval() -> None:
         return LoggedStep(1, 1, predicted, predicted, np.full(2, std), record)
 
     steps = [logged(0.0195, 0.01), logged(-0.0197, 0.01), logged(0.0, 0.01), logged(0.0, 0.0)]
-    covered, counted = count_covered(StepLog(NOMINAL.space, steps))
-    assert (covered.tolist(), counted) == ([2, 3], 3)
+    covered, counted = interval_coverage(StepLog(NOMINAL.space, steps))
+    assert (covered.tolist(), counted.tolist()) == ([2, 3], [3, 3])
 
 
 def test_a_task_gives_every_twin_its_numbers_and_changes_only_the_deployment_that_is_measured() -> None:

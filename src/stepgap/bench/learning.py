@@ -9,12 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.base.normal import INTERVAL_95
 from stepgap.bench.methods.redeployment import uncorrected
 from stepgap.bench.methods.registry import method_of
 from stepgap.bench.tasks import Task
 from stepgap.bench.trial import Trial, hopping_gap
-from stepgap.experiment.bands import hops_to_band
+from stepgap.experiment.bands import hops_to_band, interval_coverage
 from stepgap.experiment.outcome import summarise
 from stepgap.learning.step_log import StepLog
 from stepgap.report.learning import UNCORRECTED, DeploymentRow
@@ -49,7 +48,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
     errors = np.concatenate([log.next_state - log.target for log in tracked])
     earlier = sum(map(len, deployments)) - len(errors)  # exploratory and failed hops
     hops = None if found.falls else hops_to_band(errors)
-    covered, counted = count_covered(tracked[-1])
+    covered, counted = interval_coverage(tracked[-1])
     return row | {
         "steps": found.steps,
         "falls": found.falls,
@@ -60,17 +59,10 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         "true_rmse": known_numbers(found.true_rmse),
         "hops_to_band": None if hops is None else hops + earlier,
         "covered": covered.tolist(),
-        "counted": counted,
+        "counted": int(counted.min()),
     }
 
 
 def known_numbers(values: Array) -> list[float] | None:
     """The numbers for JSON; None if they are unknown, as the steady error of a reference that never rests."""
     return values.tolist() if np.isfinite(values).all() else None
-
-
-def count_covered(steps: StepLog) -> tuple[Array, int]:
-    """Number of steps within the predicted 95 % interval, by coordinate (n,), and number of steps with an interval."""
-    known = np.isfinite(steps.predicted).all(axis=1) & (steps.std > 0).all(axis=1)
-    inside = np.abs(steps.next_state - steps.predicted) <= INTERVAL_95 * steps.std
-    return inside[known].sum(axis=0), int(known.sum())

@@ -7,7 +7,7 @@ import numpy as np
 from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.step_log import StepLog
 from stepgap.records.paper import WITH_GP
-from stepgap.step import Array
+from stepgap.step import Array, Codes
 
 PAPER_BAND: Final = np.array([WITH_GP["rmse"]["speed"], WITH_GP["rmse"]["height"]])
 """Error of the paper's robot after four redeployments, speed [m/s] and height [m]."""
@@ -45,9 +45,9 @@ def window_errors(errors: Array) -> Array:
     return np.sqrt(np.maximum(squares[WINDOW:] - squares[:-WINDOW], 0) / WINDOW)
 
 
-def interval_coverage(steps: StepLog, index: int) -> tuple[int, int]:
-    """Number of next states within the 95 % interval of their prediction, and number of those with an interval."""
+def interval_coverage(steps: StepLog) -> tuple[Codes, Codes]:
+    """Number of next states within their 95 % prediction interval, and number of those with an interval; (n,) each."""
     known = steps.completed()
-    error, std = np.abs(known.next_state - known.predicted)[:, index], known.std[:, index]
-    banded = np.isfinite(error) & (std > 0)
-    return int(np.count_nonzero(error[banded] <= INTERVAL_95 * std[banded])), int(np.count_nonzero(banded))
+    error = np.abs(known.next_state - known.predicted)
+    counted = np.isfinite(error) & (known.std > 0)
+    return (counted & (error <= INTERVAL_95 * known.std)).sum(axis=0), counted.sum(axis=0)

@@ -89,7 +89,7 @@ def coverage_table(record: RunRecord) -> str:
     """Table of the coverage of the 95 % prediction intervals by deployment; empty if there were no intervals."""
     rows = []
     for iteration in record.steps.iterations:
-        held = [interval_coverage(record.steps.of_iteration(iteration), row) for row in range(len(record.space.state))]
+        held = list(zip(*interval_coverage(record.steps.of_iteration(iteration)), strict=True))
         if any(known for _, known in held):
             rows.append(
                 [str(iteration), *(f"{n} of {known} ({100 * n / known:.1f} %)" if known else "–" for n, known in held)]

@@ -134,7 +134,7 @@ def _map_caption(record: RunRecord, row: int) -> str:
 
 def _held(record: RunRecord, iteration: int, row: int) -> str:
     """Number of measurements of a deployment within the band, as text; empty where there was no band."""
-    inside, known = interval_coverage(record.steps.of_iteration(iteration), row)
+    inside, known = (int(counts[row]) for counts in interval_coverage(record.steps.of_iteration(iteration)))
     return f"{inside} of {known} measurements ({100 * inside / known:.0f} %) in deployment {iteration}" if known else ""
 
 
