@@ -5,22 +5,20 @@ is viable are void with these methods.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from math import log
-from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stepgap.bench.methods.redeployment import from_the_first_hop, redeployed
 from stepgap.bench.trial import Trial
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
-from stepgap.learning.residual import join_points
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
-from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus
+from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.step import Array, StepMap
 
 TEMPLATE_SCALE = 0.7
 """Factor by which the derivatives of the template are too small."""
@@ -30,48 +28,6 @@ RLS_FORGETTING = 0.99
 
 PLAIN_RLS_FORGETTING = 0.99
 """That factor in the method `rls_plain`; it was not tuned on its own."""
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class AffineMap(StepMap):
-    """next = next₀ + J (x − x₀, u − u₀); a step with finite numbers never fails.
-
-    Attributes:
-        quantities: Names, units and ranges.
-        state: x₀; shape (n,).
-        command: u₀; shape (m,).
-        next_state: next₀; shape (n,).
-        matrix: J; shape (n, n + m).
-    """
-
-    quantities: StepSpace
-    state: Array
-    command: Array
-    next_state: Array
-    matrix: Array
-
-    @property
-    def space(self) -> StepSpace:
-        """Names, units and ranges."""
-        return self.quantities
-
-    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        """Next states, and status codes OK, or INVALID where a number is not finite."""
-        points = join_points(state, command)
-        next_state = self.next_state + (points - join_points(self.state, self.command)) @ self.matrix.T
-        missing = _missing(points)
-        status = np.where(np.isnan(missing), int(StepStatus.INVALID), int(StepStatus.OK))
-        return Outcome(next_state + missing[..., None], status)
-
-    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
-        """J; shape (…, n, n + m). NaN where a number is not finite."""
-        return self.matrix + _missing(join_points(state, command))[..., None, None]
-
-
-def _missing(points: Array) -> Array:
-    """0 for each point that is finite, otherwise NaN; (…, k) to (…)."""
-    return np.where(np.isfinite(points).all(axis=-1), 0.0, np.nan)
 
 
 def linearised(nominal: StepMap, reference: Reference) -> AffineMap:

@@ -1,0 +1,5 @@
+"""Nominal maps for robots without equations of motion: a template, and a surrogate of a simulator.
+
+Read in this order: `affine_map` (a template of a few numbers), `simulator` (any program that computes a step),
+`smoothness` (whether its derivatives can be computed by differences), `surrogate_map` (a smooth map fitted to it).
+"""
