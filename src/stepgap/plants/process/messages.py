@@ -1,0 +1,174 @@
+"""The lines that StepGap and the program of a robot exchange: each is one JSON object.
+
+StepGap sends                                             the program answers
+`{"stepgap": 1, "state": [QUANTITY…], "command": […]}`    `{"ready": {"state": {NAME: UNIT…}, "command": {…}}}`
+`{"start": true}`                                         `{"state": {NAME: NUMBER…}}`
+`{"step": NUMBER, "command": {NAME: NUMBER…}}`            `{"step": NUMBER, "next": {…}, "status": "ok", …}`
+`{"stop": true}`                                          nothing; it brings the robot to rest and ends
+
+A QUANTITY is `{"name": …, "unit": …, "lower": …, "upper": …}`. An answer to a step may contain `"applied"`, the command
+after all limits, and `"yaw"` [rad]. Its status is one of the names of `StepStatus` in lower case; a step that is not
+`"ok"` needs no next state and ends the deployment. The program also has to bring the robot to rest when its input ends.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stepgap.base.errors import StepGapError
+from stepgap.base.ranges import format_value
+from stepgap.step import Array, Quantity, StepSpace, StepStatus
+
+PROTOCOL = 1
+"""Version of the protocol."""
+
+LARGEST = 1e9
+"""Numbers of this size or larger are not accepted."""
+
+
+class ProcessFault(StepGapError):
+    """The program of a robot ended, did not answer in time, or gave an invalid answer."""
+
+
+class Answer(NamedTuple):
+    """A step as the program executed it.
+
+    Attributes:
+        next_state: NaN if the step failed; shape (n,).
+        applied: The command after all limits; shape (m,).
+        status: How the step ended.
+        yaw: Yaw after the step [rad]; NaN if unknown.
+    """
+
+    next_state: Array
+    applied: Array
+    status: StepStatus
+    yaw: float
+
+
+def hello(space: StepSpace) -> str:
+    """First line to the program: version, and the quantities of state and command."""
+
+    def described(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:
+        return [{"name": one.name, "unit": one.unit, "lower": one.lower, "upper": one.upper} for one in quantities]
+
+    return _line({"stepgap": PROTOCOL, "state": described(space.state), "command": described(space.command)})
+
+
+def step(number: int, command: Array, space: StepSpace) -> str:
+    """Line with the command of a step."""
+    return _line({"step": number, "command": dict(zip(space.command_names, command.tolist(), strict=True))})
+
+
+START = '{"start": true}\n'
+"""Line that asks the program to release the robot."""
+
+STOP = '{"stop": true}\n'
+"""Last line to the program."""
+
+
+def check_ready(line: str, space: StepSpace) -> None:
+    """Checks the answer to `hello`.
+
+    Raises:
+        ProcessFault: Names or units differ.
+    """
+    ready = _table(_parsed(line), "ready", line)
+    for kind, quantities in (("state", space.state), ("command", space.command)):
+        wanted, found = {one.name: one.unit for one in quantities}, ready.get(kind)
+        if found != wanted:
+            raise ProcessFault(
+                f"the program has the {kind} {format_value(found)}, but the experiment needs {_text(wanted)}"
+            )
+
+
+def read_start(line: str, space: StepSpace) -> Array:
+    """The state in the answer to `START`; shape (n,).
+
+    Raises:
+        ProcessFault: The answer is invalid.
+    """
+    return _numbers(_parsed(line), "state", space.state_names, line)
+
+
+def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> Answer:
+    """The answer to `step`.
+
+    Args:
+        line: The answer.
+        number: Number of the step that it must belong to.
+        requested: Command that was sent, which counts as applied if the answer does not contain another one.
+        space: Names of state and command.
+
+    Raises:
+        ProcessFault: The answer is invalid.
+    """
+    answer = _parsed(line)
+    if answer.get("step") != number:
+        raise ProcessFault(f'step {number} was answered by {_short(line)}, which must contain "step": {number}')
+    statuses = {status.label: status for status in StepStatus}
+    if answer.get("status") not in list(statuses):
+        raise ProcessFault(f'{_short(line)}: "status" must be one of {", ".join(statuses)}')
+    status = statuses[answer["status"]]
+    next_state = np.full(len(space.state), np.nan)
+    if status == StepStatus.OK:
+        next_state = _numbers(answer, "next", space.state_names, line)
+    applied = _numbers(answer, "applied", space.command_names, line) if "applied" in answer else requested
+    yaw = answer.get("yaw")
+    if yaw is not None and not _is_number(yaw):
+        raise ProcessFault(f'{_short(line)}: "yaw" must be an angle in radians')
+    return Answer(next_state, applied, status, float("nan") if yaw is None else float(yaw))
+
+
+def _line(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _parsed(line: str) -> dict[str, Any]:
+    """The JSON object of a line; NaN and infinity are no JSON."""
+
+    def refused(constant: str) -> None:
+        raise ValueError(f"{constant} is no number")
+
+    try:
+        content = json.loads(line, parse_constant=refused)
+    except (ValueError, RecursionError) as error:
+        raise ProcessFault(f"{_short(line)}: the answer must be one JSON object per line ({error})") from None
+    if not isinstance(content, dict):
+        raise ProcessFault(f"{_short(line)}: the answer must be a JSON object")
+    if "error" in content:
+        raise ProcessFault(f"the program reports: {format_value(content['error'])}")
+    return content
+
+
+def _table(content: Mapping[str, Any], key: str, line: str) -> dict[str, Any]:
+    table = content.get(key)
+    if not isinstance(table, dict):
+        raise ProcessFault(f'{_short(line)}: the answer must contain "{key}": {{…}}')
+    return table
+
+
+def _numbers(content: Mapping[str, Any], key: str, names: Sequence[str], line: str) -> Array:
+    """The finite numbers of a table that has these names and no others."""
+    table = _table(content, key, line)
+    if sorted(table) != sorted(names):
+        raise ProcessFault(f'{_short(line)}: "{key}" must contain {", ".join(names)}, and nothing else')
+    wrong = [name for name in names if not _is_number(table[name])]
+    if wrong:
+        raise ProcessFault(f"{_short(line)}: {key}.{wrong[0]} must be a number of less than {LARGEST:g}")
+    return np.array([table[name] for name in names], float)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
+
+
+def _text(units: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} [{unit}]" for name, unit in units.items())
+
+
+def _short(line: str) -> str:
+    text = line.strip()
+    return repr(text if len(text) <= 80 else f"{text[:80]}…")

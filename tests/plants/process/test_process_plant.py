@@ -1,0 +1,213 @@
+"""A plant behind lines of JSON: every way in which its program can fail is a recorded step or a clear error."""
+
+import json
+import socket
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stepgap.plants.process.line_channel import LONGEST_LINE, Child, Connection
+from stepgap.plants.process.messages import ProcessFault, check_ready, read_answer, read_start
+from stepgap.plants.process.process_plant import ProcessPlant, Timeouts
+from stepgap.step import Quantity, StepSpace, StepStatus
+
+BALL = [sys.executable, str(Path(__file__).with_name("ball.py"))]
+SPACE = StepSpace((Quantity("height", "m", 0.2, 1.0),), (Quantity("paddle", "m/s", -0.5, 1.0),))
+PATIENT = Timeouts(ready=60, start=60, step=60, stop=60)
+REQUESTED = np.array([0.5])
+
+
+def plant_of(*arguments: object, timeouts: Timeouts = PATIENT) -> ProcessPlant:
+    return ProcessPlant(partial(Child, [*BALL, *map(str, arguments)]), SPACE, timeouts)
+
+
+def next_height(height: float, paddle: float) -> float:
+    return (0.8 * np.sqrt(2 * 9.81 * height) + 1.8 * 0.9 * paddle) ** 2 / (2 * 9.81)
+
+
+def test_steps_go_to_the_program_and_come_back(capfd: pytest.CaptureFixture[str]) -> None:
+    with plant_of() as plant:
+        height = plant.start()[0]
+        for command in (0.1, 0.3, 5.0):
+            record = plant.take_step(np.array([command]))
+            assert record.state == height
+            assert record.requested == record.applied == min(command, 1.0)
+            assert record.next_state == pytest.approx([next_height(height, min(command, 1.0))])
+            assert (record.status, plant.fault) == (StepStatus.OK, "")
+            height = record.next_state[0]
+    assert capfd.readouterr().err == "at rest\n"
+    plant.stop()
+
+
+def test_an_answer_may_have_the_applied_command_and_the_yaw() -> None:
+    with plant_of("applied", 1) as plant:
+        plant.start()
+        record = plant.take_step(REQUESTED)
+    assert (record.applied, record.yaw_after) == ([0.25], 1.5)
+
+
+def test_a_fall_is_recorded_without_a_fault() -> None:
+    with plant_of("fell", 2) as plant:
+        plant.start()
+        records = [plant.take_step(REQUESTED) for _ in range(2)]
+    assert [record.status for record in records] == [StepStatus.OK, StepStatus.FELL]
+    assert np.isnan(records[1].next_state).all()
+    assert plant.fault == ""
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("exit", "the program ended with code 3"),
+        ("kill", "the program ended with code -9"),
+        ("close", "the program closed its input or output"),
+        ("long", f"by a line of more than {LONGEST_LINE} bytes"),
+        ("hello", "'hello': the answer must be one JSON object per line"),
+        ("[1]", "must be a JSON object"),
+        ("{'step': 2}", '"status" must be one of ok, fell'),
+        ("{'step': 7, 'status': 'ok'}", "step 2 was answered by"),
+        ("{'step': 2, 'status': 'ok', 'next': {'speed': 1}}", '"next" must contain height, and nothing else'),
+        ("{'step': 2, 'status': 'ok', 'next': {'height': NaN}}", "NaN is no number"),
+        ("{'step': 2, 'status': 'ok', 'next': {'height': 1e999}}", "next.height must be a number of less than"),
+        ("{'step': 2, 'status': 'ok', 'next': {'height': true}}", "next.height must be a number"),
+        ("{'error': 'motor 2 is hot'}", "the program reports: 'motor 2 is hot'"),
+    ],
+)
+def test_what_a_program_does_wrong_ends_the_deployment_with_the_reason(fault: str, message: str) -> None:
+    with plant_of(fault, 2, timeouts=Timeouts(60, 60, 60, stop=0.2)) as plant:
+        plant.start()
+        assert plant.take_step(REQUESTED).status == StepStatus.OK
+        record = plant.take_step(REQUESTED)
+        assert record.status == StepStatus.STOPPED
+        assert np.isnan(record.next_state).all()
+        assert message in plant.fault
+        assert "\n" not in plant.fault
+        assert plant.take_step(REQUESTED).status == StepStatus.STOPPED, "it does not start again"
+
+
+def test_a_program_that_stalls_is_ended() -> None:
+    with plant_of("stall", 1, timeouts=Timeouts(60, 60, step=0.5, stop=0.2)) as plant:
+        plant.start()
+        assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
+    assert plant.fault == "the program did not answer within 0.5 s"
+
+
+def test_a_second_answer_is_noticed_before_or_with_the_next_step() -> None:
+    with plant_of("twice", 1, timeouts=Timeouts(60, 60, 60, stop=0.2)) as plant:
+        plant.start()
+        assert plant.take_step(REQUESTED).status == StepStatus.OK
+        assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
+    assert "second answer" in plant.fault or "step 2 was answered by" in plant.fault
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("units", 0), r"the program has the state .*'height': 'mm'.*, but the experiment needs height \[m\]"),
+        (("start", 0), "NaN is no number"),
+    ],
+)
+def test_a_program_for_another_robot_does_not_start(arguments: Sequence[object], message: str) -> None:
+    with pytest.raises(ProcessFault, match=message), plant_of(*arguments) as plant:
+        plant.start()
+
+
+def test_a_program_that_does_not_exist_is_named() -> None:
+    with pytest.raises(ProcessFault, match=r"\./none: cannot be started: No such file"):
+        ProcessPlant(partial(Child, ["./none"]), SPACE).start()
+
+
+def test_a_command_without_number_is_not_sent() -> None:
+    with plant_of() as plant:
+        plant.start()
+        assert plant.take_step(np.array([np.nan])).status == StepStatus.INVALID
+
+
+def test_over_a_socket() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+
+        def serve() -> None:
+            connection, _ = server.accept()
+            with connection, connection.makefile("rw", encoding="utf-8") as stream:
+                for reply in (
+                    '{"ready": {"state": {"height": "m"}, "command": {"paddle": "m/s"}}}',
+                    '{"state": {"height": 0.4}}',
+                    '{"step": 1, "next": {"height": 0.6}, "status": "ok"}',
+                ):
+                    stream.readline()
+                    stream.write(reply + "\n")
+                    stream.flush()
+                stream.readline()
+
+        thread = Thread(target=serve)
+        thread.start()
+        with ProcessPlant(partial(Connection, server.getsockname()[1]), SPACE, PATIENT) as plant:
+            assert plant.start() == [0.4]
+            assert plant.take_step(REQUESTED).next_state == [0.6]
+            assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
+            assert plant.fault.endswith("closed the connection")
+        thread.join()
+
+
+def test_without_a_server_the_port_is_named() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(ProcessFault, match=rf"127.0.0.1:{port}: .*; start the robot's program first"):
+        ProcessPlant(partial(Connection, port), SPACE).start()
+
+
+@given(st.text() | st.binary().map(lambda raw: raw.decode(errors="replace")))
+def test_any_line_is_read_or_refused(line: str) -> None:
+    for read in (
+        lambda: check_ready(line, SPACE),
+        lambda: read_start(line, SPACE),
+        lambda: read_answer(line, 1, REQUESTED, SPACE),
+    ):
+        with pytest.raises(ProcessFault) as refused:
+            read()
+        assert len(str(refused.value)) < 600
+
+
+NUMBERS = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
+TABLES = st.dictionaries(st.sampled_from(["height", "paddle", "x"]), NUMBERS) | NUMBERS
+
+
+@given(
+    st.fixed_dictionaries(
+        {"step": st.sampled_from([1, 2, True, "1"]), "status": st.sampled_from(["ok", "fell", 0, None])},
+        optional={"next": TABLES, "applied": TABLES, "yaw": NUMBERS},
+    )
+)
+def test_an_answer_is_finite_or_refused(content: dict[str, object]) -> None:
+    try:
+        answer = read_answer(json.dumps(content), 1, REQUESTED, SPACE)
+    except ProcessFault:
+        return
+    assert np.isfinite(answer.applied).all()
+    assert np.isfinite(answer.next_state).all() == (answer.status == StepStatus.OK)
+    assert not np.isinf(answer.yaw)
+
+
+def test_stopping_waits_for_the_robot_to_come_to_rest() -> None:
+    """The program is ended by force only after the time that it is given."""
+    plant = plant_of("deaf", 1, timeouts=Timeouts(60, 60, 60, stop=30))
+    plant.start()
+    plant.take_step(REQUESTED)
+    begin = time.monotonic()
+    plant.stop()
+    assert time.monotonic() - begin < 25, "a program that ended by itself is not waited for"
+
+
+@pytest.mark.parametrize("name", ["ready", "start", "step", "stop"])
+def test_times_are_positive(name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} = 0, but it must be a positive number of seconds"):
+        Timeouts(**{name: 0})
