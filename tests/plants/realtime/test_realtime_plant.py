@@ -48,7 +48,7 @@ def almost_at_once():
 SETUP = RealtimeSetup(
     partial(hopper_on_ethercat, SETTINGS, ROBOT),
     HopperControl(ROBOT, GAINS, BOUNDS),
-    LoopSettings(missed_commands=5),
+    LoopSettings(missed_commands=50),  # on a busy machine a command may come late
     almost_at_once,
 )
 
