@@ -109,7 +109,7 @@ def check_command(words):
     rest, overrides = split_overrides(arguments)
     app.parse_args(rest, exit_on_error=False, print_error=False)
     read_experiment(None, overrides)
-    if program:
+    if program[:1] == ["stepgap"]:
         check_command(program)
 
 

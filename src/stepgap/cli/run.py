@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
-from stepgap.cli.options import Flag, Integer, Overrides, Port
+from stepgap.cli.options import Flag, Integer, Overrides, Port, Program
 from stepgap.cli.terminal import announces_compilation, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -35,8 +35,8 @@ class Shorthand:
 
     Attributes:
         reference: CSV file of targets, one row per step. [default: the reference of the paper]
-        plant: Plant that hops: twin, emulated-ring (the twin on an EtherCAT bus in software), or a rig, such as
-            ethercat. [default: twin]
+        plant: Plant that hops: twin, emulated-ring (the twin on an EtherCAT bus in software), process (the program
+            given after two dashes, as in -- ./robot), or a rig, such as ethercat. [default: twin]
         rig: File that describes the rig, such as rig.toml.
         method: Settings of learning and control before others change them: default, or paper, the method as published.
         seed: Random seed. [default: 0]
@@ -121,6 +121,7 @@ def run(
     resume: Flag = False,
     display: Display = NORMAL,
     overrides: Overrides = None,
+    program: Program = None,
 ) -> None:
     """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. On the twin, unless a plant is given.
 
@@ -141,7 +142,7 @@ def run(
     ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume)
     live = LiveView(ready.folder, display.host or "127.0.0.1", display.port) if display.view else None
     recorder = TickRecorder(TICKS_PER_FRAME)
-    plants = _choose_plants(ready, arm, recorder, live)
+    plants = _choose_plants(ready, arm, recorder, live, program or [])
     if not resume:
         start_folder(ready.folder, ready.settings, ready.reference, ready.known)
     try:
@@ -149,7 +150,8 @@ def run(
             _execute(ready, plants, recorder, live, display)
             _finish(_report(ready.folder, recorder, display), live, display)
     except KeyboardInterrupt:
-        command = f"stepgap run --out {shlex.quote(str(ready.folder))} --resume{' --arm' if arm else ''}"
+        end = f" -- {shlex.join(program)}" if program else ""
+        command = f"stepgap run --out {shlex.quote(str(ready.folder))} --resume{' --arm' if arm else ''}{end}"
         raise KeyboardInterrupt(f"; resume with: {command}") from None
 
 
@@ -167,11 +169,14 @@ def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[
     return Prepared(folder, settings, nominal, reference, load_known(settings, nominal.space))
 
 
-def _choose_plants(ready: Prepared, arm: bool, recorder: "TickRecorder", live: "LiveView | None") -> "Plants":
+def _choose_plants(
+    ready: Prepared, arm: bool, recorder: "TickRecorder", live: "LiveView | None", program: Sequence[str]
+) -> "Plants":
     """Chooses the plants of the settings; their ticks go to the recorder and to the live page."""
     from stepgap.experiment.plants import choose_plants
 
-    return choose_plants(ready.settings, ready.reference, arm, ready.folder, _all_of(recorder.on_ticks, live))
+    on_ticks = _all_of(recorder.on_ticks, live)
+    return choose_plants(ready.settings, ready.reference, arm, ready.folder, on_ticks, program)
 
 
 def _all_of(record: "Callable[[Rows], None]", live: "LiveView | None") -> "Callable[[Rows], None]":

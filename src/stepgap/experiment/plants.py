@@ -1,8 +1,9 @@
-"""Plants of `stepgap run`: the twin, the twin behind an emulated EtherCAT ring, or a rig by name."""
+"""Plants of `stepgap run`: the twin, also behind an emulated EtherCAT ring, another program, or a rig by name."""
 
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import tau
 from pathlib import Path
@@ -15,10 +16,12 @@ from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference
 from stepgap.experiment.loop import MeasureNoiseFloor, deployment_generator
 from stepgap.experiment.noise_floor import measure_noise_floor
-from stepgap.experiment.settings import EMULATED_RING, TWIN, Experiment
+from stepgap.experiment.settings import EMULATED_RING, PROCESS, TWIN, Experiment
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.plant import Plant
+from stepgap.plants.process.line_channel import Child, Connection
+from stepgap.plants.process.process_plant import ProcessPlant
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
@@ -62,6 +65,7 @@ def choose_plants(
     arm: bool,
     folder: Path,
     on_ticks: Callable[[Rows], None] | None = None,
+    program: Sequence[str] = (),
 ) -> Plants:
     """Chooses the plants of an experiment.
 
@@ -71,13 +75,18 @@ def choose_plants(
         arm: Whether a person allows torque on a rig.
         folder: Folder of the run, into which a rig's ticks are written.
         on_ticks: Called with the log rows of the ticks of a simulation, some at a time.
+        program: Command line of the program of the plant `process`, or `tcp:PORT`, where it listens.
 
     Raises:
         InputError: No plant can be made with these settings.
     """
     simulated = settings.plant in SIMULATED
-    if simulated and (arm or settings.rig):
+    if (simulated or settings.plant == PROCESS) and (arm or settings.rig):
         raise InputError(f"--arm, --rig: only for real rigs; plant '{settings.plant}' takes neither")
+    if settings.plant == PROCESS:
+        return _of_process(settings, program)
+    if program:
+        raise InputError(f"-- {program[0]}: plant '{settings.plant}' runs no program; add --plant {PROCESS}")
     if not simulated:
         return _of_rig(settings, arm, folder / "ticks")
     make_twin = partial(_twin, settings, _ground(settings))
@@ -146,7 +155,7 @@ def _bus(settings: Experiment, twin: Twin) -> RigSettings:
 
 def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
     if not settings.rig:
-        plants = (*SIMULATED, *rig_names())
+        plants = (*SIMULATED, PROCESS, *rig_names())
         if settings.plant not in plants:
             raise InputError(f"--plant {settings.plant}: unknown; it must be one of {', '.join(plants)}")
         raise InputError(f"--plant {settings.plant}: give the rig's file by --rig RIG.toml")
@@ -164,6 +173,16 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
 
     checked(Path(settings.rig))
     return Plants(make, replays=False)
+
+
+def _of_process(settings: Experiment, program: Sequence[str]) -> Plants:
+    if not program:
+        example = f"stepgap run --plant {PROCESS} -- ./robot, or -- tcp:5555 if it listens on that port"
+        raise InputError(f"--plant {PROCESS}: give the robot's program after two dashes: {example}")
+    port = re.fullmatch(r"tcp:(\d{1,5})", program[0]) if len(program) == 1 else None
+    connect = partial(Connection, int(port[1])) if port else partial(Child, tuple(program))
+    space = settings.command.space()
+    return Plants(lambda _: ProcessPlant(connect, space, settings.process), replays=False)
 
 
 def ask_to_hold() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
 from stepgap.experiment.plants import SIMULATED, plant_on, replay_rig
-from stepgap.experiment.settings import Experiment, read_experiment
+from stepgap.experiment.settings import PROCESS, Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.realtime.states import RigState
@@ -86,6 +86,8 @@ def sensor_model_of(settings: Experiment) -> HopperSensorModel:
     """
     if settings.plant in SIMULATED:
         return twin_sensor_model(settings.robot, settings.gap)
+    if settings.plant == PROCESS:
+        raise InputError(f"plant '{PROCESS}': the motion between the steps is not recorded")
     return sensors_of(load_rig(settings.plant, Path(settings.rig), settings.robot))
 
 

@@ -26,6 +26,7 @@ from stepgap.control.reference import Reference, paper_reference, read_reference
 from stepgap.control.settings import ControlSettings
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog, joined
+from stepgap.plants.process.process_plant import Timeouts
 from stepgap.records.steps_csv import RecordError, read_step_log, text_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
@@ -40,7 +41,10 @@ PATHS = ("reference", "rig", "warm_start")
 """Settings that name a file or a folder."""
 
 TWIN, EMULATED_RING = "twin", "emulated-ring"
-"""Simulated plants; all others are names of rigs."""
+"""Simulated plants."""
+
+PROCESS = "process"
+"""The plant that is another program; all others but the simulated ones are names of rigs."""
 
 WARM_START = "warm_start.csv"
 """File in a run's folder with the steps that were known before its first deployment."""
@@ -77,7 +81,8 @@ class Experiment:
     Attributes:
         seed: Random seed.
         reference: `paper`, or a CSV file of targets, relative to the experiment's file.
-        plant: `twin`, `emulated-ring` (the twin on an EtherCAT bus in software), or the name of a rig.
+        plant: `twin`, `emulated-ring` (the twin on an EtherCAT bus in software), `process` (another program), or the
+            name of a rig.
         rig: File that describes that rig, relative to the experiment's file.
         warm_start: Folder of a run whose steps are known before the first deployment, or a `steps.csv`, relative to the
             experiment's file; empty: nothing is known.
@@ -87,6 +92,7 @@ class Experiment:
         learning: Settings of learning.
         control: Settings of step control.
         gap: Differences of the twin from the model.
+        process: Longest times to wait for the program of the plant `process`.
     """
 
     seed: int = 0
@@ -100,6 +106,7 @@ class Experiment:
     learning: LearningSettings = field(default_factory=LearningSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
     gap: RealityGap = field(default_factory=RealityGap)
+    process: Timeouts = field(default_factory=Timeouts)
 
     def __post_init__(self) -> None:
         require(0 <= self.seed < 2**63, "seed", self.seed, "lie between 0 and 2⁶³")

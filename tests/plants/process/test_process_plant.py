@@ -68,7 +68,7 @@ def test_a_fall_is_recorded_without_a_fault() -> None:
     ("fault", "message"),
     [
         ("exit", "the program ended with code 3"),
-        ("kill", "the program ended with code -9"),
+        ("kill", "the program was ended by signal 9"),
         ("close", "the program closed its input or output"),
         ("long", f"by a line of more than {LONGEST_LINE} bytes"),
         ("hello", "'hello': the answer must be one JSON object per line"),

@@ -121,7 +121,8 @@ class Child(LineChannel):
     def ended(self) -> str:
         """Message with its exit code, or that it closed its output."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            return f"the program ended with code {self._process.wait(1.0)}"
+            code = self._process.wait(1.0)
+            return f"the program was ended by signal {-code}" if code < 0 else f"the program ended with code {code}"
         return "the program closed its input or output"
 
     def close(self, patience: float) -> None:

@@ -1,0 +1,106 @@
+"""`stepgap run --plant process`: the examples in C and Python through the whole experiment, failures and resuming."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.records.steps_csv import read_step_log
+from stepgap.robots.hopper.parameters import CommandBounds
+from stepgap.step import StepStatus
+from tests.cli.command_line import Command, refused
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "process"
+SPACE = CommandBounds().space()
+FAILING = """
+import runpy, sys
+sys.argv = ["robot.py"]
+lines, step, kind = sys.stdin, int({at}), {kind!r}
+class Watched:
+    def __iter__(self):
+        for line in lines:
+            if f'"step": {{step}},' in line:
+                if kind == "exit": raise SystemExit(4)
+                if kind == "text": print("motor 2 is hot", flush=True); continue
+                if kind == "nan": print('{{"step": %d, "next": {{"speed": NaN, "height": 0.6}}, "status": "ok"}}' % step, flush=True); continue
+            yield line
+sys.stdin = Watched()
+runpy.run_path({example!r}, run_name="__main__")
+"""  # noqa: E501
+
+
+@pytest.fixture
+def run(stepgap: Command):
+    """`stepgap run` of a short experiment with a program."""
+    targets = "".join(f"{target}\n" for target in ["0,0.55"] * 5 + ["0.2,0.58"] * 15 + ["0.3,0.6"] * 10)
+    Path("targets.csv").write_text(f"speed,height\n{targets}")
+    settings = ["--reference", "targets.csv", "--learning.early_stop", "false", "--iterations", 2]
+    return lambda *program: stepgap("run", "--plant", "process", *settings, "--out", "out", "--", *program)
+
+
+def rmse() -> list[list[float]]:
+    summary = json.loads(Path("out/summary.json").read_text())
+    return [list(entry["rmse"].values()) for entry in summary["iterations"]]
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
+def test_the_example_in_c_learns(run) -> None:
+    subprocess.run(["cc", "-O2", "-Wall", "-Werror", "-o", "hopper", EXAMPLES / "hopper.c", "-lm"], check=True)
+    result = run("./hopper")
+    assert (result.code, result.out) == (0, "out/report.html\n"), result.err
+    assert "replay (plant 'process': the motion between the steps is not recorded)" in result.err
+    errors = np.array(rmse())
+    assert errors.shape == (3, 2)
+    assert (errors[2] < 0.35 * errors[0]).all()
+    assert "plant &#x27;process&#x27;" in Path("out/report.html").read_text()
+
+
+@pytest.mark.usefixtures("no_report")
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("exit", "the program ended with code 4"),
+        ("text", "'motor 2 is hot': the answer must be one JSON object per line"),
+        ("nan", "NaN is no number"),
+    ],
+)
+def test_a_failing_program_leaves_its_steps_and_learning_goes_on(run, kind: str, message: str) -> None:
+    Path("robot.py").write_text(FAILING.format(at=12, kind=kind, example=str(EXAMPLES / "robot.py")))
+    result = run(sys.executable, "robot.py")
+    assert result.code == 0, result.err
+    assert message in result.err
+    log = read_step_log(Path("out/steps.csv"), SPACE)
+    assert [len(log.of_iteration(number)) for number in log.iterations] == [12, 12, 12]
+    assert [logged.record.status for logged in log.of_iteration(1)][-2:] == [StepStatus.OK, StepStatus.STOPPED]
+
+
+@pytest.mark.usefixtures("no_report")
+def test_an_interrupted_run_is_resumed_with_the_program(run, stepgap: Command) -> None:
+    assert run(sys.executable, EXAMPLES / "robot.py").code == 0
+    whole = Path("out/steps.csv").read_text().splitlines(keepends=True)
+    Path("out/summary.json").unlink()
+    Path("out/steps.csv").write_text("".join(whole[:40]))
+    refused(stepgap("run", "--out", "out", "--resume"), "--plant process: give the robot's program after two dashes")
+    result = stepgap("run", "--out", "out", "--resume", "--quiet", "--", sys.executable, EXAMPLES / "robot.py")
+    assert result.code == 0, result.err
+    text = Path("out/steps.csv").read_text()
+    assert text.startswith("".join(whole[:40])), "no recorded step is lost"
+    assert read_step_log(Path("out/steps.csv"), SPACE).iterations[-1] == 2
+
+
+def test_wrong_use_is_one_line(stepgap: Command) -> None:
+    refused(stepgap("run", "--plant", "process"), "--plant process: give the robot's program after two dashes")
+    refused(stepgap("run", "--", "./robot"), "-- ./robot: plant 'twin' runs no program; add --plant process")
+    refused(stepgap("run", "--plant", "process", "--arm", "--", "./robot"), "--arm, --rig: only for real rigs")
+    refused(stepgap("run", "--process.step", "0"), "--process.step = 0.0, but it must be a positive number of seconds")
+    missing = stepgap("run", "--plant", "process", "--out", "x", "--quiet", "--", "./robot")
+    assert missing.code == 1
+    assert missing.err == "stepgap: ./robot: cannot be started: No such file or directory\n"
+    closed = stepgap("run", "--plant", "process", "--out", "y", "--quiet", "--", "tcp:1")
+    assert "127.0.0.1:1: " in closed.err
+    Path("e.toml").write_text('plant = "process"\nprogram = "./robot"\n')
+    refused(stepgap("run", "e.toml"), "e.toml: program: unknown key")
