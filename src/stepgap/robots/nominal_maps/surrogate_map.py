@@ -44,7 +44,7 @@ NEIGHBOURS = 3
 MISJUDGED = 0.05
 """Samples are added as long as a larger part of them would be judged wrongly by their neighbours."""
 
-Mapped = Callable[..., Iterable[Outcome]]
+MapFunction = Callable[..., Iterable[Outcome]]
 """The function `map`, or that of an executor."""
 
 
@@ -156,7 +156,7 @@ def surrogate_from_dict(space: StepSpace, saved: dict[str, Any]) -> SurrogateMap
 def fit_surrogate(
     step_map: StepMap,
     rng: np.random.Generator,
-    mapped: Mapped = map,
+    mapped: MapFunction = map,
     on_samples: Callable[[int, Array], None] = lambda count, error: None,
 ) -> SurrogateMap:
     """Samples a map and fits a surrogate to it.
@@ -189,14 +189,14 @@ def fit_surrogate(
             return found
 
 
-PARTS: Final = 16
+SAMPLE_PARTS: Final = 16
 """Number of parts in which samples are computed."""
 
 
-def _sampled(step_map: StepMap, unit: Array, centre: Array, scale: Array, mapped: Mapped) -> Samples:
+def _sampled(step_map: StepMap, unit: Array, centre: Array, scale: Array, mapped: MapFunction) -> Samples:
     """Steps from points of the unit cube; shape (N, d)."""
     points, n = 2 * unit - 1, len(step_map.space.state)
-    inputs = np.array_split(centre + scale * points, PARTS)
+    inputs = np.array_split(centre + scale * points, SAMPLE_PARTS)
     outcomes = list(mapped(step_map.evaluate, [part[:, :n] for part in inputs], [part[:, n:] for part in inputs]))
     return Samples(
         points,
