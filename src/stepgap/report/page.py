@@ -7,6 +7,7 @@ from stepgap.experiment.bands import interval_coverage
 from stepgap.records import paper
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
+from stepgap.report.diagnosis_sentences import diagnosis_sentences
 from stepgap.report.drawing import Drawing
 from stepgap.report.error_table import band_table, error_table
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
@@ -21,6 +22,7 @@ from stepgap.report.settings_table import changed_settings
 CONTENTS: Final = {
     "figures": "Figures",
     "numbers": "Numbers",
+    "diagnosis": "Diagnosis",
     "replay": "Replay",
     "learned": "What was learned",
     "gait": "Gait",
@@ -69,6 +71,7 @@ def report_html(
             *(error_table(record, row, plant) for row in range(len(record.space.state))),
             band_table(record),
         ],
+        "diagnosis": [bullets(diagnosis_sentences(record, context.nominal))],
         "replay": [replay_view(record, context.replay)],
         "learned": [
             bullets(learned_sentences(record, learned)),

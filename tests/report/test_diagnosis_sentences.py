@@ -1,0 +1,58 @@
+"""The sentences of the diagnosis, for robots with a known deficiency."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepgap.learning.step_log import StepLog
+from stepgap.records.missing import Missing
+from stepgap.records.run_folder import RunRecord, read_run_folder
+from stepgap.report.diagnosis_sentences import diagnosis_sentences
+from tests.experiment.test_diagnosis import NOMINAL, SPACE, Error, plain, steps_of, varying, with_memory
+from tests.report.runs import write_run
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
+    return read_run_folder(write_run(tmp_path_factory.mktemp("runs") / "run", ("speed", "height")))
+
+
+def sentences(record: RunRecord, error: Error, steps: int = 200) -> str:
+    changed = replace(record, space=SPACE, steps=steps_of(steps, 1, error))
+    return "\n".join(diagnosis_sentences(changed, NOMINAL))
+
+
+def test_without_a_deficiency_it_says_so(record: RunRecord) -> None:
+    assert sentences(record, plain) == (
+        "The step before does not help to predict the error of speed and height (200 steps of deployment 0): as far as "
+        "they show, the state is sufficient.\n"
+        "Within their bounds the commands move the state in one step by more than the targets change."
+    )
+
+
+def test_memory_and_noise_are_named_with_their_coordinate(record: RunRecord) -> None:
+    text = sentences(record, with_memory)
+    assert "The step before helps to predict the error of speed: as an input, its error reduces" in text
+    assert "error of height" not in text
+    assert "The unexplained error of speed depends on state and command" in sentences(record, varying, 227)
+
+
+def test_a_weak_command_and_one_at_its_bound_are_named(record: RunRecord) -> None:
+    steps = [
+        replace(
+            one,
+            target=np.array([0.2, 0.58 + 2.0 * (one.step % 2)]),
+            record=replace(one.record, requested=np.array([15.0, one.record.requested[1]])),
+        )
+        for one in steps_of(200, 1, plain)
+    ]
+    text = "\n".join(diagnosis_sentences(replace(record, space=SPACE, steps=StepLog(SPACE, steps)), NOMINAL))
+    assert "the commands move height by only" in text
+    assert "but its target changes by 2.00 m." in text
+    assert "fx was at a bound in 100 % of the steps of deployment 0" in text
+
+
+def test_what_cannot_be_judged_is_said(record: RunRecord) -> None:
+    assert "Deployment 0 has 10 steps with a known error, too few" in sentences(record, plain, 10)
+    assert diagnosis_sentences(record, Missing("no map")) == ["Not available: no map."]
