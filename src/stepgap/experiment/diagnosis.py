@@ -24,7 +24,7 @@ from stepgap.step import Array, StepMap
 CONFIDENT = 0.001
 """Largest p-value of a finding: several hypotheses are tested in every deployment."""
 
-LEAST_GAIN = 0.05
+SMALLEST_GAIN = 0.05
 """Smallest reduction of the error by memory that is worth a sentence."""
 
 AT_A_BOUND = 0.99

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepgap.experiment.diagnosis import LEAST_GAIN, Diagnosis, diagnose
+from stepgap.experiment.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose
 from stepgap.learning.observations import observe
 from stepgap.learning.step_log import StepLog
 from stepgap.records.missing import Missing
@@ -48,7 +48,7 @@ def _memory(found: Diagnosis, space: StepSpace, number: int) -> list[str]:
     sentences = []
     for row, quantity in enumerate(space.state):
         error, step = (100 * found.gains[name][row] for name in ("previous_error", "previous_step"))
-        if max(error, step) > 100 * LEAST_GAIN:
+        if max(error, step) > 100 * SMALLEST_GAIN:
             sentences.append(
                 f"The step before helps to predict the error of {quantity.name}: as an input, its error reduces what "
                 f"state and command leave unexplained by {error:.0f} %, together with its command and state by "
