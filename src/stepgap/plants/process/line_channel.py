@@ -3,7 +3,6 @@
 import contextlib
 import socket
 import subprocess
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from queue import Empty, SimpleQueue
@@ -107,11 +106,10 @@ class Child(LineChannel):
     """
 
     def __init__(self, command: Sequence[str]):
-        group = {"creationflags": 0x200} if sys.platform == "win32" else {"start_new_session": True}
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, **group
-            )  # fmt: skip
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+            )
         except OSError as error:
             raise ProcessFault(f"{command[0]}: cannot be started: {error.strerror}") from None
         assert self._process.stdin

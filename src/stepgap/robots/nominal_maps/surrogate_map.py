@@ -61,6 +61,14 @@ class Samples(NamedTuple):
     next_state: Array
     status: Codes
 
+    def plus(self, more: "Samples") -> "Samples":
+        """These and more."""
+        return Samples(
+            np.concatenate([self.points, more.points]),
+            np.concatenate([self.next_state, more.next_state]),
+            np.concatenate([self.status, more.status]),
+        )
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -182,7 +190,7 @@ def fit_surrogate(
         if len(samples.status) >= MOST_SAMPLES or (judged and scaled_error <= GOOD_ENOUGH):
             return found
         more = _sampled(step_map, sequence.random(len(samples.status)), centre, scale, mapped)
-        samples = Samples(*(np.concatenate(pair) for pair in zip(samples, more, strict=True)))
+        samples = samples.plus(more)
         found = _fitted(space, centre, scale, samples)
         if judged and np.max(found.error / space.state_scale) > WORTHWHILE * scaled_error:
             on_samples(len(samples.status), found.error)
@@ -210,9 +218,9 @@ def _misjudged(samples: Samples) -> float:
     failed = samples.status != StepStatus.OK
     if failed.all() or not failed.any():
         return 0.0
-    _, nearest = KDTree(samples.points).query(samples.points, range(2, NEIGHBOURS + 2))  # the first one is itself
-    found = np.count_nonzero(failed[nearest], axis=-1) > NEIGHBOURS // 2
-    return float(np.mean(found != failed))
+    _, nearest = KDTree(samples.points).query(samples.points, NEIGHBOURS + 1)
+    others = failed[np.asarray(nearest)[:, 1:]]  # the nearest one is the sample itself
+    return float(np.mean((np.count_nonzero(others, axis=-1) > NEIGHBOURS // 2) != failed))
 
 
 def _fitted(space: StepSpace, centre: Array, scale: Array, samples: Samples) -> SurrogateMap:
@@ -241,12 +249,12 @@ def _fitted(space: StepSpace, centre: Array, scale: Array, samples: Samples) -> 
 
 def products(points: Array, degree: int) -> Array:
     """Products of Legendre polynomials up to a total degree; (…, d) to (…, terms)."""
-    return np.prod(_factors(legendre.legvander(points, degree), degree), axis=0)
+    return np.prod(_factors(_legendre(points, degree), degree), axis=0)
 
 
 def products_gradient(points: Array, degree: int) -> Array:
     """∂products/∂points; (…, d) to (…, terms, d)."""
-    values = legendre.legvander(points, degree)
+    values = _legendre(points, degree)
     slopes = values[..., :degree] @ legendre.legder(np.eye(degree + 1))
     factors, derivatives = _factors(values, degree), _factors(slopes, degree)
     columns = [
@@ -254,6 +262,11 @@ def products_gradient(points: Array, degree: int) -> Array:
         for axis, derivative in enumerate(derivatives)
     ]
     return np.stack(columns, axis=-1)
+
+
+def _legendre(points: Array, degree: int) -> Array:
+    """Legendre polynomials of each coordinate; (…, d) to (…, d, degree + 1)."""
+    return np.asarray(legendre.legvander(points, degree), float)
 
 
 def _factors(values: Array, degree: int) -> list[Array]:
