@@ -1,0 +1,64 @@
+"""A nominal map fitted to recorded steps, for a robot without equations of motion and without a simulator."""
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stepgap.base.errors import StepGapError
+from stepgap.learning.observations import observe
+from stepgap.learning.residual import Residual, join_points
+from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.step_log import StepLog
+from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.step import Array, Outcome, StepMap, StepSpace
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LogMap(StepMap):
+    """A regression of the next state in state and command; made by `fit_log_map`. No step fails on it.
+
+    Attributes:
+        middle: The middle of the range of use as the next state, whatever state and command are.
+        regression: Model of the next state minus this middle.
+    """
+
+    middle: AffineMap
+    regression: Residual
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges."""
+        return self.middle.space
+
+    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
+        """Next states, and status codes OK, or INVALID where a number is not finite."""
+        next_state, status = self.middle.evaluate(state, command)
+        return Outcome(next_state + self.regression.mean(join_points(state, command)), status)
+
+    def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
+        """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a number is not finite."""
+        return self.middle.jacobian(state, command) + self.regression.mean_gradient(join_points(state, command))
+
+
+def fit_log_map(log: StepLog, kind: str = "linear") -> LogMap:
+    """Fits a nominal map to recorded steps.
+
+    Where commands were chosen by a controller, they and the states vary together, and their effects are known only
+    together. So vary the commands at random while the log is recorded.
+
+    Args:
+        log: Steps of the robot, at least two more than there are coordinates of state and command.
+        kind: Name of a residual model.
+
+    Raises:
+        StepGapError: There are too few steps.
+    """
+    space = log.space
+    n, m = len(space.state), len(space.command)
+    if len(log.completed()) < n + m + 2:
+        raise StepGapError(f"{len(log.completed())} completed steps, but a map needs at least {n + m + 2}")
+    flat = AffineMap(space, space.state_centre, space.command_centre, space.state_centre, np.zeros((n, n + m)))
+    return LogMap(flat, fit_residual(kind, observe(log, flat)))
