@@ -45,6 +45,9 @@ for line in sys.stdin:
                 answer(reply)
             elif fault == "applied":
                 reply |= {"applied": {"paddle": 0.25}, "yaw": 1.5}
+            elif fault == "flood":
+                for _ in range(100):
+                    answer(reply)
             elif fault == "deaf":
                 sys.stdin.close()
             elif fault:

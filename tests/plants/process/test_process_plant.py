@@ -109,6 +109,26 @@ def test_a_second_answer_is_noticed_before_or_with_the_next_step() -> None:
     assert "second answer" in plant.fault or "step 2 was answered by" in plant.fault
 
 
+def test_a_flood_of_answers_is_not_kept() -> None:
+    with plant_of("flood", 1, timeouts=Timeouts(60, 60, 60, stop=0.2)) as plant:
+        plant.start()
+        plant.take_step(REQUESTED)
+        time.sleep(0.2)
+        assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
+        assert plant._channel is None
+    assert "second answer" in plant.fault
+
+
+def test_the_children_of_a_program_are_ended_with_it() -> None:
+    script = f"{sys.executable} {BALL[1]} stall 1; true"
+    plant = ProcessPlant(partial(Child, ["sh", "-c", script]), SPACE, Timeouts(60, 60, step=0.3, stop=0.3))
+    plant.start()
+    channel = plant._channel
+    assert plant.take_step(REQUESTED).status == StepStatus.STOPPED
+    assert channel is not None
+    assert not channel._thread.is_alive(), "nobody holds its output open"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -1,6 +1,8 @@
 """Lines of text to and from another program, over pipes or a socket, with timeouts."""
 
 import contextlib
+import os
+import signal
 import socket
 import subprocess
 from abc import ABC, abstractmethod
@@ -14,6 +16,9 @@ from stepgap.plants.process.messages import ProcessFault
 LONGEST_LINE = 65536
 """Largest number of bytes of a line."""
 
+MOST_WAITING = 16
+"""Number of lines without a question after which the program is not listened to any more."""
+
 CONNECTING = 5.0
 """Timeout of a connection [s]."""
 
@@ -25,14 +30,15 @@ class LineChannel(ABC):
     """
 
     def __init__(self, reader: IO[bytes], writer: IO[bytes]):
-        self._writer, self._lines = writer, SimpleQueue[bytes | None]()
+        self._writer, self._lines, self._flooded = writer, SimpleQueue[bytes | None](), False
         self._thread = Thread(target=self._read, args=(reader,), daemon=True)
         self._thread.start()
 
     def _read(self, reader: IO[bytes]) -> None:
         try:
-            while line := reader.readline(LONGEST_LINE + 1):
+            while (line := reader.readline(LONGEST_LINE + 1)) and not self._flooded:
                 self._lines.put(line)
+                self._flooded = self._lines.qsize() > MOST_WAITING
         except (OSError, ValueError):  # closed while reading
             pass
         self._lines.put(None)
@@ -64,7 +70,8 @@ class LineChannel(ABC):
             raise ProcessFault(f"the program did not answer within {timeout:g} s") from None
         if line is None:
             self._lines.put(None)
-            raise ProcessFault(self.ended())
+            flooded = f"the program sent more than {MOST_WAITING} lines that nobody asked for"
+            raise ProcessFault(flooded if self._flooded else self.ended())
         if len(line) > LONGEST_LINE:
             raise ProcessFault(f"the program answered by a line of more than {LONGEST_LINE} bytes")
         try:
@@ -124,17 +131,20 @@ class Child(LineChannel):
         return "the program closed its input or output"
 
     def close(self, patience: float) -> None:
-        """Closes its input; ends it by SIGTERM and then SIGKILL if it does not end by itself."""
+        """Closes its input; ends it and its own children by SIGTERM and then SIGKILL if it does not end by itself."""
         with contextlib.suppress(OSError):
             self._writer.close()
-        for end in (lambda: None, self._process.terminate, self._process.kill):
-            end()
+        for ending in (None, signal.SIGTERM, signal.SIGKILL):
+            if ending:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(self._process.pid, ending)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(patience)
                 break
-        self._thread.join()
-        assert self._process.stdout
-        self._process.stdout.close()
+        self._thread.join(patience)
+        if not self._thread.is_alive():  # otherwise another process, which it left behind, holds its output open
+            assert self._process.stdout
+            self._process.stdout.close()
 
 
 @final
