@@ -79,6 +79,8 @@ def test_a_method_without_a_rule_is_compared_with_the_method() -> None:
     assert compared_with("online-monitor", measured) == "online"
     assert compared_with("linear-monitor", measured) == DEFAULT, "the full method was not measured"
     assert compared_with("online", measured) == DEFAULT
+    assert compared_with("template_online", measured) == "online"
+    assert compared_with("template_linear", measured) == DEFAULT, "the method on the exact map was not measured"
     assert compared_with(DEFAULT, measured) is None
     assert compared_with("online", {"online", "none"}) is None
 

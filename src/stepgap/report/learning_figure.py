@@ -40,7 +40,7 @@ def learning_picture(rows: Sequence[DeploymentRow], form: str) -> bytes:
     axes.set_ylim(-0.7, len(order) - 0.3)
     base = DEFAULT if DEFAULT in errors else UNCORRECTED
     axes.set_xlabel(
-        f"tracking error relative to {base}, of METHOD-RULE relative to METHOD\n"
+        f"tracking error relative to {base}, of METHOD-RULE and template_METHOD relative to METHOD\n"
         "points: twins and seeds; diamond: geometric mean, filled if significant"
     )
     stream = BytesIO()
