@@ -197,7 +197,10 @@ def main() -> None:
         preset = pool.submit(quality, RealityGap(), CommandBounds(), SEEDS, stairs)
         bounded = pool.submit(quality, RealityGap(), BOUNDS, SEEDS, stairs)
         runs = [pool.submit(quality, gap_of(shares), BOUNDS, SEEDS, stairs) for _, shares, _ in kept]
-        spread = np.std([shares for _, shares, _ in kept], axis=0, ddof=1) if len(kept) > 1 else PRIOR_STD * np.nan
+        spread = None  # of the members, relative to that of their starts
+        if len(kept) > 1:
+            relative = np.std([shares for _, shares, _ in kept], axis=0, ddof=1) / (SHARE * PRIOR_STD)
+            spread = dict(zip(DRAWN, relative.round(2).tolist(), strict=True))
         members = [
             {"member": member, "cost": round(cost, 3), "gap": _as_json(asdict(gap_of(shares))), "runs": run.result()}
             for (member, shares, cost), run in zip(kept, runs, strict=True)
@@ -211,7 +214,7 @@ def main() -> None:
             "fx_lower": BOUNDS.fx_lower,
             "cost_of_preset": round(float(np.mean(at_preset**2)), 3),
             "costs": [round(cost, 3) for _, cost in fits],
-            "spread": dict(zip(DRAWN, (spread / (SHARE * PRIOR_STD)).round(2).tolist(), strict=True)),
+            "spread": spread,
             "preset": preset.result(),
             "preset_bounded": bounded.result(),
             "members": members,
