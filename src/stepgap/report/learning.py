@@ -24,7 +24,7 @@ DEFAULT = "gp_on_linear"
 WITHOUT = "-"
 """METHOD-RULE is the name of a method without one of its rules, which is compared with the method itself."""
 
-TEMPLATE = "template_"
+ON_TEMPLATE = "template_"
 """template_METHOD is METHOD with a crude template instead of the exact nominal map, which is compared with METHOD."""
 
 ERRORS = ("rmse", "transient_rmse", "steady_rmse", "true_rmse")
@@ -59,7 +59,7 @@ def summarise_learning(rows: Sequence[DeploymentRow]) -> dict[str, Any]:
 
 def compared_with(method: str, measured: Collection[str]) -> str | None:
     """Name of the method that a method is compared with; None if there is none among the measured ones."""
-    wholes = (method.partition(WITHOUT)[0], method.removeprefix(TEMPLATE))
+    wholes = (method.partition(WITHOUT)[0], method.removeprefix(ON_TEMPLATE))
     others = [other for other in (*wholes, DEFAULT) if other != method and other in measured]
     return others[0] if others and method != DEFAULT else None
 
@@ -165,7 +165,7 @@ def describe_learning(summary: dict[str, Any]) -> str:
         f"hops: number of hops until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s and "
         f"{1e3 * PAPER_BAND[1]:.1f} mm; in band: number of twins and seeds that reach this.",
         f"relative: error relative to that of {DEFAULT} on the same twin and seed, geometric mean; a fall counts as a",
-        f"ratio of {LARGEST_RATIO:g}. METHOD{WITHOUT}RULE and {TEMPLATE}METHOD are relative to METHOD.",
+        f"ratio of {LARGEST_RATIO:g}. METHOD{WITHOUT}RULE and {ON_TEMPLATE}METHOD are relative to METHOD.",
         "interval: 95 % by Student's t over the means of the twins. significant: p < 0.05 after Holm's correction.",
         "in: fraction of steps within the predicted 95 % interval.",
     ]
