@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stepgap.control.step_controller import StepController
-from stepgap.experiment.diagnosis import Diagnosis, diagnose
+from stepgap.experiment.diagnosis import Diagnosis, diagnose, part_at_bounds
 from stepgap.learning.observations import observe
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, StepRecord, StepStatus
@@ -81,8 +81,9 @@ def test_noise_that_depends_on_the_state_is_found(seed: int) -> None:
 def test_commands_at_bounds_and_what_they_move() -> None:
     log = steps_of(200, 0, plain)
     bounded = [replace(one, record=replace(one.record, requested=np.array([15.0, 0.0]))) for one in log]
-    found = diagnose(observe(StepLog(SPACE, bounded[:50] + list(log)[50:]), NOMINAL), NOMINAL)
-    np.testing.assert_allclose(found.at_bounds, [0.25, 0.0])
+    observed = observe(StepLog(SPACE, bounded[:50] + list(log)[50:]), NOMINAL)
+    found = diagnose(observed, NOMINAL)
+    np.testing.assert_allclose(part_at_bounds(observed), [0.25, 0.0])
     slopes = NOMINAL.jacobian(MIDDLE, HOLDING)[:, 2:]
     np.testing.assert_allclose(found.authority, np.abs(slopes) * [15, 20] / SPACE.state_scale[:, None], rtol=0.05)
 

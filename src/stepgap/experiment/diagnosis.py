@@ -17,8 +17,11 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2, f
 
+from stepgap.learning.linear_regression import LinearFit, fit_linear
 from stepgap.learning.observations import Observations
 from stepgap.learning.polynomial import monomials
+from stepgap.learning.residual import HistoryInputs
+from stepgap.learning.settings import LAGGED_INPUTS, LaggedInputs
 from stepgap.step import Array, StepMap
 
 CONFIDENT = 0.001
@@ -33,7 +36,7 @@ AT_A_BOUND = 0.99
 FEWEST_STEPS_PER_WEIGHT = 4
 """Fewest steps for each weight of a regression."""
 
-HISTORY: Final = ("previous_error", "previous_step")
+HISTORY: Final[tuple[LaggedInputs, ...]] = tuple(name for name in LAGGED_INPUTS if name != "none")
 """Groups of history inputs that are tried; the names are values of the setting `learning.lagged_inputs`."""
 
 
@@ -47,14 +50,12 @@ class Diagnosis:
             where the F test does not confirm it; shape (n,).
         noise_ratio: Standard deviation of the unexplained error where it is predicted to be large (upper third) in that
             where it is predicted to be small; 1 where the test does not confirm a dependence; shape (n,).
-        at_bounds: Part of the steps at which each command was at one of its bounds; shape (m,).
         authority: Half the range over which each command moves the next state, in half ranges of use; shape (n, m).
     """
 
     steps: int
     gains: dict[str, Array]
     noise_ratio: Array
-    at_bounds: Array
     authority: Array
 
     @property
@@ -70,28 +71,34 @@ def diagnose(observed: Observations, step_map: StepMap) -> Diagnosis:
         observed: Errors of the nominal map at the steps, with their history.
         step_map: Best map known, for the effect of the commands.
     """
-    space, count = observed.space, len(observed)
-    n, m = len(space.state), len(space.command)
-    at_bounds = np.full(m, np.nan)
-    authority = np.full((n, m), np.nan)
-    if count:
-        at_bounds = np.mean(np.abs(space.point_of(observed.command)) > AT_A_BOUND, axis=0)
-        slopes = step_map.jacobian(observed.state, observed.command)[..., n:]
-        known = slopes[np.isfinite(slopes).all(axis=(1, 2))]
-        if len(known):
-            authority = np.abs(np.median(known, axis=0)) * space.command_scale / space.state_scale[:, None]
-    basis = _basis(observed)
+    n, authority, basis = len(observed.space.state), _authority(observed, step_map), _basis(observed)
     if basis is None or observed.history is None:
         unknown = np.full(n, np.nan)
-        return Diagnosis(count, dict.fromkeys(HISTORY, unknown), unknown, at_bounds, authority)
-    previous_error = observed.history[:, :n]
-    previous_step = observed.history[:, : 2 * n + m]
-    gains = {
-        name: np.array([_gain(basis, inputs, values) for values in observed.error.T])
-        for name, inputs in zip(HISTORY, (previous_error, previous_step), strict=True)
-    }
-    noise_ratio = np.array([_noise_ratio(observed, basis, values) for values in observed.error.T])
-    return Diagnosis(count, gains, noise_ratio, at_bounds, authority)
+        return Diagnosis(len(observed), dict.fromkeys(HISTORY, unknown), unknown, authority)
+    plain = fit_linear(basis, observed.error)
+    gains = {}
+    for name in HISTORY:
+        inputs = HistoryInputs(name).of(observed.history, n)
+        gains[name] = _gains(plain, fit_linear(np.hstack([basis, inputs]), observed.error))
+    noise_ratio = np.array([_noise_ratio(_scaled(observed), residual) for residual in plain.residual.T])
+    return Diagnosis(len(observed), gains, noise_ratio, authority)
+
+
+def part_at_bounds(observed: Observations) -> Array:
+    """Part of the steps at which each command was at one of its bounds; NaN without steps; shape (m,)."""
+    if not len(observed):
+        return np.full(len(observed.space.command), np.nan)
+    return np.mean(np.abs(observed.space.point_of(observed.command)) > AT_A_BOUND, axis=0)
+
+
+def _authority(observed: Observations, step_map: StepMap) -> Array:
+    """As in `Diagnosis`: from the median of the slopes at the steps."""
+    space, n = observed.space, len(observed.space.state)
+    slopes = step_map.jacobian(observed.state, observed.command)[..., n:]
+    known = slopes[np.isfinite(slopes).all(axis=(1, 2))]
+    if not len(known):
+        return np.full((n, len(space.command)), np.nan)
+    return np.abs(np.median(known, axis=0)) * space.command_scale / space.state_scale[:, None]
 
 
 def _scaled(observed: Observations) -> Array:
@@ -111,43 +118,30 @@ def _basis(observed: Observations) -> Array | None:
     return None
 
 
-def _gain(basis: Array, inputs: Array, values: Array) -> float:
-    """Part by which further columns reduce the leave-one-out error; 0 if an F test does not confirm them."""
-    inputs = inputs[:, inputs.std(axis=0) > 0]
-    whole = np.hstack([basis, inputs])
-    without, alone = _regression(basis, values)
-    with_inputs, more = _regression(whole, values)
-    free = len(values) - np.linalg.matrix_rank(whole)
-    added = np.linalg.matrix_rank(whole) - np.linalg.matrix_rank(basis)
-    if added == 0 or without @ without == 0:
-        return 0.0
-    statistic = (without @ without - with_inputs @ with_inputs) / added / max(with_inputs @ with_inputs / free, 1e-300)
-    if f.sf(statistic, added, free) > CONFIDENT:
-        return 0.0
-    return max(0.0, float(1 - np.sqrt(np.mean(more**2) / np.mean(alone**2))))
+def _gains(plain: LinearFit, more: LinearFit) -> Array:
+    """Part by which further columns reduce the leave-one-out error; 0 where an F test does not confirm them; (n,)."""
+    before, after = np.sum(plain.residual**2, axis=0), np.sum(more.residual**2, axis=0)
+    added, free = more.rank - plain.rank, len(plain.residual) - more.rank
+    if added == 0:
+        return np.zeros(len(before))
+    statistic = (before - after) / added / np.maximum(after / free, 1e-300)
+    errors = np.sqrt(np.mean(more.left_out**2, axis=0)), np.sqrt(np.mean(plain.left_out**2, axis=0))
+    reduced = 1 - np.divide(*errors, out=np.ones(len(before)), where=errors[1] > 0)
+    return np.where(f.sf(statistic, added, free) > CONFIDENT, 0.0, np.maximum(reduced, 0.0))
 
 
-def _regression(basis: Array, values: Array) -> tuple[Array, Array]:
-    """Residuals of a regression, and those of each value predicted from all others (Allen's PRESS)."""
-    left, singular, _ = np.linalg.svd(basis, full_matrices=False)
-    left = left[:, singular > 1e-10 * singular[0]]
-    residual = values - left @ (left.T @ values)
-    leverage = np.minimum(np.sum(left**2, axis=1), 1 - 1e-9)
-    return residual, residual / (1 - leverage)
-
-
-def _noise_ratio(observed: Observations, basis: Array, values: Array) -> float:
+def _noise_ratio(points: Array, residual: Array) -> float:
     """How much the unexplained error varies with state and command; 1 if a test does not confirm that it does."""
-    residual, _ = _regression(basis, values)
-    squares, linear = residual**2, monomials(_scaled(observed), 1)
+    squares = residual**2
     total = np.sum((squares - squares.mean()) ** 2)
     if total == 0:
         return 1.0
-    unexplained, _ = _regression(linear, squares)
-    predicted = squares - unexplained
+    found = fit_linear(monomials(points, 1), squares[:, None])
+    unexplained = found.residual[:, 0]
     statistic = len(squares) * (1 - unexplained @ unexplained / total)
-    if chi2.sf(statistic, np.linalg.matrix_rank(linear) - 1) > CONFIDENT:
+    if chi2.sf(statistic, found.rank - 1) > CONFIDENT:
         return 1.0
+    predicted = squares - unexplained
     low, high = np.quantile(predicted, [1 / 3, 2 / 3])
     large, small = squares[predicted >= high].mean(), squares[predicted <= low].mean()
     return float(np.sqrt(large / small)) if small > 0 else np.inf

@@ -1,1 +1,3 @@
-"""Plants, which execute steps: the model itself (`ModelPlant`) or the 1 kHz loop on a rig (`RigPlant`)."""
+"""Plants, which execute steps: the model itself (`ModelPlant`) the 1 kHz loop on a rig
+(`RigPlant`, `RealtimePlant`), or another program (`ProcessPlant`).
+"""

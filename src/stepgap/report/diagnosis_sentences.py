@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from stepgap.experiment.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose
-from stepgap.learning.observations import observe
+from stepgap.experiment.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
+from stepgap.learning.observations import Observations, observe
 from stepgap.learning.step_log import StepLog
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.sentences import decimal
-from stepgap.step import Array, StepMap, StepSpace
+from stepgap.step import StepMap, StepSpace
 
 WORTH_MENTION = 1.25
 """Smallest ratio of noises that is worth a sentence."""
@@ -28,18 +28,19 @@ def diagnosis_sentences(record: RunRecord, nominal: StepMap | Missing) -> list[s
         return [f"Not available: {nominal.reason}."]
     first, last = record.steps.iterations[0], record.steps.iterations[-1]
     steps, space = record.steps.of_iteration(first), record.space
-    found = diagnose(observe(steps, nominal), nominal)
+    observed = observe(steps, nominal)
+    found = diagnose(observed, nominal)
     if not found.known:
         counted = f"Deployment {first} has {found.steps} steps with a known error"
         return [f"{counted}, too few to diagnose memory and noise.", *_authority(found, space, steps)]
-    at_bounds = {first: found.at_bounds}
+    deployments = {first: observed}
     if last != first:
-        at_bounds[last] = diagnose(observe(record.steps.of_iteration(last), nominal), nominal).at_bounds
+        deployments[last] = observe(record.steps.of_iteration(last), nominal)
     return [
         *_memory(found, space, first),
         *_noise(found, space),
         *_authority(found, space, steps),
-        *(sentence for number, parts in at_bounds.items() for sentence in _bounds(space, number, parts)),
+        *(sentence for number, each in deployments.items() for sentence in _bounds(number, each)),
     ]
 
 
@@ -91,11 +92,11 @@ def _authority(found: Diagnosis, space: StepSpace, steps: StepLog) -> list[str]:
     return ["Within their bounds the commands move the state in one step by more than the targets change."]
 
 
-def _bounds(space: StepSpace, number: int, parts: Array) -> list[str]:
+def _bounds(number: int, observed: Observations) -> list[str]:
     """Commands that were often at their bounds in a deployment."""
     return [
         f"{quantity.name} was at a bound in {100 * part:.0f} % of the steps of deployment {number}: its bounds may be "
         "too narrow for these targets, or the drives deliver less than is commanded."
-        for quantity, part in zip(space.command, parts, strict=True)
+        for quantity, part in zip(observed.space.command, part_at_bounds(observed), strict=True)
         if part > OFTEN
     ]

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import IO, Self, final
+from typing import IO, final
 
 from stepgap.plants.process.messages import ProcessFault
 
@@ -24,7 +24,7 @@ CONNECTING = 5.0
 
 
 class LineChannel(ABC):
-    """A program that is connected, as a context manager.
+    """A program that is connected.
 
     A thread reads its lines, so that waiting for one can have a timeout on every system.
     """
@@ -35,12 +35,10 @@ class LineChannel(ABC):
         self._thread.start()
 
     def _read(self, reader: IO[bytes]) -> None:
-        try:
+        with contextlib.suppress(OSError, ValueError):  # closed while reading
             while (line := reader.readline(LONGEST_LINE + 1)) and not self._flooded:
                 self._lines.put(line)
                 self._flooded = self._lines.qsize() > MOST_WAITING
-        except (OSError, ValueError):  # closed while reading
-            pass
         self._lines.put(None)
 
     def send(self, line: str) -> None:
@@ -183,6 +181,3 @@ class Connection(LineChannel):
         self._thread.join(patience)
         self._reader.close()
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self

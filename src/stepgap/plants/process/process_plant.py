@@ -1,6 +1,7 @@
 """A plant whose steps another program executes."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import final
 
@@ -117,9 +118,8 @@ class ProcessPlant(Plant):
             return
         channel, self._channel = self._channel, None
         try:
-            channel.send(STOP)
-        except ProcessFault:
-            pass  # it has ended already
+            with suppress(ProcessFault):  # it has ended already
+                channel.send(STOP)
         finally:
             channel.close(self._timeouts.stop)
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.base.errors import StepGapError
+from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import observe
-from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.step_log import StepLog
 from stepgap.robots.nominal_maps.affine_map import AffineMap
@@ -20,27 +20,26 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace
 class LogMap(StepMap):
     """A regression of the next state in state and command; made by `fit_log_map`. No step fails on it.
 
+    It is a nominal map, so it has no standard deviation, and may be corrected.
+
     Attributes:
-        middle: The middle of the range of use as the next state, whatever state and command are.
-        regression: Model of the next state minus this middle.
+        fitted: A constant map, corrected by the regression.
     """
 
-    middle: AffineMap
-    regression: Residual
+    fitted: CorrectedMap
 
     @property
     def space(self) -> StepSpace:
         """Names, units and ranges."""
-        return self.middle.space
+        return self.fitted.space
 
     def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
         """Next states, and status codes OK, or INVALID where a number is not finite."""
-        next_state, status = self.middle.evaluate(state, command)
-        return Outcome(next_state + self.regression.mean(join_points(state, command)), status)
+        return self.fitted.evaluate(state, command)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a number is not finite."""
-        return self.middle.jacobian(state, command) + self.regression.mean_gradient(join_points(state, command))
+        return self.fitted.jacobian(state, command)
 
 
 def fit_log_map(log: StepLog, kind: str = "linear") -> LogMap:
@@ -61,4 +60,4 @@ def fit_log_map(log: StepLog, kind: str = "linear") -> LogMap:
     if len(log.completed()) < n + m + 2:
         raise StepGapError(f"{len(log.completed())} completed steps, but a map needs at least {n + m + 2}")
     flat = AffineMap(space, space.state_centre, space.command_centre, space.state_centre, np.zeros((n, n + m)))
-    return LogMap(flat, fit_residual(kind, observe(log, flat)))
+    return LogMap(CorrectedMap(flat, fit_residual(kind, observe(log, flat))))

@@ -20,6 +20,7 @@ from scipy.spatial import KDTree
 from scipy.stats import qmc
 
 from stepgap.base.errors import StepGapError
+from stepgap.learning.linear_regression import fit_linear
 from stepgap.learning.residual import join_points
 from stepgap.step import Array, Codes, Outcome, StepMap, StepSpace, StepStatus
 
@@ -39,7 +40,7 @@ GOOD_ENOUGH = 1e-3
 """Error in half ranges of the state below which no further samples are taken."""
 
 NEIGHBOURS = 3
-"""A step fails if most of so many sampled steps next to it failed (classification by nearest neighbours)."""
+"""Number of nearest sampled steps; a step fails if most of these failed (classification by nearest neighbours)."""
 
 MISJUDGED = 0.05
 """Samples are added as long as a larger part of them would be judged wrongly by their neighbours."""
@@ -232,12 +233,9 @@ def _fitted(space: StepSpace, centre: Array, scale: Array, samples: Samples) -> 
         basis = products(points, degree)
         if len(points) < 2 * basis.shape[1]:
             break
-        q, r = np.linalg.qr(basis)
-        weights = np.linalg.solve(r, q.T @ next_state)
-        # The residual of a value that is left out is residual / (1 − leverage) (Allen's PRESS).
-        left_out = (next_state - basis @ weights) / (1 - np.sum(q**2, axis=1))[:, None]
-        error = np.sqrt(np.mean(left_out**2, axis=0))
-        fits.append((float(np.linalg.norm(error / space.state_scale)), degree, weights, error))
+        found = fit_linear(basis, next_state)
+        error = np.sqrt(np.mean(found.left_out**2, axis=0))
+        fits.append((float(np.linalg.norm(error / space.state_scale)), degree, found.weights, error))
     if not fits:
         raise StepGapError(
             f"only {len(points)} of {len(good)} simulated steps ended with a next state; check the ranges of states "
