@@ -72,7 +72,7 @@ SEEDS = range(100, 102)
 DIVERGED = 10.0
 """Scaled difference of a robot that falls."""
 
-EVALUATIONS = 10
+EVALUATIONS = 25
 """Number of twins that are tried for one member."""
 
 LOWEST = np.array([-shares.highest if shares.signed else shares.lowest for shares in DRAWN.values()])
@@ -187,10 +187,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--digitised", type=Path, required=True, help="Fig. 4 of the paper, read off its plot")
     parser.add_argument("--members", type=int, default=12)
+    parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, required=True, help="JSON file for the result")
     options = parser.parse_args()
     stairs = hardware_stairs(options.digitised)
-    with ProcessPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(options.processes) as pool:
         at_preset, jacobian = slopes(stairs, pool.map)
         fits = list(pool.map(partial(fit_member, stairs=stairs, jacobian=jacobian), range(options.members)))
         kept = [(member, shares, cost) for member, (shares, cost) in enumerate(fits) if cost <= np.mean(at_preset**2)]
