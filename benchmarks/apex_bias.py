@@ -17,15 +17,16 @@ from stepgap.experiment.plants import choose_plants
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.records.steps_csv import read_step_log
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 
 def measure(gap: RealityGap, seed: int) -> str:
     """One row of the table."""
-    settings = Experiment(seed=seed, gap=gap, learning=LearningSettings(iterations=1))
-    nominal, reference = ApexMap(settings.robot, settings.gains, settings.command), paper_reference()
+    robot = Hopper(gap=gap)
+    settings = Experiment(robot, seed, learning=LearningSettings(iterations=1))
+    nominal, reference = robot.apex_map(), paper_reference()
     with tempfile.TemporaryDirectory() as name:
         plants = choose_plants(settings, reference, False, Path(name))
         last = run_experiment(nominal, plants.make, reference, settings.learning, Path(name), seed)[-1]

@@ -17,16 +17,14 @@ from threadpoolctl import threadpool_limits
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.noise_floor import repeated
-from stepgap.experiment.plants import plant_on, replay_rig
+from stepgap.experiment.loop import deployment_generator
+from stepgap.experiment.nominal import load_nominal
+from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import StepLog
-from stepgap.plants.plant import Plant
-from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.plant import Plant, RepeatablePlant
 from stepgap.records.steps_csv import read_step_log, row_of
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepRecord, StepSpace
 
 REPEATS = 8
@@ -38,15 +36,14 @@ class Repeating(Plant):
 
     Args:
         plant: Plant of the twin.
-        twin: The twin in `plant`.
         rng: Draws the copies' noise.
 
     Attributes:
         variances: Variances of the next states of the copies, step by step; shapes (n,).
     """
 
-    def __init__(self, plant: RigPlant, twin: Twin, rng: np.random.Generator):
-        self._plant, self._twin, self._rng = plant, twin, rng
+    def __init__(self, plant: RepeatablePlant, rng: np.random.Generator):
+        self._plant, self._rng = plant, rng
         self.variances: list[Array] = []
 
     @property
@@ -60,7 +57,7 @@ class Repeating(Plant):
 
     def take_step(self, command: Array) -> StepRecord:
         """Takes the step in `REPEATS` copies, then in the plant itself."""
-        ends = [repeated(self._plant, self._twin, command, self._rng) for _ in range(REPEATS)]
+        ends = [self._plant.repeated(command, self._rng) for _ in range(REPEATS)]
         self.variances.append(np.var(ends, axis=0, ddof=1))
         return self._plant.take_step(command)
 
@@ -76,12 +73,14 @@ def floor(folder: Path) -> tuple[int, Array, Array]:
         ValueError: The simulated steps are not the recorded ones.
     """
     settings = read_experiment(folder / "experiment.toml")
-    nominal, reference = ApexMap(settings.robot, settings.gains, settings.command), paper_reference()
+    nominal, reference = load_nominal(settings).map, paper_reference()
     recorded = read_step_log(folder / "steps.csv", nominal.space)
     last = recorded.iterations[-1]
     before = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < last))
-    rig, twin = replay_rig(settings, last)
-    plant = Repeating(plant_on(settings, rig), twin, random_stream(settings.seed, last, 2))
+    repeatable = simulation_of(settings).repeatable_plant(deployment_generator(settings.seed, last))
+    if repeatable is None:
+        raise ValueError(f"{folder}: plant '{settings.plant}' cannot repeat a step")
+    plant = Repeating(repeatable, random_stream(settings.seed, last, 2))
     with threadpool_limits(limits=1, user_api="blas"):  # as in a run, otherwise the last digits differ
         learner = Learner.start(nominal, before, settings.learning, last)
         with closing(deploy(learner, plant, reference, last)) as steps:

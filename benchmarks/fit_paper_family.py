@@ -51,8 +51,8 @@ from stepgap.experiment.settings import METHODS, Experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.steps_csv import read_step_log
-from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.family import DRAWN, NOT_IN_PRESET, gap_of_shares, random_shares
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array
@@ -160,8 +160,9 @@ def quality(gap: RealityGap, bounds: CommandBounds, seeds: range, stairs: Array)
     rows: list[dict[str, Any]] = []
     for seed in seeds:
         learning, control = METHODS["paper"]
-        settings = Experiment(seed=seed, learning=learning, control=control, gap=gap, command=bounds)
-        nominal, reference = ApexMap(settings.robot, settings.gains, settings.command), paper_reference()
+        robot = Hopper(gap=gap, command=bounds)
+        settings = Experiment(robot, seed, learning=learning, control=control)
+        nominal, reference = robot.apex_map(), paper_reference()
         with tempfile.TemporaryDirectory() as name:
             plants = choose_plants(settings, reference, False, Path(name))
             done = run_experiment(nominal, plants.make, reference, learning, Path(name), seed, control=control)

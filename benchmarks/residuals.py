@@ -11,7 +11,8 @@ from typing import cast
 
 import numpy as np
 
-from stepgap import ApexMap
+from stepgap import StepMap
+from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.entry_points import residual_models
 from stepgap.learning.learner import Learner
@@ -21,7 +22,7 @@ from stepgap.records.steps_csv import read_step_log
 from stepgap.step import Array
 
 
-def scores(nominal: ApexMap, learning: LearningSettings, log: StepLog, iteration: int) -> tuple[str, Array, float]:
+def scores(nominal: StepMap, learning: LearningSettings, log: StepLog, iteration: int) -> tuple[str, Array, float]:
     """Name of the fitted residual, its RMSE on a deployment (n,), and its mean log density summed over the state."""
     before = StepLog(log.space, (logged for logged in log if logged.iteration < iteration))
     errors, std = [], []
@@ -47,7 +48,7 @@ def main() -> None:
     print("run, redeployment, residual: RMSE of each coordinate, log score")
     for run in options.runs:
         settings = read_experiment(run / "experiment.toml")
-        nominal = ApexMap(settings.robot, settings.gains, settings.command)
+        nominal = load_nominal(settings).map
         log = read_step_log(run / "steps.csv", nominal.space)
         for number in log.iterations[1:]:
             for kind in kinds:

@@ -23,17 +23,16 @@ from stepgap.control.reference import paper_reference
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loop import run_experiment
-from stepgap.experiment.noise_floor import repeated
 from stepgap.experiment.plants import choose_plants
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
-from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.run_folder import read_run_folder
 from stepgap.report.sentences import headline
 from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.simulation import TwinPlant
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 
@@ -43,10 +42,9 @@ REPEATS = 12
 
 def measure(limit: float, seed: int, iterations: int) -> str:
     """One row: the last deployment of a run with this torque limit [N·m]."""
-    settings = Experiment(
-        seed=seed, gap=RealityGap(torque_limit=limit), learning=LearningSettings(iterations=iterations)
-    )
-    nominal, reference = ApexMap(settings.robot, settings.gains, settings.command), paper_reference()
+    robot = Hopper(gap=RealityGap(torque_limit=limit))
+    settings = Experiment(robot, seed, learning=LearningSettings(iterations=iterations))
+    nominal, reference = robot.apex_map(), paper_reference()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         plants = choose_plants(settings, reference, False, folder)
@@ -78,7 +76,7 @@ def compare_requests(limit: float, seed: int) -> None:
     nominal, reference, gap = ApexMap(), paper_reference(), RealityGap(torque_limit=limit)
     rng = random_stream(seed, 99)
     twin = Twin(nominal.robot, gap, random_stream(seed, 0))
-    plant = RigPlant(twin, HopperControl(nominal.robot, nominal.gains, nominal.bounds))
+    plant = TwinPlant(twin, Hopper(gap=gap))
     learner = Learner.start(nominal, StepLog(nominal.space), LearningSettings(), 0)
     print(f"limit {limit:g} N·m: request, removed [N]; mean next state minus that after the full request [mm/s, mm]")
     with closing(deploy(learner, plant, reference, 0)) as steps:
@@ -89,7 +87,7 @@ def compare_requests(limit: float, seed: int) -> None:
             requests = {"full": full, "what was applied": logged.record.applied, "none": np.zeros(2)}
             first = None
             for name, request in requests.items():
-                found = [repeated(plant, twin, request, rng) for _ in range(REPEATS)]
+                found = [plant.repeated(request, rng) for _ in range(REPEATS)]
                 mean = np.mean(found, axis=0)
                 first = mean if first is None else first
                 error = np.std(found, axis=0, ddof=1) / np.sqrt(REPEATS)

@@ -3,6 +3,7 @@ import os
 import re
 import signal
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult
 from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats, leave_out_report
+from tests.robots.plug_in import install
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
 settings.load_profile("no deadline")
@@ -108,3 +110,15 @@ def stepgap(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pyte
         return CommandResult(code, str(out), str(err))
 
     return run
+
+
+@pytest.fixture(scope="session")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The package with the robots of the documentation, on the search path."""
+    folder = tmp_path_factory.mktemp("package")
+    install(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        for name in ("ball_robot", "spring_hopper"):
+            patch.delitem(sys.modules, name, raising=False)
+        yield folder

@@ -5,14 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.plants.plant import Plant
 from stepgap.records.summary import NoiseFloor
 from stepgap.report import WrittenReport, drawing
 
 
 def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
     """Replaces the measurement of the noise floor, which takes as long as a deployment."""
-    floor = NoiseFloor(np.array([0.01, 0.01]), np.array([0.01, 0.01]))
-    patch.setattr("stepgap.experiment.plants.measure_noise_floor", lambda *_: floor)
+
+    def measure_noise_floor(plant: Plant, *_: object) -> NoiseFloor:
+        floor = np.full(len(plant.space.state), 0.01)
+        return NoiseFloor(floor, floor)
+
+    patch.setattr("stepgap.experiment.plants.measure_noise_floor", measure_noise_floor)
 
 
 def leave_out_report(patch: pytest.MonkeyPatch) -> None:

@@ -93,6 +93,7 @@ def test_settings_are_read(page, block, tmp_path):
     assert READERS.get(page.name, lambda file: read_toml(file, "settings"))(file)
 
 
+@pytest.mark.usefixtures("package")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_are_understood(command):
     """Verb, options and settings of a whole command line; the files that it names need not be there."""

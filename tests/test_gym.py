@@ -14,10 +14,11 @@ from gymnasium.wrappers import RescaleObservation
 
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
-from stepgap.gym import LARGEST_COST, STEP_ID, StepEnv, hopper_env
+from stepgap.gym import LARGEST_COST, STEP_ID, StepEnv, robot_env
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import Gains
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.step import Array
 
@@ -170,16 +171,25 @@ def test_a_reset_takes_another_reference_once() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"plant": "tiwn"}, "plant = 'tiwn', but it must be 'twin' or 'model'; did you mean 'twin'?"),
-        ({"gap": "papers"}, "gap = 'papers', but it must be a RealityGap, or 'paper' or 'none'; did you mean 'paper'?"),
-        ({"plant": "model", "noise": (0.1,)}, "noise = (0.1,), but it must be two numbers"),
-        ({"plant": "model", "noise": (-0.1, 0.0)}, "noise = (-0.1, 0.0), but it must be two numbers"),
+        (
+            {"plant": "tiwn"},
+            "plant = 'tiwn', but it must be 'twin' or 'emulated-ring' or 'model'; did you mean 'twin'?",
+        ),
+        ({"robot": "hoper"}, "robot 'hoper': unknown; did you mean hopper?"),
+        (
+            {"plant": "model", "noise": (0.1,)},
+            "noise = (0.1,), but it must be numbers that are not negative, for speed",
+        ),
+        (
+            {"plant": "model", "noise": (-0.1, 0.0)},
+            "noise = (-0.1, 0.0), but it must be numbers that are not negative, for speed",
+        ),
         ({"reference": Reference(("height", "speed"), np.zeros((1, 2)))}, "the reference is for height,speed"),
     ],
 )
 def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError) as error:  # noqa: PT011  (its message is compared below)
-        hopper_env(**wrong)
+        robot_env(**wrong)
     assert message in str(error.value)
 
 
@@ -192,8 +202,8 @@ def test_gaps_make_a_difference() -> None:
             env.close()
             env.close()
 
-    none = first_state(gap="none")
-    np.testing.assert_array_equal(none, first_state(gap=RealityGap.none()))
+    none = first_state(robot=Hopper(gap=RealityGap.none()))
+    np.testing.assert_array_equal(first_state(robot="hopper"), first_state())
     assert not np.array_equal(none, first_state())
 
 

@@ -1,13 +1,13 @@
 """Steps as a Gymnasium environment: one action is one step, an episode is one deployment.
 
-Importing this module registers `stepgap/Step-v0`, the hopper. `StepEnv` itself does not depend on a robot.
+Importing this module registers `stepgap/Step-v0`, which takes any robot by its name.
 """
 
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import partial
-from math import isfinite, tau
-from typing import Any, Literal
+from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -19,20 +19,19 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from stepgap.control.reference import Reference, paper_reference
-from stepgap.experiment.settings import PRESETS
+from stepgap.control.reference import Reference
+from stepgap.experiment.nominal import load_nominal
+from stepgap.experiment.settings import Experiment, load_reference
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
-from stepgap.plants.rig_plant import RigPlant
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.entry_points import load_robot
+from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepStatus
 
 STEP_ID = "stepgap/Step-v0"
-"""Name of the hopper for `gymnasium.make`."""
+"""Name of the environment for `gymnasium.make`, by default that of the hopper."""
+MODEL = "model"
+"""Plant that is the nominal map with noise."""
 OBSERVATION_LIMIT = 10.0
 """Distance from the middle of the range at which observations are clipped [half ranges]."""
 LARGEST_COST = 10.0
@@ -134,47 +133,45 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         return np.clip(np.concatenate([self._state, target]), box.low, box.high)
 
 
-def hopper_env(
-    plant: Literal["twin", "model"] = "twin",
-    gap: str | RealityGap = "paper",
-    noise: Sequence[float] = (0.005, 0.002),
+def robot_env(
+    robot: str | Robot = "hopper",
+    plant: str = "",
+    noise: Sequence[float] | None = None,
     reference: Reference | None = None,
-    robot: RobotParameters = RobotParameters(),  # noqa: B008  (frozen)
-    gains: Gains = Gains(),  # noqa: B008  (frozen)
-    bounds: CommandBounds = CommandBounds(),  # noqa: B008  (frozen)
 ) -> StepEnv:
-    """Makes the environment of the hopper; `gymnasium.make("stepgap/Step-v0", …)` calls it.
+    """Makes the environment of a robot; `gymnasium.make("stepgap/Step-v0", …)` calls it.
 
     Args:
-        plant: `twin` is the MuJoCo twin behind the 1 kHz loop, on a different floor in every episode; `model` is the
-            physics model with noise, about a hundred times as fast.
-        gap: Differences of the twin from the model: a `RealityGap`, or a preset, `paper` or `none`.
-        noise: Standard deviation of the noise added to every next state of `model`; shape (2,) [m/s, m].
-        reference: Reference to track; None for the paper's.
-        robot: Robot of the physics model.
-        gains: Gains of the joint controller.
-        bounds: Range of the command.
+        robot: Name of a robot, or a robot with its settings, such as `Hopper(gap=RealityGap.none())`.
+        plant: Name of a simulated plant of the robot, in another world in every episode; empty for its first one. Or
+            `model`, its nominal map with noise, which is much faster.
+        noise: Standard deviation of the noise added to every next state of `model`; shape (n,) [state units]. None
+            for a hundredth of the ranges of use.
+        reference: Reference to track; None for the robot's first one.
 
     Raises:
         ValueError: An argument is wrong.
     """
-    nominal, reference = ApexMap(robot, gains, bounds), reference or paper_reference()
-    if plant == "model":
-        std = np.asarray(noise, float)
-        if std.shape != (2,) or not (np.isfinite(std) & (std >= 0)).all():
-            raise ValueError(f"noise = {noise}, but it must be two numbers that are not negative [m/s, m]")
+    chosen = load_robot(robot) if isinstance(robot, str) else robot
+    settings = Experiment(chosen, plant="" if plant == MODEL else plant)
+    nominal = load_nominal(settings).map
+    reference = reference or load_reference(settings, chosen.space)
+    if plant == MODEL:
+        std = 0.02 * chosen.space.state_scale if noise is None else np.asarray(noise, float)
+        if std.shape != chosen.space.state_scale.shape or not (np.isfinite(std) & (std >= 0)).all():
+            names = ", ".join(f"{quantity.name} [{quantity.unit}]" for quantity in chosen.space.state)
+            raise ValueError(f"noise = {noise}, but it must be numbers that are not negative, for {names}")
         return StepEnv(partial(ModelPlant, nominal, reference.targets[0], std), nominal, reference)
-    if plant != "twin":
-        raise ValueError(f"plant = {plant!r}, but it must be {_one_of(plant, ('twin', 'model'))}")
-    if isinstance(gap, str):
-        if gap not in PRESETS:
-            raise ValueError(f"gap = {gap!r}, but it must be a RealityGap, or {_one_of(gap, tuple(PRESETS))}")
-        gap = PRESETS[gap]()
+    simulations = chosen.simulations()
+    if settings.plant not in simulations:
+        known = (*simulations, MODEL)
+        raise ValueError(f"plant = {settings.plant!r}, but it must be {_one_of(settings.plant, known)}")
+    make = simulations[settings.plant]
 
     def make_plant(rng: np.random.Generator) -> Plant:
-        return RigPlant(Twin(robot, gap, rng, floor_yaw=rng.uniform(0, tau)), HopperControl(robot, gains, bounds))
+        return make(rng).plant(rng)
 
-    make_plant(np.random.default_rng(0))  # reports errors of the twin now
+    make_plant(np.random.default_rng(0))  # reports errors of the simulation now
     return StepEnv(make_plant, nominal, reference)
 
 
@@ -194,4 +191,4 @@ def _one_of(given: object, known: tuple[str, ...]) -> str:
     return " or ".join(map(repr, known)) + (f"; did you mean {close[0]!r}?" if close else "")
 
 
-gymnasium.register(STEP_ID, entry_point="stepgap.gym:hopper_env")
+gymnasium.register(STEP_ID, entry_point="stepgap.gym:robot_env")

@@ -8,13 +8,14 @@ import pytest
 from stepgap.bench.run import LOADING, PARTS, RecordedTwin, Sampler, bench_run, describe_run
 from stepgap.experiment.settings import read_experiment
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.robot import Hopper, as_hopper
 
 
 def hop(settings):
     """Some seconds of hopping."""
-    twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(1))
-    with RigPlant(twin, HopperControl(settings.robot, settings.gains, settings.command)) as plant:
+    hopper = as_hopper(settings.robot, "")
+    twin = RecordedTwin(hopper.parameters, hopper.gap, np.random.default_rng(1))
+    with RigPlant(twin, hopper.control()) as plant:
         plant.start()
         for _ in range(20):
             plant.take_step(np.array([-7.0, -6.0]))
@@ -34,9 +35,9 @@ def test_the_parts_add_up_and_hopping_is_hopping():
 
 
 def test_bare_physics_moves_the_robot_as_the_recorded_ticks_did():
-    settings = read_experiment(None, [])
-    twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(1))
-    with RigPlant(twin, HopperControl(settings.robot, settings.gains, settings.command), twin.keep, 1) as plant:
+    hopper = Hopper()
+    twin = RecordedTwin(hopper.parameters, hopper.gap, np.random.default_rng(1))
+    with RigPlant(twin, hopper.control(), twin.keep, 1) as plant:
         plant.start()
         twin.record()
         plant.take_step(np.array([-7.0, -6.0]))

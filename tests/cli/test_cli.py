@@ -117,7 +117,7 @@ def test_the_report_is_regenerated(finished: Path, stepgap: Command) -> None:
 
 def test_the_gait_and_its_picture(stepgap: Command) -> None:
     for name in ("gait.png", "gait_2.png"):
-        result = stepgap("gait", "--speed", "0.1")
+        result = stepgap("gait", "--state", "speed=0.1")
         assert (result.code, result.err) == (0, "")
         assert result.out.endswith(f"\n{name}\n")
         assert Path(name).read_bytes().startswith(b"\x89PNG")
@@ -135,7 +135,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("walk", ['"walk"']),
         ("run --frobnicate", ["--frobnicate"]),
         ("run --sed 3", ["--sed", "--seed"]),
-        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting", "--robot.body_mass"]),
+        ("run --body_mass 3", ["Unknown option: --body_mass. If it is a setting", "--parameters.body_mass"]),
         ("run --port 8080", ["--host, --port: valid only with --view"]),
         ("run --host ::1", ["--host, --port: valid only with --view"]),
         ("run --view --port 65536", ["65536", "--port"]),
@@ -153,10 +153,10 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --gains.stiffness", ["--gains.stiffness: give a value"]),
         ("run --gains.stiffness --quiet", ["--gains.stiffness: give a value"]),
         ("run --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
-        ("run --robot.body_mass -1", ["--robot.body_mass = -1.0, but it must be positive"]),
-        ("run --robot.body_mass 1e6", ["reference paper, step 1: ", "out of reach"]),
+        ("run --parameters.body_mass -1", ["--parameters.body_mass = -1.0, but it must be positive"]),
+        ("run --parameters.body_mass 1e6", ["reference paper, step 1: ", "out of reach"]),
         ("run --command.fx_lower 40", ["--command.fx_lower = 40.0, but it must lie below fx_upper = 30.0"]),
-        ("run --robot.boom_inertia_vertical 0 --robot.boom_inertia_horizontal 0", ["boom_stiffness", "must"]),
+        ("run --parameters.boom_inertia_vertical 0 --parameters.boom_inertia_horizontal 0", ["boom_stiffness", "must"]),
         ("run --reference none.csv", ["none.csv: No such file or directory; reference must be 'paper' or"]),
         ("run --reference far.csv", ["reference far.csv, step 2: speed 3 m/s, height 0.55 m is out of reach"]),
         ("run --reference deep.csv", ["reference deep.csv, step 1: speed 0.1 m/s, height -1 m is out of reach"]),
@@ -184,10 +184,16 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("report none", ["none/steps.csv: no such file"]),
         ("report folder", ["folder/steps.csv: no such file"]),
         ("report folder --gains.stiffness 3", ["--gains.stiffness: this command takes no settings"]),
-        ("gait --speed nan", ["--speed nan --height 0.58: both must be finite numbers"]),
-        ("gait --height inf", ["--speed 0.2 --height inf: both must be finite numbers"]),
-        ("gait --speed fast", ["--speed", "fast"]),
-        ("gait --height -1", ["--speed 0.2 --height -1: no command makes a step from this state"]),
+        (
+            "gait --state speed=nan",
+            ["--state speed=nan: it must be names with finite numbers, such as speed=0.2,height=0.58"],
+        ),
+        (
+            "gait --state pace=1",
+            ["--state pace=1: it must be names with finite numbers, such as speed=0.2,height=0.58"],
+        ),
+        ("gait --state fast", ["--state fast: it must be names"]),
+        ("gait --state height=-1", ["height -1.000000 m: no command makes a step from this state"]),
         ("gait --out file", ["file: exists already; choose another --out"]),
         ("gait --out file/below.png", ["file/below.png: cannot be written: Not a directory; choose another --out"]),
         ("gait --out none/gait.png", ["none/gait.png: cannot be written: No such file or directory"]),
@@ -216,7 +222,7 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, part
     [
         ("[gains]\nstifness = 3\n", ["bad.toml: [gains] stifness: unknown key; did you mean stiffness?"]),
         ("[gains]\nstiffness = 'a\\nb'\n", ["bad.toml: [gains] stiffness = 'a\\\\nb', but it must be a number"]),
-        ("[robot]\ngravity = nan\n", ["bad.toml: [robot] gravity = nan, but it must be finite"]),
+        ("[parameters]\ngravity = nan\n", ["bad.toml: [parameters] gravity = nan, but it must be finite"]),
         ("'a\nb' = 1", ["not TOML"]),
         ('"a\\nb" = 1', ["unknown key"]),
     ],
@@ -390,7 +396,7 @@ def test_debug_shows_where_an_error_arose(stepgap: Command) -> None:
         (["--help"], ["Usage: stepgap COMMAND", "run", "gait", "map", "report", "--TABLE.KEY VALUE"]),
         ([], ["Usage: stepgap COMMAND"]),
         (["run", "--help"], ["--out", "--seed", "--iterations", "--resume", "--quiet", "--reference", "EXPERIMENT"]),
-        (["gait", "--help"], ["--speed", "--height", "[m/s]"]),
+        (["gait", "--help"], ["--state", "speed=0.2,height=0.58"]),
         (["report", "--help"], ["FOLDER"]),
     ],
 )
@@ -413,7 +419,7 @@ def test_the_defaults_in_the_help_are_those_of_the_settings(stepgap: Command) ->
     """Settings have no default on the command line, so the help states their defaults as text."""
     result, defaults = " ".join(re.sub("[│]", " ", stepgap("run", "--help").out).split()), Experiment()
     for option, value in {
-        "--plant STR": defaults.plant,
+        "--plant STR": f"the first simulation; of the hopper: {defaults.plant}",
         "--seed INT": defaults.seed,
         "--iterations INT": defaults.learning.iterations,
         "--explore INT": defaults.learning.exploration,

@@ -75,7 +75,7 @@ def test_a_run_is_judged_against_the_nominal_map(stepgap: Command) -> None:
     assert (result.code, result.err) == (0, "")
     assert "steps       30 of 2 deployments; rows left out: 1 that ended without an apex" in result.out
     assert "state       speed [m/s], height [m]" in result.out
-    assert "nominal     the hopper's apex map with default settings" in result.out
+    assert "nominal     the robot's nominal map with default settings" in result.out
     assert "held out    2 parts of whole deployments, one at a time" in result.out
     speed, height, _ = result.out.splitlines()[-3:]
     assert "nothing to learn" in speed
@@ -98,10 +98,10 @@ def test_settings_are_those_of_the_run(stepgap: Command) -> None:
     write_run(Path("run"), 0.0)
     Path("run/experiment.toml").write_text("[gains]\nstiffness = 2400\n")
     result = stepgap("fit", "run", "--gains.rest_length", "0.28")
-    assert "apex map with the settings of run/experiment.toml, some overridden" in result.out
+    assert "nominal map with the settings of run/experiment.toml, some overridden" in result.out
     assert "nothing to learn" not in result.out.splitlines()[-1]
     write_run(Path("other"), 0.0)
-    refused(stepgap("fit", "run", "other"), "other/steps.csv: recorded with another robot, gains or bounds than run/")
+    refused(stepgap("fit", "run", "other"), "other/steps.csv: recorded with another robot or nominal map than run/")
 
 
 def test_columns_from_a_file(stepgap: Command) -> None:

@@ -24,7 +24,7 @@ def numbers(text: str) -> list[float]:
 
 
 def test_one_step_and_its_derivatives(stepgap: Command) -> None:
-    result = stepgap("map", "--speed", 0.1, "--height", 0.56, "--fx", -3, "--fy", "2.5")
+    result = stepgap("map", "--state", "speed=0.1,height=0.56", "--command", "fx=-3,fy=2.5")
     assert (result.code, result.err) == (0, "")
     first, _, header, *rows = result.out.splitlines()
     apex_map = ApexMap()
@@ -55,8 +55,8 @@ def test_settings_change_the_map(stepgap: Command) -> None:
 
 
 def test_a_failed_step_has_a_reason(stepgap: Command) -> None:
-    result = stepgap("map", "--height", 0.2)
-    refused(result, "--speed 0.2 --height 0.2 --fx 0 --fy 0: ", "(foot_scuffed: ", "choose a higher apex")
+    result = stepgap("map", "--state", "height=0.2")
+    refused(result, "height 0.200000 m, fx 0.000000 N, ", "(foot_scuffed: ", "choose a higher apex")
 
 
 ROWS = "fy, speed,height,fx\n0,0.2,0.58,0\n\n2,0.1,0.2,1\n-1e1,0.3,0.6,0.5\n"
@@ -152,11 +152,11 @@ def test_a_table_that_another_process_completed_is_left_as_it_is(
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        ("map --speed nan", ["--speed nan --height 0.58 --fx 0 --fy 0: all must be finite numbers"]),
-        ("map --fx strong", ["--fx", "strong"]),
+        ("map --state speed=nan", ["--state speed=nan: it must be names with finite numbers"]),
+        ("map --command fx=strong", ["--command fx=strong: it must be names with finite numbers, such as fx=0,fy=0"]),
         ("map --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
         ("map none.toml", ["none.toml: No such file or directory"]),
-        ("map --csv good.csv --speed 0.1", ["--csv and --speed, --height, --fx, --fy: give only one of them"]),
+        ("map --csv good.csv --state speed=0.1", ["--csv and --state, --command: give only one of them"]),
         ("map --csv good.csv --table t.npz", ["--csv and --table: give only one of them"]),
         ("map --out next.csv", ["--out: valid only with --csv"]),
         ("map --points 5", ["--points 5: valid only with --table"]),
@@ -205,5 +205,5 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, part
 def test_help(stepgap: Command) -> None:
     result = stepgap("map", "--help")
     assert (result.code, result.err) == (0, "")
-    for word in ("--csv", "--table", "--points", "[m/s]", "[N]"):
+    for word in ("--csv", "--table", "--points", "speed=0.2,height=0.58", "fx=5,fy=-5"):
         assert word in result.out

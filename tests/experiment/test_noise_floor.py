@@ -7,11 +7,11 @@ import pytest
 
 from stepgap.control.reference import Reference
 from stepgap.experiment.noise_floor import REPEATS, YAWS, _pooled, measure_noise_floor
-from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.summary import NoiseFloor
 from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
+from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.simulation import TwinPlant
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.control.maps import NeverWorks
@@ -23,8 +23,7 @@ SILENT = replace(RealityGap(), torque_noise=0.0, ground_roughness=0.0, ground_sl
 
 def measured(gap: RealityGap, seed: int = 1) -> NoiseFloor:
     twin = Twin(ROBOT, gap, np.random.default_rng(0))
-    plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds()))
-    return measure_noise_floor(plant, twin, NOMINAL, REFERENCE, np.random.default_rng(seed))
+    return measure_noise_floor(TwinPlant(twin, Hopper()), NOMINAL, REFERENCE, np.random.default_rng(seed))
 
 
 def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
@@ -60,6 +59,6 @@ def test_the_noise_floor_is_proportional_to_the_noise() -> None:
 
 def test_a_robot_that_cannot_hop_has_no_noise_floor() -> None:
     twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
-    plant = RigPlant(twin, HopperControl(ROBOT, Gains(), CommandBounds(fy_lower=-200, fy_upper=-190)))
-    found = measure_noise_floor(plant, twin, NeverWorks(), REFERENCE, np.random.default_rng(0))
+    plant = TwinPlant(twin, Hopper(command=CommandBounds(fy_lower=-200, fy_upper=-190)))
+    found = measure_noise_floor(plant, NeverWorks(), REFERENCE, np.random.default_rng(0))
     assert np.isnan([*found]).all()

@@ -10,7 +10,8 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.cli.app import main
-from stepgap.experiment.plants import plant_on, replay_rig
+from stepgap.experiment.loop import deployment_generator
+from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.step_log import LoggedStep
@@ -119,8 +120,8 @@ def test_apexes_agree_with_the_recorded_steps(run_folder: Path, replayed: TickTa
 def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
     (tmp_path / "experiment.toml").write_text("seed = 4\n[gap]\nground_friction = 0.05\n")  # ice
     settings, none = read_experiment(tmp_path / "experiment.toml"), np.zeros(2)
-    rig, _ = replay_rig(settings, 0)
-    with StepWriter(tmp_path / "steps.csv", settings.command.space()) as writer, plant_on(settings, rig) as plant:
+    plant = simulation_of(settings).plant(deployment_generator(settings.seed, 0))
+    with StepWriter(tmp_path / "steps.csv", settings.robot.space) as writer, plant:
         plant.start()
         reason, step = StepStatus.OK, 0
         while reason == StepStatus.OK and step < 20:

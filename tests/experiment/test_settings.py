@@ -14,9 +14,14 @@ from stepgap.control.reference import paper_reference
 from stepgap.experiment.settings import METHODS, Experiment, load_reference, read_experiment, write_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.robots.hopper.parameters import CommandBounds, Gains
+from stepgap.robots.hopper.robot import Hopper, as_hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 SPACE = CommandBounds().space()
+
+
+def hopper_of(experiment: Experiment) -> Hopper:
+    return as_hopper(experiment.robot, "")
 
 
 def test_without_a_file_it_is_the_papers_experiment() -> None:
@@ -28,8 +33,8 @@ def test_without_a_file_it_is_the_papers_experiment() -> None:
     "experiment",
     [
         Experiment(),
-        Experiment(seed=2**63 - 1, gains=Gains(stiffness=2400.1 / 3), gap=RealityGap.none()),
-        Experiment(command=CommandBounds(-1, 1, -2, 2), learning=LearningSettings("none", 0, 0.5)),
+        Experiment(Hopper(gains=Gains(stiffness=2400.1 / 3), gap=RealityGap.none()), seed=2**63 - 1),
+        Experiment(Hopper(command=CommandBounds(-1, 1, -2, 2)), learning=LearningSettings("none", 0, 0.5)),
     ],
 )
 def test_what_is_written_is_read_back(tmp_path: Path, experiment: Experiment) -> None:
@@ -71,9 +76,9 @@ def test_options_override_the_file(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text("seed = 1\n[gains]\nstiffness = 2000\nspeed_gain = 0.3\n")
     overrides = [("gains.stiffness", "2400"), ("gap.boom-arc", "false"), ("learning.residual", "none"), ("seed", "7")]
     experiment = read_experiment(tmp_path / "e.toml", overrides)
-    assert experiment.gains == Gains(stiffness=2400.0, speed_gain=0.3)
-    assert (experiment.gap.boom_arc, experiment.learning.residual, experiment.seed) == (False, "none", 7)
-    assert type(experiment.gains.stiffness) is float
+    assert hopper_of(experiment).gains == Gains(stiffness=2400.0, speed_gain=0.3)
+    assert (hopper_of(experiment).gap.boom_arc, experiment.learning.residual, experiment.seed) == (False, "none", 7)
+    assert type(hopper_of(experiment).gains.stiffness) is float
 
 
 def test_a_method_comes_before_single_keys(tmp_path: Path) -> None:
@@ -104,25 +109,25 @@ def test_a_table_needs_a_map_that_does_not_change() -> None:
 def test_a_preset_of_the_gap_comes_before_single_keys(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text("[gap]\ndelay = 0.002\npreset = 'none'\n")
     experiment = read_experiment(tmp_path / "e.toml", [("gap.torque_scale", "0.9")])
-    assert experiment.gap == replace(RealityGap.none(), delay=0.002, torque_scale=0.9)
-    assert read_experiment(tmp_path / "e.toml", [("gap.preset", "paper")]).gap == RealityGap()
+    assert hopper_of(experiment).gap == replace(RealityGap.none(), delay=0.002, torque_scale=0.9)
+    assert hopper_of(read_experiment(tmp_path / "e.toml", [("gap.preset", "paper")])).gap == RealityGap()
     write_experiment(tmp_path, experiment, paper_reference())
     assert "preset" not in (tmp_path / "experiment.toml").read_text()
-    assert read_experiment(tmp_path / "experiment.toml").gap == experiment.gap
+    assert hopper_of(read_experiment(tmp_path / "experiment.toml")).gap == hopper_of(experiment).gap
 
 
 def test_options_that_are_valid_together_may_have_any_order() -> None:
     both = [("command.fx_lower", "40"), ("command.fx_upper", "50")]
     for overrides in (both, both[::-1]):
-        assert read_experiment(None, overrides).command == CommandBounds(fx_lower=40, fx_upper=50)
-    longer = [("gains.rest_length", "0.5"), ("robot.bottom_length", "0.45"), ("gains.landing_length", "0.4")]
-    assert read_experiment(None, longer).gains.rest_length == 0.5
+        assert hopper_of(read_experiment(None, overrides)).command == CommandBounds(fx_lower=40, fx_upper=50)
+    longer = [("gains.rest_length", "0.5"), ("parameters.bottom_length", "0.45"), ("gains.landing_length", "0.4")]
+    assert hopper_of(read_experiment(None, longer)).gains.rest_length == 0.5
 
 
 WRONG = {
     "sed = 3": "sed: unknown key; did you mean seed?",
-    "body_mass = 3": "body_mass: unknown key; did you mean [robot] body_mass?",
-    "body_mas = 3": "body_mas: unknown key; did you mean [robot] body_mass?",
+    "body_mass = 3": "body_mass: unknown key; did you mean [parameters] body_mass?",
+    "body_mas = 3": "body_mas: unknown key; did you mean [parameters] body_mass?",
     "[gain]\nstiffness = 3": "gain: unknown key; did you mean gains?",
     "[gains]\nstifness = 3": "[gains] stifness: unknown key; did you mean stiffness?",
     "[gains]\nx = 3": "[gains] x: unknown key; the keys here are stiffness, rest_length",
@@ -154,12 +159,14 @@ WRONG = {
     "[gap]\npreset = [1]": "[gap] preset = [1], but it must be 'paper' or 'none'",
     "[gap]\npreste = 'none'": "[gap] preste: unknown key; did you mean preset?",
     "[gap]\nground_friction = -1": "[gap] ground_friction = -1.0, but it must be positive",
-    "[robot]\nbody_mass = -1": "[robot] body_mass = -1.0, but it must be positive",
-    "[robot]\nbottom_length = 0.1": "[robot] bottom_length = 0.1, but it must exceed top_length = 0.11",
+    "[parameters]\nbody_mass = -1": "[parameters] body_mass = -1.0, but it must be positive",
+    "[parameters]\nbottom_length = 0.1": "[parameters] bottom_length = 0.1, but it must exceed top_length = 0.11",
     "[gains]\nlanding_length = 0.5": "[gains] landing_length = 0.5, but it must lie between 0.09 (leg folded)",
     "[gains]\nrest_length = 0.05": "[gains] rest_length = 0.05, but it must lie between",
     "[command]\nfx_lower = 40": "[command] fx_lower = 40.0, but it must lie below fx_upper = 30.0",
     "reference = 5": "reference = 5, but it must be a string",
+    "[robot]\nbody_mass = 3": "robot: this table is called [parameters] now; robot = 'hopper' names the robot",
+    "robot = 3": "robot = 3, but it must be one of hopper",
     "seed = ": "not TOML",
     "seed = 1\nseed = 2": "not TOML",
     f"seed = {'[' * 5000}": "not TOML",
@@ -180,11 +187,14 @@ def test_a_wrong_file_is_refused_with_the_rule(tmp_path: Path, text: str) -> Non
 
 
 def all_numbers() -> list[str]:
-    tables = [field.name for field in fields(Experiment) if is_dataclass(getattr(Experiment(), field.name))]
+    parts: tuple[Any, ...] = (Experiment(), Experiment().robot)
+    tables = {field.name: getattr(part, field.name) for part in parts for field in fields(part)}
+    del tables["robot"]
     found = [
         f"{table}.{field.name}"
-        for table in tables
-        for field in fields(getattr(Experiment(), table))
+        for table, settings in tables.items()
+        if is_dataclass(settings)
+        for field in fields(settings)
         if field.type is float or field.type == "float"
     ]
     assert len(found) > 50

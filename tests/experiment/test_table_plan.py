@@ -12,13 +12,17 @@ from stepgap.control.command_table import CommandTable
 from stepgap.control.command_table_file import write_table
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseResult, computed
+from stepgap.experiment.nominal import load_nominal
+from stepgap.experiment.settings import Experiment
 from stepgap.experiment.table_plan import TablePlan, solve_batch, table_of_cases
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.sampled_map import SampledApexMap, nominal_map
+from stepgap.robots.hopper.parameters import Gains
+from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.sampled_map import SampledApexMap
 from stepgap.step import StepStatus
 
 STUMBLING = Gains(speed_gain=2.0)
-PLAN = TablePlan(RobotParameters(), STUMBLING, CommandBounds(), points=3, batch=20)
+STUMBLES = Experiment(Hopper(gains=STUMBLING))
+PLAN = TablePlan(STUMBLES, points=3, batch=20)
 """A map with nodes without any step, which have no numbers."""
 
 
@@ -34,7 +38,7 @@ def stored(folder: CaseFolder, **results: Any) -> None:
 
 
 def test_the_cases_are_the_table_to_the_last_bit(tmp_path: Path) -> None:
-    batches, nominal = PLAN.batches, nominal_map(PLAN.robot, PLAN.gains, PLAN.command)
+    batches, nominal = PLAN.batches, load_nominal(PLAN.settings).map
     expected = batches.table([batches.solve(nominal, number) for number in range(len(batches))])
     assert len(PLAN) == len(batches) == 4
     assert 0 < (expected.statuses == StepStatus.OK).mean() < 1
@@ -45,7 +49,7 @@ def test_the_cases_are_the_table_to_the_last_bit(tmp_path: Path) -> None:
 
 
 def test_a_tick_is_a_part_of_the_plan() -> None:
-    plan = TablePlan(RobotParameters(), Gains(), CommandBounds(), points=2, tick=0.001, batch=4)
+    plan = TablePlan(Experiment(), points=2, tick=0.001, batch=4)
     found = solve_batch(tomllib.loads(plan.case(3))).result
     expected = plan.batches.solve(SampledApexMap(tick=0.001), 3)
     assert found["command"] == expected.command.tolist()

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.experiment.loop import Observer
-from stepgap.experiment.plants import plant_on, replay_rig
+from stepgap.experiment.loop import Observer, deployment_generator
+from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.settings import read_experiment
 from stepgap.experiment.tick_recorder import HopCount, TickRecorder
 from stepgap.learning.step_log import LoggedStep
@@ -47,7 +47,8 @@ def test_a_tick_is_assigned_to_its_hop(tmp_path: Path) -> None:
         seen.update((count.iteration, hop) for hop in count.on_ticks(rows))
 
     for iteration in range(2):
-        with plant_on(settings, replay_rig(settings, iteration)[0], on_ticks) as plant:
+        rng = deployment_generator(settings.seed, iteration)
+        with simulation_of(settings).plant(rng, on_ticks) as plant:
             plant.start()
             assert seen == {(iteration, 0)}
             for number in (1, 2, 3):

@@ -12,9 +12,9 @@ from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.hop_control import sensors_of
-from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.robot import Hopper
 
-ROOT, ROBOT = Path(__file__).parents[2], RobotParameters()
+ROOT, ROBOT = Path(__file__).parents[2], Hopper()
 Install = Callable[..., None]
 
 
@@ -41,7 +41,7 @@ def test_our_rigs_are_found_with_their_examples(name: str, settings: str, kind: 
     assert name in rig_names()
     rig = load_rig(name, ROOT / "examples" / settings, ROBOT)
     assert isinstance(rig, kind)
-    assert sensors_of(rig).boom_length == ROBOT.boom_length
+    assert sensors_of(rig).boom_length == ROBOT.parameters.boom_length
     with pytest.raises(RigFault, match="not connected"):
         rig.read()
 
@@ -63,7 +63,7 @@ def test_another_packages_rig_gets_settings_and_robot(install: Install) -> None:
 from stepgap import Twin, RealityGap
 import numpy as np
 def make(settings, robot):
-    return Twin(robot, RealityGap(), np.random.default_rng(0), start_height=float(settings.name))
+    return Twin(robot.parameters, RealityGap(), np.random.default_rng(0), start_height=float(settings.name))
 """
     install("own_twin", code, own="own_twin:make")
     assert "own" in rig_names()

@@ -18,6 +18,7 @@ from stepgap.base.errors import InputError
 from stepgap.rigs.entry_points import load_rig
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.rigs.rig_contract import MakeRig, RigContract
@@ -64,7 +65,7 @@ def board_rig(folder: Path) -> Iterator[Rig]:
             f'host = "127.0.0.1"\nport = {address[1]}\ntorque_limit = 20\npivot_height = 0.4\nreply_timeout = 2.0\n'
         )
         try:
-            yield load_rig("board", settings, ROBOT)
+            yield load_rig("board", settings, Hopper(parameters=ROBOT))
         finally:
             server.sendto(b"", address)
             thread.join()
@@ -94,14 +95,14 @@ def test_its_settings_are_read_strictly(installed: Path) -> None:
     ):
         path.write_text(text)
         with pytest.raises(InputError, match=re.escape(f"{path}: {expected}")):
-            load_rig("board", path, ROBOT)
+            load_rig("board", path, Hopper(parameters=ROBOT))
 
 
 def test_a_missing_board_is_a_fault(installed: Path) -> None:
     path = installed / "board.toml"
     path.write_text('host = "127.0.0.1"\nport = 9\ntorque_limit = 20\npivot_height = 0.4\nreply_timeout = 0.001\n')
     with pytest.raises(RigFault, match="does not answer"):
-        load_rig("board", path, ROBOT).connect()
+        load_rig("board", path, Hopper(parameters=ROBOT)).connect()
 
 
 def test_links_have_targets() -> None:

@@ -13,6 +13,7 @@ from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, read_step_log
+from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.view.geometry import HopperPose, joints_at
 from stepgap.view.motion import STILL, HopMotion, true_hop
@@ -42,13 +43,13 @@ def test_motion_is_that_of_the_replay(run_folder: Path) -> None:
     feet = np.column_stack([table["foot_x"], table["foot_y"], table["foot_z"]])
     poses = np.concatenate([hop.poses for hop in hops])
     for pose, true_foot in zip(poses[::20], feet[::20], strict=True):
-        drawn = joints_at(source.settings.robot, source.pivot_height, HopperPose(*pose)).foot
+        drawn = joints_at(RobotParameters(), source.pivot_height, HopperPose(*pose)).foot
         np.testing.assert_allclose(drawn, true_foot, atol=1e-5)
 
 
 def test_the_last_moment_of_a_step_is_at_its_apex(run_folder: Path) -> None:
     source = Source(run_folder)
-    robot = source.settings.robot
+    robot = RobotParameters()
     for hop, logged in zip(found(source, 0)[1:], source.steps(0), strict=True):
         height = joints_at(robot, source.pivot_height, hop.at(1.0)[0]).hip[2]
         assert height == pytest.approx(logged.record.next_state[1], abs=0.02)

@@ -1,8 +1,8 @@
 """Settings from TOML and back; errors about unknown keys, types and values state what is valid."""
 
 import tomllib
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import MISSING, fields, is_dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin, get_type_hints
@@ -15,6 +15,9 @@ LARGEST_SETTINGS_FILE = 2**20
 
 FORMER_NAME = "former name"
 """Metadata key of a renamed settings field: its value is the former name, for which the error gives the present one."""
+
+IS_KEY = "is a key"
+"""Metadata key of a settings field: False if the field is not a key of the table, and has other ways into the file."""
 
 BYTE_ORDER_MARK = "\ufeff"
 
@@ -85,19 +88,38 @@ def merge(settings: Any, table: Mapping[str, Any], locate: Locate, prefix: str =
     Raises:
         InputError: The message names the key and states what is valid.
     """
-    current = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
-    values = _values(type(settings), current, table, locate, prefix, more)
-    try:
-        return replace(settings, **values)
-    except ValueError as error:
-        raise located(error, locate, prefix) from None
+    return merge_all((settings,), table, locate, prefix, more)[0]
+
+
+def merge_all(
+    parts: Sequence[Any], table: Mapping[str, Any], locate: Locate, prefix: str = "", more: Collection[str] = ()
+) -> list[Any]:
+    """As `merge` for several dataclasses, the fields of which are keys of one table."""
+    entries = {entry.name: entry for part in parts for entry in _settable(part)}
+    current = {entry.name: getattr(part, entry.name) for part in parts for entry in _settable(part)}
+    types = {name: wanted for part in parts for name, wanted in get_type_hints(type(part)).items()}
+    values = _values(entries, types, current, table, locate, prefix, more)
+    merged = []
+    for part in parts:
+        mine = {entry.name: values[entry.name] for entry in _settable(part) if entry.name in values}
+        try:
+            merged.append(replace(part, **mine))
+        except ValueError as error:
+            raise located(error, locate, prefix) from None
+    return merged
+
+
+def _settable(settings: Any) -> list[Field[Any]]:
+    """Fields that are keys of a table."""
+    return [entry for entry in fields(settings) if entry.metadata.get(IS_KEY, True)]
 
 
 def build(kind: type[Any], table: Mapping[str, Any], locate: Locate, prefix: str = "") -> Any:
     """Builds a dataclass from a TOML table, which must have all fields without a default; otherwise as `merge`."""
     required = [entry.name for entry in fields(kind) if entry.default is MISSING and entry.default_factory is MISSING]
     defaults = {entry.name: entry.default for entry in fields(kind) if is_dataclass(entry.default)}
-    values = _values(kind, defaults, table, locate, prefix)
+    entries = {entry.name: entry for entry in fields(kind)}
+    values = _values(entries, get_type_hints(kind), defaults, table, locate, prefix)
     for name in required:
         if name not in values:
             raise InputError(f"{locate(prefix + name)}: missing; it must be given")
@@ -110,7 +132,7 @@ def build(kind: type[Any], table: Mapping[str, Any], locate: Locate, prefix: str
 def to_table(settings: Any) -> dict[str, Any]:
     """Converts a dataclass to a TOML table, which `build` reads; an integral float remains a float."""
     types = get_type_hints(type(settings))
-    return {entry.name: _to_value(getattr(settings, entry.name), types[entry.name]) for entry in fields(settings)}
+    return {entry.name: _to_value(getattr(settings, entry.name), types[entry.name]) for entry in _settable(settings)}
 
 
 def _to_value(value: Any, wanted: Any) -> Any:
@@ -122,21 +144,21 @@ def _to_value(value: Any, wanted: Any) -> Any:
 
 
 def _values(
-    kind: type,
+    entries: Mapping[str, Field[Any]],
+    types: Mapping[str, Any],
     current: Mapping[str, Any],
     table: Mapping[str, Any],
     locate: Locate,
     prefix: str,
     more: Collection[str] = (),
 ) -> dict[str, Any]:
-    """Converts the values of a table to the types of a dataclass's fields."""
-    types = get_type_hints(kind)
-    known = [entry.name for entry in fields(kind)]
+    """Converts the values of a table to the types of the fields."""
+    known = list(entries)
     values: dict[str, Any] = {}
     for key, value in table.items():
         here, inner = locate(prefix + key), f"{prefix}{key}."
         if key not in known:
-            for entry in fields(kind):
+            for entry in entries.values():
                 if entry.metadata.get(FORMER_NAME) == key:
                     raise InputError(f"{here}: this key is called {entry.name} now")
             known += [name.removeprefix(prefix) for name in more if name.rpartition(".")[0] == prefix.rstrip(".")]

@@ -30,6 +30,7 @@ from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.tick_control import Mode
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.hop_tick import tick
+from stepgap.robots.hopper.robot import as_hopper
 from stepgap.robots.hopper.twin.twin import Twin
 
 _SAMPLING_PERIOD = 1e-3
@@ -156,8 +157,9 @@ class RecordedTwin(Twin):
 
 def tick_cost(settings: Experiment) -> TickCost:
     """Cost of a tick of hopping with the twin of the settings, including all that a run does in a tick."""
-    control = HopperControl(settings.robot, settings.gains, settings.command)
-    twin = RecordedTwin(settings.robot, settings.gap, np.random.default_rng(settings.seed))
+    hopper = as_hopper(settings.robot, "ticks are timed")
+    control = hopper.control()
+    twin = RecordedTwin(hopper.parameters, hopper.gap, np.random.default_rng(settings.seed))
     plain = RigPlant(twin, control, TickRecorder(_EVERY).on_ticks)
     recorded = RigPlant(twin, control, twin.keep, at_once=1)
     costs = []

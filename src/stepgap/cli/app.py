@@ -29,7 +29,7 @@ from stepgap.cli.sweep import sweep
 from stepgap.cli.terminal import warn
 from stepgap.cli.view import view
 
-OVERRIDE = re.compile(r"--([a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
+OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
 _BAD_INPUT, _FAILED, _STOPPED = 2, 1, 130
 """Exit codes; the last one after Ctrl-C, as in shells."""
@@ -112,7 +112,7 @@ def _hint(error: Exception) -> str:
         return ""
     if "overrides" not in signature(error.target).parameters:
         return ""
-    return " If it is a setting, name its table as well, as in --robot.body_mass 1.6."
+    return " If it is a setting, name its table as well, as in --parameters.body_mass 1.6."
 
 
 def split_program(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -122,7 +122,7 @@ def split_program(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str, str]]]:
-    """Separates `--table.key value` and `--table.key=value` from the other arguments.
+    """Separates `--robot name`, `--table.key value` and `--table.key=value` from the other arguments.
 
     Raises:
         InputError: A setting has no value.

@@ -16,23 +16,30 @@ import tomli_w
 
 from stepgap.base.errors import InputError
 from stepgap.base.settings_file import to_table
-from stepgap.experiment.settings import Experiment
 from stepgap.rigs.ethercat.emulator.emulator import emulated, run_emulator
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, run_in_namespace
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin_machine import TwinMachine
 
 
 def emulate_ring(
-    experiment: Experiment, ring: RingSettings, interface: str, hold: float, settings_file: Path, program: Sequence[str]
+    hopper: Hopper,
+    seed: int,
+    ring: RingSettings,
+    interface: str,
+    hold: float,
+    settings_file: Path,
+    program: Sequence[str],
 ) -> int:
     """Emulates a ring until Ctrl-C, or while a command is running; returns the exit code of the command, or 0.
 
     Args:
-        experiment: Settings with the robot and the gap of the twin.
+        hopper: The robot, with the gap of the twin.
+        seed: Seed of its noise.
         ring: Settings of the ring.
         interface: Network interface that a master opens.
         hold: Time for which the twin is held after the drives have been enabled [s].
@@ -43,9 +50,9 @@ def emulate_ring(
         InputError: No twin behind a ring can be made with the settings, or the settings file exists already.
         NoNetwork: No ring can run on this computer; the message gives the remedy.
     """
-    make_machine = partial(_make_machine, experiment, hold)
-    sensors = _sensors_behind_ring(experiment, hold)
-    text = tomli_w.dumps(to_table(emulated_settings(sensors, experiment.robot, ring, interface)))
+    make_machine = partial(_make_machine, hopper, seed, hold)
+    sensors = _sensors_behind_ring(hopper, hold)
+    text = tomli_w.dumps(to_table(emulated_settings(sensors, hopper.parameters, ring, interface)))
     if os.geteuid() != 0:
         _leave_for_namespace(settings_file, program)
 
@@ -85,23 +92,21 @@ def run_program(program: Sequence[str]) -> int:
         signal.signal(signal.SIGTERM, before)
 
 
-def _make_machine(experiment: Experiment, hold: float) -> TwinMachine:
-    rng = np.random.default_rng(experiment.seed)
-    return TwinMachine(Twin(experiment.robot, experiment.gap, rng, hold=hold))
+def _make_machine(hopper: Hopper, seed: int, hold: float) -> TwinMachine:
+    return TwinMachine(Twin(hopper.parameters, hopper.gap, np.random.default_rng(seed), hold=hold))
 
 
-def _sensors_behind_ring(experiment: Experiment, hold: float) -> HopperSensorModel:
+def _sensors_behind_ring(hopper: Hopper, hold: float) -> HopperSensorModel:
     """Sensor model of the twin, after a check that a ring can carry its counts."""
-    for name in (field.name for field in fields(experiment.gap) if "counts" in field.name):
-        if isinf(getattr(experiment.gap, name)):
+    for name in (field.name for field in fields(hopper.gap) if "counts" in field.name):
+        if isinf(getattr(hopper.gap, name)):
             raise InputError(
                 f"[gap] {name} = inf: a ring carries integer counts; give a number, such as --gap.{name} 16384"
             )
     try:
-        rng = np.random.default_rng(experiment.seed)
-        return Twin(experiment.robot, experiment.gap, rng, hold=hold).sensor_model
+        return Twin(hopper.parameters, hopper.gap, np.random.default_rng(0), hold=hold).sensor_model
     except ValueError as error:
-        raise InputError(f"no twin can be made with the settings [robot] and [gap]: {error}") from None
+        raise InputError(f"no twin can be made with the settings [parameters] and [gap]: {error}") from None
 
 
 def _write_settings(file: Path, text: str) -> None:

@@ -65,14 +65,13 @@ def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None
 
 def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None:
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.plants import SIMULATED
     from stepgap.experiment.replay import replay
     from stepgap.experiment.settings import read_experiment
     from stepgap.records.export.ticks import copy_ticks, write_ticks
 
     record = _read_run(folder)
     settings = read_experiment(folder / "experiment.toml")
-    if settings.plant in SIMULATED:
+    if settings.simulated:
         chosen = record.steps.iterations[-1] if iteration is None else iteration
         if out:
             check_new(out, "--out")
@@ -94,15 +93,16 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
 
 
 def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None:
-    from stepgap.experiment.plants import replay_rig
+    from stepgap.experiment.replay import replay_rig
     from stepgap.experiment.settings import read_experiment
+    from stepgap.robots.hopper.robot import as_hopper
     from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
 
     if iteration is not None:
         raise InputError("--iteration: the model is the same in all deployments; leave this option out")
     settings = read_experiment(folder / "experiment.toml")
     _, twin = replay_rig(settings, 0)
-    files = mjcf_files(twin, settings.robot.boom_length)
+    files = mjcf_files(twin, as_hopper(settings.robot, "a model is exported").parameters.boom_length)
     target = _target(folder, "mjcf", out)
     with writing(target, "--out"):
         target.mkdir()

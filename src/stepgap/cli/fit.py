@@ -89,8 +89,8 @@ def fit(
     Args:
         log: Folders of runs or their steps.csv; or CSV files of any origin, if their columns are named.
         columns: TOML file that names columns; its keys are the options from here to --step, and units and factors.
-        nominal: Source of the nominal next state: the hopper's map, the predictions, the target, or the state.
-        experiment: TOML file of settings of the hopper's map. [default: the settings of the runs]
+        nominal: Source of the nominal next state: the robot's map, the predictions, the target, or the state.
+        experiment: TOML file of settings of the robot's map. [default: the settings of the runs]
         folds: Number of contiguous blocks that are held out in turn. [default: whole deployments, or 10 blocks of a
             single one]
     """

@@ -1,11 +1,11 @@
 """The verb `stepgap gait`."""
 
-from math import isfinite
 from pathlib import Path
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name, writing
-from stepgap.cli.options import Overrides
+from stepgap.cli.map_table import named_values
+from stepgap.cli.options import Overrides, values_by_name
 from stepgap.cli.terminal import announces_compilation
 
 
@@ -14,36 +14,35 @@ def gait(
     experiment: Path | None = None,
     /,
     *,
-    speed: float = 0.2,
-    height: float = 0.58,
+    state: str | None = None,
     out: Path | None = None,
     overrides: Overrides = None,
 ) -> None:
-    """Find the limit cycle of the nominal map at a speed and height, and the set that one step from it can reach.
+    """Find the limit cycle of the nominal map at a state, and the set that one step from it can reach.
 
     Args:
         experiment: TOML file of settings.
-        speed: Forward speed at the apex [m/s].
-        height: Height of the apex [m].
+        state: State at the end of the step in SI units, such as speed=0.2,height=0.58. [default: the middle of the
+            ranges of use]
         out: New file for the figure. [default: gait.png or the next free name]
     """
     from stepgap.control.limit_cycle import fixed_point, reachable_set
+    from stepgap.experiment.nominal import load_nominal
     from stepgap.experiment.settings import read_experiment
     from stepgap.report.gait import describe_gait, gait_figure
-    from stepgap.robots.hopper.apex_map import ApexMap
     from stepgap.step import StepFailed
 
-    if not (isfinite(speed) and isfinite(height)):
-        raise InputError(f"--speed {speed} --height {height}: both must be finite numbers")
     settings = read_experiment(experiment, overrides or [])
+    space = settings.robot.space
+    wanted = values_by_name("--state", state, space.state, space.state_centre)
     if out and out.exists():
         raise InputError(f"{out}: exists already; choose another --out")
-    nominal = ApexMap(settings.robot, settings.gains, settings.command)
+    nominal = load_nominal(settings).map
     try:
-        point = fixed_point(nominal, [speed, height])
+        point = fixed_point(nominal, wanted)
     except StepFailed as error:
         raise InputError(
-            f"--speed {speed:g} --height {height:g}: no command makes a step from this state ({error})"
+            f"{named_values(space.state, wanted)}: no command makes a step from this state ({error})"
         ) from None
     reachable = reachable_set(nominal, point.state)
     figure = gait_figure(nominal.space, point, reachable)

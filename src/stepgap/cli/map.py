@@ -1,6 +1,5 @@
 """The verb `stepgap map`."""
 
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,15 +10,12 @@ from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, writing
 from stepgap.cli.execution import THIS_MACHINE, Execution
 from stepgap.cli.map_table import map_table, named_values
-from stepgap.cli.options import Integer, Overrides
+from stepgap.cli.options import Integer, Overrides, values_by_name
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.settings import Experiment
     from stepgap.step import Array, StepMap, StepSpace
-
-DEFAULT_POINT = {"speed": 0.2, "height": 0.58, "fx": 0.0, "fy": 0.0}
-"""Apex and command of the step that is evaluated by default; SI units."""
 
 DEFAULT_GRID = 15
 """Grid points along each axis of a table; it has the fourth power of this many commands."""
@@ -30,10 +26,8 @@ def map_(
     experiment: Path | None = None,
     /,
     *,
-    speed: float | None = None,
-    height: float | None = None,
-    fx: float | None = None,
-    fy: float | None = None,
+    state: str | None = None,
+    command: str | None = None,
     csv: Path | None = None,
     out: Path | None = None,
     table: Path | None = None,
@@ -46,11 +40,9 @@ def map_(
 
     Args:
         experiment: TOML file of settings.
-        speed: Forward speed at the apex [m/s]. [default: 0.2]
-        height: Height of the apex [m]. [default: 0.58]
-        fx: Forward command force [N]. [default: 0]
-        fy: Upward command force [N]. [default: 0]
-        csv: File with the columns speed, height, fx, fy; all its rows are evaluated.
+        state: State in SI units, such as speed=0.2,height=0.58. [default: the middle of the ranges of use]
+        command: Command in SI units, such as fx=5,fy=-5. [default: the middle of the bounds]
+        csv: File with a column for each of them; all its rows are evaluated.
         out: New file for their next apexes. [default: they are printed]
         table: New file for a table of the step controller's commands, which is computed and measured.
         points: Grid points along each axis of the table, 2 to 50. [default: 15]
@@ -65,9 +57,7 @@ def map_(
     """
     from stepgap.experiment.settings import read_experiment
 
-    given = {"speed": speed, "height": height, "fx": fx, "fy": fy}
-    given = {name: value for name, value in given.items() if value is not None}
-    modes = {"--csv": csv, "--table": table, "--speed, --height, --fx, --fy": given or None}
+    modes = {"--csv": csv, "--table": table, "--state, --command": state or command}
     chosen = [name for name, value in modes.items() if value is not None]
     if len(chosen) > 1:
         raise InputError(f"{' and '.join(chosen)}: give only one of them")
@@ -85,35 +75,35 @@ def map_(
     elif table:
         from stepgap.experiment.table_plan import TablePlan
 
-        plan = TablePlan(settings.robot, settings.gains, settings.command, points or DEFAULT_GRID, tick or 0.0)
+        plan = TablePlan(settings, points or DEFAULT_GRID, tick or 0.0)
         map_table(plan, nominal, table, settings.seed, execution)
     else:
-        _map_point(nominal, {**DEFAULT_POINT, **given})
+        space = nominal.space
+        start = values_by_name("--state", state, space.state, space.state_centre)
+        _map_point(nominal, start, values_by_name("--command", command, space.command, space.command_centre))
 
 
 def _nominal(settings: "Experiment", tick: float | None) -> "StepMap":
     """The nominal map, with torques held for a tick if one is given."""
-    from stepgap.robots.hopper.sampled_map import nominal_map
+    from stepgap.experiment.table_plan import sampled_map
 
     try:
-        return nominal_map(settings.robot, settings.gains, settings.command, tick)
+        return sampled_map(settings, tick)
     except ValueError as error:
         raise InputError(f"--tick: {error}") from None
 
 
-def _map_point(nominal: "StepMap", point: dict[str, float]) -> None:
-    """Prints the next apex of one step and its derivatives."""
+def _map_point(nominal: "StepMap", state: list[float], command: list[float]) -> None:
+    """Prints the next state of one step and its derivatives."""
     from stepgap.step import StepFailed
 
-    given = " ".join(f"--{name} {value:g}" for name, value in point.items())
-    if not all(map(isfinite, point.values())):
-        raise InputError(f"{given}: all must be finite numbers")
-    state, command = [point["speed"], point["height"]], [point["fx"], point["fy"]]
+    space = nominal.space
     try:
         next_state = nominal(state, command)
     except StepFailed as error:
-        raise InputError(f"{given}: the step does not end at an apex ({error})") from None
-    print(describe_step(nominal.space, next_state, nominal.jacobian(state, command)))
+        point = f"{named_values(space.state, state)}, {named_values(space.command, command)}"
+        raise InputError(f"{point}: the step does not end at an apex ({error})") from None
+    print(describe_step(space, next_state, nominal.jacobian(state, command)))
 
 
 def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:

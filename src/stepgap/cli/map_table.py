@@ -1,6 +1,7 @@
 """A table of commands, as `stepgap map --table` computes it: in this process, or as cases."""
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -111,6 +112,6 @@ def describe_table(table: "CommandTable", error: "TableError") -> str:
     )
 
 
-def named_values(quantities: "tuple[Quantity, ...]", values: "Array", form: str = ".6f") -> str:
+def named_values(quantities: "tuple[Quantity, ...]", values: "Sequence[float] | Array", form: str = ".6f") -> str:
     """Names, values and units, separated by commas."""
     return ", ".join(f"{q.name} {value:{form}} {q.unit}" for q, value in zip(quantities, values, strict=True))

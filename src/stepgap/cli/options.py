@@ -3,16 +3,23 @@
 import re
 from collections.abc import Callable, Sequence
 from inspect import signature
-from typing import Annotated, Any
+from math import isfinite
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter, Token
 from cyclopts.validators import Number
 
+from stepgap.base.errors import InputError
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.step import Array, Quantity
+
 DEBUG_HELP = "--debug shows where an error arose."
 
 SETTINGS_HELP = (
-    "Any setting of an experiment can be given as --TABLE.KEY VALUE, such as --gains.stiffness 2400. "
-    f"Tables: robot, gains, command, learning, gap; the experiment.toml of any run lists every key. {DEBUG_HELP}"
+    "--robot NAME chooses the robot, by default the hopper. Any setting of an experiment can be given as --TABLE.KEY "
+    "VALUE, such as --gains.stiffness 2400. Tables: nominal, learning, control, process and, of the hopper, "
+    f"parameters, gains, command, gap; the experiment.toml of any run lists every key. {DEBUG_HELP}"
 )
 
 MOST_DIGITS = 30
@@ -46,3 +53,25 @@ def add_verb(app: App, name: str, verb: Callable[..., None]) -> None:
     """Adds a function as a verb; its help is its docstring, with a note on settings if it takes any."""
     takes_settings = "overrides" in signature(verb).parameters
     app.command(verb, name=name, help_epilogue=SETTINGS_HELP if takes_settings else DEBUG_HELP)
+
+
+def values_by_name(option: str, text: str | None, quantities: "Sequence[Quantity]", defaults: "Array") -> "list[float]":
+    """Values of quantities from text such as `speed=0.2,height=0.58`; those that are not named have their default.
+
+    Raises:
+        InputError: A name or a number is wrong.
+    """
+    values = {quantity.name: float(value) for quantity, value in zip(quantities, defaults, strict=True)}
+    for part in text.split(",") if text else ():
+        name, _, number = part.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = float("nan")
+        if name not in values or not isfinite(value):
+            example = ",".join(
+                f"{quantity.name}={default:g}" for quantity, default in zip(quantities, defaults, strict=True)
+            )
+            raise InputError(f"{option} {text}: it must be names with finite numbers, such as {example}")
+        values[name] = value
+    return list(values.values())

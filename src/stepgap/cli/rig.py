@@ -34,30 +34,29 @@ def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds:
     from stepgap.plants.realtime.process import RealtimeSetup
     from stepgap.rigs.entry_points import load_rig
     from stepgap.rigs.limp_rig import FrameCount
-    from stepgap.robots.hopper.hop_control import HopperControl
     from stepgap.robots.hopper.limits import SafetyLimits
-    from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+    from stepgap.robots.hopper.robot import Hopper
     from stepgap.robots.hopper.still import still_hopper
 
     _check_seconds(seconds)
     if plant and rig_file is None:
         raise InputError(f"--plant {plant}: valid only with RIG_FILE, the file that describes the rig")
-    frames, robot = FrameCount(), RobotParameters()
-    control = HopperControl(robot, Gains(), CommandBounds())
+    frames, robot = FrameCount(), Hopper()
+    control, limits = robot.control(), SafetyLimits.of(robot.parameters)
     if rig_file is None:
         print("no rig.toml given: timing of this machine alone, with constant sensor values")
         result = measure(
             RealtimeSetup(partial(still_hopper, 1e-3), control),
             frames,
             1e-3,
-            SafetyLimits.of(robot).late_ticks,
+            limits.late_ticks,
             seconds,
         )
         print(describe(result, bus=False))
     else:
         mark, make_rig = fingerprint(rig_file), partial(load_rig, plant or ETHERCAT, rig_file, robot)
         found, setup = make_rig(), limp_setup(make_rig, control, frames)
-        late_ticks = (found.limits or SafetyLimits.of(robot)).late_ticks
+        late_ticks = (found.limits or limits).late_ticks
         result = measure(setup, frames, found.sensor_model.tick, late_ticks, seconds)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))
@@ -86,7 +85,7 @@ def calibrate(
         leg_length: Length of the leg in the pose, from the hip to the joint of the bottom links [m], as a jig sets it.
         height: Height of the hip above the ground in the pose [m].
         out: New file for the settings with the new zeros. [default: RIG.calibrated.toml]
-        experiment: TOML file of settings, of which [robot] is used.
+        experiment: TOML file of settings, of which [parameters] is used.
     """
     from functools import partial
 
@@ -95,21 +94,18 @@ def calibrate(
     from stepgap.rigs.limp_rig import FrameCount
     from stepgap.robots.hopper import calibrate as verb
     from stepgap.robots.hopper.ethercat import hopper_on_ethercat, read_rig_settings
-    from stepgap.robots.hopper.hop_control import HopperControl
+    from stepgap.robots.hopper.robot import as_hopper
 
     if leg_length is None or height is None:
         raise InputError("--leg-length and --height: give both, as measured; they have no default")
     pose, target = verb.Pose(alpha_1, leg_length, height), out or rig_file.with_suffix(".calibrated.toml")
     verb.check_pose(pose)
-    given, settings = read_experiment(experiment, overrides or []), read_rig_settings(rig_file)
-    expected = verb.expected_reading(settings, given.robot, pose)
+    robot = read_experiment(experiment, overrides or []).robot
+    hopper, settings = as_hopper(robot, "a rig is calibrated"), read_rig_settings(rig_file)
+    expected = verb.expected_reading(settings, hopper.parameters, pose)
     if target.exists():
         raise InputError(f"{target}: exists already; choose another --out")
-    setup = limp_setup(
-        partial(hopper_on_ethercat, settings, given.robot),
-        HopperControl(given.robot, given.gains, given.command),
-        FrameCount(),
-    )
+    setup = limp_setup(partial(hopper_on_ethercat, settings, hopper.parameters), hopper.control(), FrameCount())
     ticks = ticks_of(setup, round(1 / settings.tick))
     zeros = verb.new_zeros(settings, verb.mean_reading(settings, ticks), expected)
     calibrated = verb.with_zeros(settings, zeros)
@@ -134,20 +130,21 @@ def dry_run_(
         rig_file: rig.toml of the robot.
         plant: Name of its rig.
         seconds: Duration [s]. [default: until Ctrl-C]
-        experiment: TOML file of settings, of which [robot] and [gains] are used.
+        experiment: TOML file of settings, of which [parameters] and [gains] are used.
     """
     from functools import partial
 
     from stepgap.experiment.settings import read_experiment
     from stepgap.plants.commissioning.dry_run import dry_run
     from stepgap.rigs.entry_points import load_rig
-    from stepgap.robots.hopper.hop_control import HopperControl
 
     if seconds is not None:
         _check_seconds(seconds)
-    settings = read_experiment(experiment, overrides or [])
-    control = HopperControl(settings.robot, settings.gains, settings.command)
-    dry_run(partial(load_rig, plant, rig_file, settings.robot), control, seconds)
+    robot = read_experiment(experiment, overrides or []).robot
+    control = robot.control()
+    if control is None:
+        raise InputError(f"robot '{robot.name}' has no control for a rig")
+    dry_run(partial(load_rig, plant, rig_file, robot), control, seconds)
 
 
 def emulate(
@@ -164,7 +161,7 @@ def emulate(
     """Emulate a bus with the twin as its robot, until Ctrl-C, or while the COMMAND given after -- is running.
 
     Args:
-        experiment: TOML file of settings, whose [robot] and [gap] are the twin's.
+        experiment: TOML file of settings, whose [parameters] and [gap] are the twin's.
         surplus: Not allowed; a command is written after --.
         interface: Name of the network interface that a master opens.
         lock_step: Advance time by one tick with every frame. [default: time follows the clock]
@@ -176,11 +173,14 @@ def emulate(
     from stepgap.cli.emulate import emulate_ring
     from stepgap.experiment.settings import read_experiment
     from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
+    from stepgap.robots.hopper.robot import as_hopper
 
     if not (isfinite(hold) and 0 <= hold <= LONGEST_DURATION):
         raise InputError(f"--hold {hold:g}: it must lie between 0 and {LONGEST_DURATION:g}")
     ring = RingSettings(lock_step=lock_step)
-    code = emulate_ring(read_experiment(experiment, overrides or []), ring, interface, hold, settings, program or [])
+    given = read_experiment(experiment, overrides or [])
+    hopper = as_hopper(given.robot, "a bus is emulated")
+    code = emulate_ring(hopper, given.seed, ring, interface, hold, settings, program or [])
     if code:
         sys.exit(code)
 

@@ -18,13 +18,14 @@ from stepgap.cli.terminal import announces_compilation, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.control.reference import Reference
+    from stepgap.experiment.nominal import Nominal
     from stepgap.experiment.plants import Plants
     from stepgap.experiment.settings import Experiment
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.learning.step_log import StepLog
     from stepgap.plants.compiled_rig import Rows
     from stepgap.report import WrittenReport
-    from stepgap.robots.hopper.apex_map import ApexMap
+    from stepgap.step import Array
     from stepgap.view.live import LiveView
 
 
@@ -34,9 +35,10 @@ class Shorthand:
     """Settings of an experiment that have their own options.
 
     Attributes:
-        reference: CSV file of targets, one row per step. [default: the reference of the paper]
-        plant: Plant that hops: twin, emulated-ring (the twin on an EtherCAT bus in software), process (the program
-            given after two dashes, as in -- ./robot), or a rig, such as ethercat. [default: twin]
+        reference: CSV file of targets, one row per step. [default: the robot's; for the hopper that of the paper]
+        plant: Plant that steps: a simulation of the robot (of the hopper: twin, or emulated-ring, the twin on an
+            EtherCAT bus in software), process (the program given after two dashes, as in -- ./robot), or a rig, such as
+            ethercat. [default: the first simulation; of the hopper: twin]
         rig: File that describes the rig, such as rig.toml.
         method: Settings of learning and control before others change them: default, or paper, the method as published.
         seed: Random seed. [default: 0]
@@ -102,7 +104,7 @@ class Prepared(NamedTuple):
 
     folder: Path
     settings: "Experiment"
-    nominal: "ApexMap"
+    nominal: "Nominal"
     reference: "Reference"
     known: "StepLog"
 
@@ -144,7 +146,7 @@ def run(
     recorder = TickRecorder(TICKS_PER_FRAME)
     plants = _choose_plants(ready, arm, recorder, live, program or [])
     if not resume:
-        start_folder(ready.folder, ready.settings, ready.reference, ready.known)
+        start_folder(ready.folder, ready.settings, ready.reference, ready.known, ready.nominal.surrogate)
     try:
         with terminated_as_interrupted(), live or nullcontext():
             _execute(ready, plants, recorder, live, display)
@@ -159,14 +161,27 @@ def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[
     """Reads all inputs of a run and checks that the nominal map can track the reference; writes nothing."""
     from stepgap.experiment.run_start import check_reach, dated_folder, folder_to_resume
     from stepgap.experiment.settings import load_known, load_reference, read_experiment
-    from stepgap.robots.hopper.apex_map import ApexMap
 
     folder = folder_to_resume(experiment, out, changes) if resume else out or free_name(dated_folder())
     settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)
-    nominal = ApexMap(settings.robot, settings.gains, settings.command)
-    reference = load_reference(settings, nominal.space)
-    check_reach(nominal, reference, settings.reference)
-    return Prepared(folder, settings, nominal, reference, load_known(settings, nominal.space))
+    reference = load_reference(settings, settings.robot.space)
+    nominal = _load_nominal(settings)
+    check_reach(nominal.map, reference, settings.reference)
+    return Prepared(folder, settings, nominal, reference, load_known(settings, settings.robot.space))
+
+
+def _load_nominal(settings: "Experiment") -> "Nominal":
+    """The nominal map; says how far the fit of a surrogate has come."""
+    from stepgap.experiment.nominal import load_nominal
+
+    def on_samples(count: int, error: "Array") -> None:
+        errors = ", ".join(
+            f"{quantity.name} {value:.2g} {quantity.unit}"
+            for quantity, value in zip(settings.robot.space.state, error, strict=True)
+        )
+        print(f"nominal map: {count} simulated steps, error of the surrogate: {errors}", file=sys.stderr)
+
+    return load_nominal(settings, on_samples)
 
 
 def _choose_plants(
@@ -198,12 +213,12 @@ def _execute(
     from stepgap.cli.progress import RunProgress, printing_events
     from stepgap.experiment.loop import run_experiment
 
-    space, learning = ready.nominal.space, ready.settings.learning
+    space, learning = ready.nominal.map.space, ready.settings.learning
     with RunProgress(space, len(ready.reference), learning.iterations, display.quiet) as progress:
         observer = printing_events(progress.observer, space) if display.json else progress.observer
         observer = recorder.observing(observer)
         run_experiment(
-            ready.nominal,
+            ready.nominal.map,
             plants.make,
             ready.reference,
             learning,

@@ -1,21 +1,21 @@
 """The report of a run with its context: its settings, its nominal map and its motions."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import check_new, writing
-from stepgap.experiment.plants import SIMULATED
+from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.replay import logged_ticks, replay, sensor_model_of
-from stepgap.experiment.settings import TWIN, Experiment, read_experiment
+from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.records.steps_csv import RecordError
 from stepgap.report import RunContext, WrittenReport, comparison_html, write_report
 from stepgap.report.motion import RATE, DeploymentMotion, Replay, kept_motion, sensed_motion
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.entry_points import load_robot
+from stepgap.robots.hopper.robot import as_hopper
 
 TICKS_PER_FRAME = 1000 // RATE
 """Number of ticks, of which there are 1000 per second, per frame of the replay."""
@@ -71,9 +71,9 @@ def _context(record: RunRecord, progress: Callable[[int, int], None], recorded: 
     settings = _settings_of(record)
     if isinstance(settings, Missing):
         return RunContext("plant of an unknown kind", settings, settings, settings)
-    plant = {TWIN: "simulated twin"}.get(settings.plant, f"plant '{settings.plant}'")
-    nominal = ApexMap(settings.robot, settings.gains, settings.command)
-    return RunContext(plant, asdict(Experiment()), nominal, _replay(record, settings, progress, recorded))
+    plant = {"twin": "simulated twin"}.get(settings.plant, f"plant '{settings.plant}'")
+    defaults = experiment_table(Experiment(load_robot(settings.robot.name)))
+    return RunContext(plant, defaults, load_nominal(settings).map, _replay(record, settings, progress, recorded))
 
 
 def _settings_of(record: RunRecord) -> Experiment | Missing:
@@ -96,7 +96,7 @@ def _replay(
     def motion(iteration: int) -> DeploymentMotion:
         if iteration in recorded:
             ticks = recorded[iteration]
-        elif settings.plant in SIMULATED:
+        elif settings.simulated:
             ticks = replay(record.folder, iteration, TICKS_PER_FRAME, progress)
         else:
             ticks = logged_ticks(record.folder, list(record.steps.of_iteration(iteration))).resampled(RATE)
@@ -104,8 +104,8 @@ def _replay(
 
     ends = dict.fromkeys((record.shown_iterations[0], record.shown_iterations[-1]))
     try:
-        sensors = sensor_model_of(settings)
+        hopper, sensors = as_hopper(settings.robot, "the motion is drawn"), sensor_model_of(settings)
         motions = {iteration: kept_motion(record, iteration, motion) for iteration in ends}
     except (InputError, RecordError) as error:
         return Missing(str(error))
-    return Replay(motions, settings.robot, sensors.pivot_height)
+    return Replay(motions, hopper.parameters, sensors.pivot_height)

@@ -1,10 +1,9 @@
 """The report of a sweep, with its number of planned cases, its state coordinates, and the default settings."""
 
-from dataclasses import asdict
 from pathlib import Path
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.experiment.settings import Experiment, read_experiment
+from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
 from stepgap.experiment.sweep.sweep import SWEEP_FILE
 from stepgap.experiment.sweep.sweep_file import read_sweep
 from stepgap.records.missing import Missing
@@ -31,7 +30,9 @@ def report_sweep(folder: Path) -> WrittenReport:
     if not (folder / RESULTS).is_file():
         raise InputError(f"{folder / RESULTS}: no such file; this makes it: stepgap sweep --out {folder} --resume")
     try:
-        return write_sweep_report(folder, SweepContext(_planned(folder), asdict(Experiment()), _state(folder)))
+        return write_sweep_report(
+            folder, SweepContext(_planned(folder), experiment_table(Experiment()), _state(folder))
+        )
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
 
@@ -48,6 +49,6 @@ def _state(folder: Path) -> tuple[Quantity, ...]:
     """State coordinates of the base experiment; none if its settings are not valid in this version."""
     path = folder / "experiment.toml"
     try:
-        return (read_experiment(path) if path.is_file() else Experiment()).command.space().state
+        return (read_experiment(path) if path.is_file() else Experiment()).robot.space.state
     except InputError:
         return ()

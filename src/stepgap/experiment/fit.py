@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from stepgap.base.errors import InputError
+from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import StepLog, joined
@@ -29,7 +30,6 @@ from stepgap.learning.validation import (
 from stepgap.records.columns import Columns
 from stepgap.records.foreign_log import read_foreign_logs
 from stepgap.records.steps_csv import RecordError, read_step_log
-from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.step import Array, Quantity, StepSpace
 
 FIT_SCHEMA = 1
@@ -42,7 +42,7 @@ BASELINES: tuple[str, ...] = ("none", "constant")
 """Residuals with which all others are compared."""
 
 NOMINALS = {
-    "map": "the hopper's apex map",
+    "map": "the robot's nominal map",
     "predicted": "the predictions in the log",
     "target": "the target, which is the prediction of a controller's map",
     "state": "the state, as if a step did not change it",
@@ -75,7 +75,7 @@ def read_fit_data(
         logs: Run folders or their `steps.csv`; with `columns`, any CSV files.
         columns: Meaning of the columns of such files.
         nominal: A key of `NOMINALS`; None to choose by the content of the logs.
-        experiment: Settings of the hopper; None for those of the runs or, without runs, the defaults.
+        experiment: Settings of the robot; None for those of the runs or, without runs, the defaults.
         overrides: Single settings that override these.
 
     Raises:
@@ -88,14 +88,14 @@ def read_fit_data(
         logs = [log / "steps.csv" if log.is_dir() else log for log in logs]
         experiment = experiment or _common_experiment(logs)
     settings = read_experiment(experiment, overrides)
-    hopper = ApexMap(settings.robot, settings.gains, settings.command)
-    steps = _read_runs(logs, hopper.space) if columns is None else read_foreign_logs(logs, columns)
-    source = nominal or _nominal_of(steps, hopper.space)
+    space = settings.robot.space
+    steps = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
+    source = nominal or _nominal_of(steps, space)
     description = NOMINALS[source]
     predicted = {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
     if source == "map":
-        steps = replace(steps, space=_same_names(steps.space, hopper.space))
-        predicted = hopper.evaluate(steps.state, steps.command).next_state
+        steps = replace(steps, space=_same_names(steps.space, space))
+        predicted = load_nominal(settings).map.evaluate(steps.state, steps.command).next_state
         description += f" with the settings of {experiment}" if experiment else " with default settings"
         description += ", some overridden" if overrides else ""
     if predicted is None:
@@ -110,12 +110,12 @@ def read_fit_data(
 
 
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
-    """Settings in the folders of the logs, if they describe the same hopper."""
+    """Settings in the folders of the logs, if they describe the same nominal map."""
     files = [log.with_name("experiment.toml") if log.with_name("experiment.toml").is_file() else None for log in logs]
-    hoppers = [(read.robot, read.gains, read.command) for read in map(read_experiment, files)]
-    for log, hopper in zip(logs, hoppers, strict=True):
-        if hopper != hoppers[0]:
-            raise InputError(f"{log}: recorded with another robot, gains or bounds than {logs[0]}; give --experiment")
+    maps = [(read.robot.as_modelled, read.nominal) for read in map(read_experiment, files)]
+    for log, found in zip(logs, maps, strict=True):
+        if found != maps[0]:
+            raise InputError(f"{log}: recorded with another robot or nominal map than {logs[0]}; give --experiment")
     return files[0]
 
 
@@ -134,11 +134,11 @@ def _read_runs(logs: Sequence[Path], space: StepSpace) -> StepTable:
     return tabulate(joined(found))
 
 
-def _nominal_of(steps: StepTable, hopper: StepSpace) -> str:
+def _nominal_of(steps: StepTable, space: StepSpace) -> str:
     """Source of the nominal next states if none is given."""
     if steps.predicted is not None:
         return "predicted"
-    if (steps.space.state_names, steps.space.command_names) == (hopper.state_names, hopper.command_names):
+    if (steps.space.state_names, steps.space.command_names) == (space.state_names, space.command_names):
         return "map"
     raise InputError(
         "--nominal: the log contains no predicted next states; name their columns by --predicted, or choose --nominal "
@@ -146,13 +146,13 @@ def _nominal_of(steps: StepTable, hopper: StepSpace) -> str:
     )
 
 
-def _same_names(found: StepSpace, hopper: StepSpace) -> StepSpace:
-    """The hopper's space, after a check that the columns have its names."""
-    wanted = ",".join((*hopper.state_names, *hopper.command_names))
+def _same_names(found: StepSpace, space: StepSpace) -> StepSpace:
+    """The robot's space, after a check that the columns have its names."""
+    wanted = ",".join((*space.state_names, *space.command_names))
     names = ",".join((*found.state_names, *found.command_names))
     if names != wanted:
         raise InputError(f"--nominal map: state and command are {names}; it must be {wanted}; rename by NAME=COLUMN")
-    return hopper
+    return space
 
 
 def choose_folds(steps: StepTable, count: int | None) -> Folds:

@@ -1,20 +1,18 @@
-"""The noise floor of the twin: the standard deviation of the next state when a step is repeated.
+"""The noise floor of a simulated plant: the standard deviation of the next state when a step is repeated.
 
 A controller that knows neither the noise nor the yaw cannot track better on average. A controller that estimates the
 disturbance (`learning.disturbance`) can, but not better than the standard deviation at one yaw.
 """
 
 from collections.abc import Sequence
-from copy import deepcopy
 from math import tau
 
 import numpy as np
 
 from stepgap.control.reference import Reference
 from stepgap.control.step_controller import StepController
-from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.plant import RepeatablePlant
 from stepgap.records.summary import NoiseFloor
-from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepFailed, StepMap, StepStatus
 
 REPEATED_TARGETS = 20
@@ -31,19 +29,18 @@ REPEATS = 2
 
 
 def measure_noise_floor(
-    plant: RigPlant, twin: Twin, step_map: StepMap, reference: Reference, rng: np.random.Generator
+    plant: RepeatablePlant, step_map: StepMap, reference: Reference, rng: np.random.Generator
 ) -> NoiseFloor:
-    """Pooled standard deviations of the next state when the twin repeats a step [state units].
+    """Pooled standard deviations of the next state when a plant repeats a step [state units].
 
-    The repetitions have the same command, the same true motion of robot, boom and drives at the apex, and the same
-    memory of the control, hence the same measured state. The torque noise, including its present value, is drawn again
-    for each of them. The yaw is drawn again for every second one: the floor is turned by a random angle, because the
-    yaw is not part of the state. The variances within and between the yaw angles are the components of a one-way
+    The repetitions have the same command, the same true motion at the beginning of the step, and the same memory of the
+    control, hence the same measured state. The noise, including its present value, is drawn again for each of them. The
+    yaw is drawn again for every second one: the world is turned by a random angle, because the yaw is not part of the
+    state. The variances within and between the yaw angles are the components of a one-way
     analysis of variance with random effects (Searle, Casella, McCulloch, Variance Components, ch. 3).
 
     Args:
-        plant: Plant of the twin.
-        twin: The twin in `plant`.
+        plant: The plant.
         step_map: Map whose step controller leads to the targets.
         reference: Reference whose targets are held.
         rng: Draws noise and yaw of the repeated steps.
@@ -64,22 +61,9 @@ def measure_noise_floor(
                     return _pooled(groups, len(reference.names))
             command = _command(controller, state, target)
             yaws = rng.uniform(0, tau, YAWS)
-            found = np.array([[repeated(plant, twin, command, rng, yaw) for _ in range(REPEATS)] for yaw in yaws])
+            found = np.array([[plant.repeated(command, rng, yaw) for _ in range(REPEATS)] for yaw in yaws])
             groups.append(found[np.isfinite(found).all(axis=(1, 2))])
     return _pooled(groups, len(reference.names))
-
-
-def repeated(plant: RigPlant, twin: Twin, command: Array, rng: np.random.Generator, floor_yaw: float = 0.0) -> Array:
-    """Next state of a copy of the plant that takes a step with new noise; the plant itself stays at the apex.
-
-    Args:
-        plant: Plant of the twin.
-        twin: The twin in `plant`.
-        command: Command of the step; shape (m,).
-        rng: Draws the copy's noise.
-        floor_yaw: Angle by which the floor is turned under the copy [rad].
-    """
-    return deepcopy(plant, {id(twin): twin.fork(rng, floor_yaw=floor_yaw)}).take_step(command).next_state
 
 
 def _command(controller: StepController, state: Array, target: Array) -> Array:

@@ -8,11 +8,13 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.base.versions import versions_here
-from stepgap.experiment.plants import SIMULATED, plant_on, replay_rig
+from stepgap.experiment.loop import deployment_generator
+from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.settings import PROCESS, Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.realtime.states import RigState
+from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, read_step_log, row_of
@@ -22,7 +24,9 @@ from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault, SensorModel, Torques
 from stepgap.robots.hopper.hop_control import sensors_of
 from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.robot import as_hopper
 from stepgap.robots.hopper.sensors import HopperSensorModel
+from stepgap.robots.hopper.simulation import HopperSimulation
 from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
@@ -84,11 +88,12 @@ def sensor_model_of(settings: Experiment) -> HopperSensorModel:
     Raises:
         InputError: The rig, or the file that describes it, does not exist.
     """
-    if settings.plant in SIMULATED:
-        return twin_sensor_model(settings.robot, settings.gap)
     if settings.plant == PROCESS:
         raise InputError(f"plant '{PROCESS}': the motion between the steps is not recorded")
-    return sensors_of(load_rig(settings.plant, Path(settings.rig), settings.robot))
+    hopper = as_hopper(settings.robot, "the motion between the steps is shown")
+    if settings.simulated:
+        return twin_sensor_model(hopper.parameters, hopper.gap)
+    return sensors_of(load_rig(settings.plant, Path(settings.rig), hopper))
 
 
 def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
@@ -120,11 +125,27 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
     return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, step])[kept])
 
 
+def replay_rig(settings: Experiment, iteration: int) -> tuple[Rig, Twin]:
+    """Rig of a recorded deployment, in its state before the first hop, and the twin in it.
+
+    Raises:
+        InputError: The plant was not simulated, or no twin can be made with the settings.
+    """
+    if not settings.simulated:
+        raise InputError(
+            f"plant '{settings.plant}': a deployment of a rig cannot be simulated again; its ticks are in ticks/"
+        )
+    simulation = simulation_of(settings)
+    if not isinstance(simulation, HopperSimulation):
+        raise InputError(f"robot '{settings.robot.name}': its motion between the steps is not simulated again")
+    return simulation.direct_rig(deployment_generator(settings.seed, iteration))
+
+
 def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:
     """Reads the settings of a run and the steps of one of its deployments."""
     settings, path = read_experiment(folder / "experiment.toml"), folder / "steps.csv"
     try:
-        log = read_step_log(path, settings.command.space())
+        log = read_step_log(path, settings.robot.space)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {folder} must be the folder of a run") from None
     steps = list(log.of_iteration(iteration))
@@ -138,7 +159,8 @@ def _hops(folder: Path, settings: Experiment, steps: list[LoggedStep], every: in
     """Yields the rows of each hop after a check that its step equals the recorded one."""
     rig, twin = replay_rig(settings, steps[0].iteration)
     recorder = _Recorder(twin, every)
-    with plant_on(settings, _ObservedRig(rig, recorder.on_read), recorder.on_ticks) as plant:
+    control = as_hopper(settings.robot, "a deployment is simulated again").control()
+    with RigPlant(_ObservedRig(rig, recorder.on_read), control, recorder.on_ticks) as plant:
         recorder.step = steps[0].step - 1
         try:
             plant.start()

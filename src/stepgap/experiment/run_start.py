@@ -14,7 +14,17 @@ from stepgap.experiment.settings import Experiment, write_experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.step import StepFailed, StepMap
 
-ALSO_WRITTEN = ("reference.csv", "warm_start.csv", "report.html", "figures", "replay", "ticks")
+ALSO_WRITTEN = (
+    "reference.csv",
+    "warm_start.csv",
+    "nominal_map.json",
+    "nominal_map.toml",
+    "nominal_map.csv",
+    "report.html",
+    "figures",
+    "replay",
+    "ticks",
+)
 """Other files and folders that a run may write into its folder."""
 
 
@@ -23,7 +33,7 @@ def dated_folder(home: str = "runs") -> Path:
     return Path(home) / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
 
 
-def start_folder(folder: Path, settings: Experiment, reference: Reference, known: StepLog) -> None:
+def start_folder(folder: Path, settings: Experiment, reference: Reference, known: StepLog, surrogate: str = "") -> None:
     """Creates the run's folder with its resolved settings; refuses a folder that already holds a run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -32,7 +42,7 @@ def start_folder(folder: Path, settings: Experiment, reference: Reference, known
                 raise InputError(f"{folder}: already holds a run; continue it by --resume, or choose another --out")
             if there := [name for name in ALSO_WRITTEN if (folder / name).exists()]:
                 raise InputError(f"{folder}: {there[0]} already exists and would be overwritten; choose another --out")
-            write_experiment(folder, settings, reference, known)
+            write_experiment(folder, settings, reference, known, surrogate)
     except OSError as error:
         raise InputError(
             f"{error.filename or folder}: cannot be written: {error.strerror}; choose another --out"

@@ -1,4 +1,4 @@
-"""A command table of the hopper's map as cases, one for each batch of its nodes."""
+"""A command table of a nominal map as cases, one for each batch of its nodes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,13 +9,16 @@ import tomli_w
 from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError, StepGapError
-from stepgap.base.settings_file import build, to_table, with_table
+from stepgap.base.settings_file import with_table
 from stepgap.control.command_table import BATCH, CommandTable, TableBatches
 from stepgap.control.solve_many import Answers
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseOutput
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.sampled_map import nominal_map
+from stepgap.experiment.nominal import load_nominal
+from stepgap.experiment.settings import Experiment, changed_experiment, experiment_table
+from stepgap.robots.hopper.robot import as_hopper
+from stepgap.robots.hopper.sampled_map import SampledApexMap
+from stepgap.step import StepMap
 
 TABLE_FILE = "table.toml"
 """File in the folder of a table's cases with its plan."""
@@ -26,17 +29,13 @@ class TablePlan:
     """The map and the grid of a table; it is a `Plan`.
 
     Attributes:
-        robot: Robot of the map.
-        gains: Its joint controller.
-        command: Bounds of the command.
+        settings: Experiment with the robot and its nominal map.
         points: Points along each axis of the grid.
         tick: Time for which torques are held [s]; 0: they act continuously.
         batch: Approximate number of nodes of a case.
     """
 
-    robot: RobotParameters
-    gains: Gains
-    command: CommandBounds
+    settings: Experiment
     points: int
     tick: float = 0.0
     batch: int = BATCH
@@ -44,7 +43,7 @@ class TablePlan:
     @property
     def batches(self) -> TableBatches:
         """The cases as batches of nodes."""
-        return TableBatches(self.command.space(), self.points, self.batch)
+        return TableBatches(self.settings.robot.space, self.points, self.batch)
 
     def __len__(self) -> int:
         return len(self.batches)
@@ -52,19 +51,37 @@ class TablePlan:
     @property
     def files(self) -> Mapping[str, str]:
         """Text of the file that identifies the table, by its name."""
-        return {TABLE_FILE: tomli_w.dumps(to_table(self))}
+        return {TABLE_FILE: tomli_w.dumps(self._table())}
 
     def case(self, number: int) -> str:
         """The number of a batch, and the plan, as TOML."""
-        return tomli_w.dumps({"number": number, "table": to_table(self)})
+        return tomli_w.dumps({"number": number, **self._table()})
+
+    def _table(self) -> dict[str, Any]:
+        """All that determines the table."""
+        model = Experiment(self.settings.robot.as_modelled, nominal=self.settings.nominal)
+        return {"points": self.points, "tick": self.tick, "batch": self.batch, "model": experiment_table(model)}
 
 
 def solve_batch(case: Mapping[str, Any]) -> CaseOutput:
     """Solves the nodes of a batch; the result contains the arrays of `Answers` as nested lists, without NaN."""
-    plan = build(TablePlan, case["table"], with_table)
-    nominal = nominal_map(plan.robot, plan.gains, plan.command, plan.tick or None)
+    settings = changed_experiment(Experiment(), case["model"], with_table)
+    plan = TablePlan(settings, case["points"], case["tick"], case["batch"])
+    nominal = sampled_map(settings, plan.tick or None)
     answers = plan.batches.solve(nominal, case["number"])
     return CaseOutput({name: _plain(values) for name, values in vars(answers).items()})
+
+
+def sampled_map(settings: Experiment, tick: float | None) -> StepMap:
+    """The nominal map or, if a tick [s] is given, the hopper's with torques that are held for it.
+
+    Raises:
+        ValueError: The tick is out of its range.
+    """
+    if tick is None:
+        return load_nominal(settings).map
+    hopper = as_hopper(settings.robot, "torques are held for a tick")
+    return SampledApexMap(hopper.parameters, hopper.gains, hopper.command, tick)
 
 
 def _plain(values: NDArray[Any]) -> Any:

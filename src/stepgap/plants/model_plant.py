@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from stepgap.plants.plant import Plant
+from stepgap.plants.plant import RepeatablePlant
 from stepgap.step import Array, StepMap, StepRecord, StepSpace, StepStatus
 
 
-class ModelPlant(Plant):
+class ModelPlant(RepeatablePlant):
     """Executes steps by evaluating a map and adding noise.
 
     Args:
@@ -32,12 +32,21 @@ class ModelPlant(Plant):
 
     def take_step(self, command: Array) -> StepRecord:
         """Evaluates the map at the command, limited to its bounds."""
+        record = self._step(np.asarray(command, float), self._rng)
+        self._state = record.next_state
+        return record
+
+    def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
+        """Next state with new noise; there is no yaw."""
+        return self._step(np.asarray(command, float), rng).next_state
+
+    def _step(self, command: Array, rng: np.random.Generator) -> StepRecord:
         applied = np.clip(command, self.space.command_lower, self.space.command_upper)
         next_state, code = self._map.evaluate(self._state, applied)
-        next_state = next_state + self._rng.normal(0.0, self._noise)
-        state, self._state = self._state, next_state
-        command, status = np.asarray(command, float), StepStatus(int(code))
-        return StepRecord(state, command, applied, next_state, status, requested=applied, true_next_state=next_state)
+        next_state, status = next_state + rng.normal(0.0, self._noise), StepStatus(int(code))
+        return StepRecord(
+            self._state, command, applied, next_state, status, requested=applied, true_next_state=next_state
+        )
 
     def stop(self) -> None:
         """Does nothing: nothing moves."""

@@ -3,6 +3,8 @@
 from abc import ABC, abstractmethod
 from typing import Self
 
+import numpy as np
+
 from stepgap.step import Array, StepRecord, StepSpace
 
 
@@ -43,3 +45,17 @@ class Plant(ABC):
 
     def __exit__(self, *exc_info: object) -> None:
         self.stop()
+
+
+class RepeatablePlant(Plant):
+    """A simulated plant that can repeat a step, which shows how much the next state varies by itself."""
+
+    @abstractmethod
+    def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:
+        """Next state of a copy of the plant that takes a step with new noise; the plant itself stays where it is.
+
+        Args:
+            command: Command of the step; shape (m,).
+            rng: Draws the copy's noise.
+            turned: Angle by which the world is turned under the copy [rad], if the yaw has an effect.
+        """

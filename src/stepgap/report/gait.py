@@ -44,23 +44,36 @@ def describe_gait(space: StepSpace, point: FixedPoint, reachable: ReachableSet) 
 
 
 def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) -> Figure:
-    """Draws the reachable set of the first two state coordinates, and the Floquet multipliers in the complex plane."""
+    """Draws the reachable set, and the Floquet multipliers in the complex plane.
+
+    Of the state, the first two coordinates are shown; if there is only one, it is shown against the first command.
+    """
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     plane, circle = figure.subplots(1, 2, width_ratios=[1.5, 1])
-    states = reachable.next_states.reshape(-1, len(space.state))
-    border = reachable.boundary
-    plane.fill(border[:, 0], border[:, 1], color="0.92", zorder=0)
-    plane.plot(*np.vstack([border, border[:1]]).T[:2], color="0.4", lw=1.2, label="commands on their bounds")
-    plane.plot(states[:, 0], states[:, 1], ".", ms=2, color="0.6", label="one step, commands on a grid")
-    plane.plot(*point.state[:2], "o", ms=8, color="#0072B2", label="state $X_0$")
-    if not point.held:
-        plane.plot(*point.next_state[:2], "x", ms=9, mew=2, color="#D55E00", label="closest next state")
-    first, second = space.state[:2]
-    plane.set(
-        xlabel=f"next {first.name} [{first.unit}]",
-        ylabel=f"next {second.name} [{second.unit}]",
-        title="One-step reachable set",
+    states, commands = (
+        reachable.next_states.reshape(-1, len(space.state)),
+        reachable.commands.reshape(-1, len(space.command)),
     )
+    if len(space.state) > 1:
+        shown, here, nearest = states, point.state, point.next_state
+        labels = [f"next {axis_label(quantity, capital=False)}" for quantity in space.state[:2]]
+    else:
+        shown = np.hstack([commands[:, :1], states])
+        first = point.command.tolist()[0]
+        here, nearest = (np.array([first, *state]) for state in (point.state, point.next_state))
+        labels = [
+            axis_label(space.command[0], capital=False),
+            f"next {axis_label(next(iter(space.state)), capital=False)}",
+        ]
+    if len(space.command) == 2 and len(space.state) > 1:
+        border = reachable.boundary
+        plane.fill(border[:, 0], border[:, 1], color="0.92", zorder=0)
+        plane.plot(*np.vstack([border, border[:1]]).T[:2], color="0.4", lw=1.2, label="commands on their bounds")
+    plane.plot(shown[:, 0], shown[:, 1], ".", ms=2, color="0.6", label="one step, commands on a grid")
+    plane.plot(*here[:2], "o", ms=8, color="#0072B2", label="state $X_0$")
+    if not point.held:
+        plane.plot(*nearest[:2], "x", ms=9, mew=2, color="#D55E00", label="closest next state")
+    plane.set(xlabel=labels[0], ylabel=labels[1], title="One-step reachable set")
     figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     angle = np.linspace(0, 2 * np.pi, 200)
     circle.plot(np.cos(angle), np.sin(angle), color="0.4", lw=1)

@@ -21,7 +21,7 @@ def load_rig(name: str, settings: Path, robot: object) -> Rig:
     Args:
         name: Name of its entry point.
         settings: File that describes the rig; the rig reads it.
-        robot: Parameters of the robot that the rig is expected to be.
+        robot: Robot that the rig is expected to be.
 
     Raises:
         InputError: There is no such rig, a package that it needs is not installed, it is not a rig, or its settings are

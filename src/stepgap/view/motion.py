@@ -76,3 +76,8 @@ def still_hop(robot: RobotParameters, gains: Gains, pivot_height: float, state: 
     alpha_2 = knee_angle(leg_of(robot), gains.landing_length)
     pose = [0.0, pitch, alpha_1, alpha_2, 0.0, 0.0]
     return HopMotion(np.array([0.0, STILL]), np.array([pose, pose]), np.zeros(2))
+
+
+def invisible_hop() -> HopMotion:
+    """A pause for a step of a robot that is not drawn."""
+    return HopMotion(np.array([0.0, STILL]), np.zeros((2, 6)), np.zeros(2))

@@ -120,9 +120,12 @@ class Page:
         return hop.duration if hop else None
 
     def _build_scene(self) -> None:
-        scene, robot, height = self._server.scene, self._source.settings.robot, self._source.pivot_height
+        scene, hopper, height = self._server.scene, self._source.hopper, self._source.pivot_height
         scene.set_up_direction("+z")
         self._world = scene.add_frame("/world", show_axes=False)
+        if hopper is None:
+            return
+        robot = hopper.parameters
         self._ground = Ground(scene, "/world/ground", robot.boom_length, height)
         self._robot = RobotScene(scene, "/world/robot", robot, height)
         self._ghost = RobotScene(scene, "/world/ghost", robot, height, ghost=True)
@@ -200,7 +203,7 @@ class Page:
     def _show_motion(self) -> None:
         source, player = self._source, self.player
         hop = source.hop(self.iteration, player.hop)
-        if hop is None:
+        if hop is None or source.hopper is None:
             return
         pose, ground = hop.at(player.share)
         self._robot.show(pose)

@@ -12,7 +12,7 @@ from threading import Event, Thread
 import numpy as np
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.experiment.plants import SIMULATED
+from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.replay import logged_ticks, replayed_hops, sensor_model_of
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.observations import next_history
@@ -23,10 +23,10 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.model_files import read_model
 from stepgap.records.steps_csv import read_step_log
-from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from stepgap.robots.hopper.tick import TICK_UNITS
-from stepgap.view.motion import TICK_STRIDE, HopMotion, sensed_hop, still_hop, true_hop
+from stepgap.view.motion import TICK_STRIDE, HopMotion, invisible_hop, sensed_hop, still_hop, true_hop
 
 RING_FIELDS = 2 + len(TICK_UNITS)
 """Number of fields of a row of the ring: deployment, hop, tick."""
@@ -41,6 +41,7 @@ class Source:
 
     Attributes:
         settings: Settings of the experiment.
+        hopper: Its robot, if that can be drawn.
         space: State and command of its steps.
         sensor_model: Sensor model of the rig; None where the rig is not available.
 
@@ -54,10 +55,12 @@ class Source:
         if not (folder / "experiment.toml").is_file():
             raise InputError(f"{folder}: contains no experiment.toml; give the folder of a run")
         self.settings = read_experiment(folder / "experiment.toml")
-        self.nominal = ApexMap(self.settings.robot, self.settings.gains, self.settings.command)
+        self.nominal = load_nominal(self.settings).map
+        robot = self.settings.robot
+        self.hopper = robot if isinstance(robot, Hopper) else None
         self.space = self.nominal.space
-        self.sensor_model = self._find_sensor_model()
         self._missing: Missing | None = None
+        self.sensor_model = self._find_sensor_model()
         self._size, self._log = -1, StepLog(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
         self._motion: dict[int, list[HopMotion | None]] = {}
@@ -74,7 +77,9 @@ class Source:
     @property
     def pivot_height(self) -> float:
         """Height of the boom's pivot [m]."""
-        return self.sensor_model.pivot_height if self.sensor_model else self.settings.gap.boom_pivot_height
+        if self.sensor_model:
+            return self.sensor_model.pivot_height
+        return self.hopper.gap.boom_pivot_height if self.hopper else 0.0
 
     @property
     def missing_motion(self) -> Missing | None:
@@ -103,15 +108,17 @@ class Source:
             return None
         state = steps[min(number, len(steps)) - 1].record.next_state if number else steps[0].record.state
         known = state if np.isfinite(state).all() else steps[min(number, len(steps)) - 1].record.state
-        return still_hop(self.settings.robot, self.settings.gains, self.pivot_height, known)
+        if self.hopper is None:
+            return invisible_hop()
+        return still_hop(self.hopper.parameters, self.hopper.gains, self.pivot_height, known)
 
     def want(self, iteration: int) -> None:
         """Starts to load the motion of a deployment, unless it is known or comes through the ring."""
         from_ring = self._ring is not None and iteration >= max(self._steps, default=0)
-        if iteration in self._motion or from_ring:
+        if iteration in self._motion or from_ring or self.hopper is None:
             return
         self._motion[iteration] = []
-        load = self._simulate if self.settings.plant in SIMULATED else self._read_log
+        load = self._simulate if self.settings.simulated else self._read_log
         self._loaders[iteration] = Thread(target=self._load, args=(iteration, load), daemon=True)
         self._loaders[iteration].start()
 
@@ -156,9 +163,10 @@ class Source:
     def _find_sensor_model(self) -> HopperSensorModel | None:
         try:
             return sensor_model_of(self.settings)
-        except InputError:
-            if self.settings.plant in SIMULATED:
+        except InputError as error:
+            if self.hopper and self.settings.simulated:
                 raise
+            self._missing = Missing(str(error))
             return None
 
     def _read_steps(self) -> bool:

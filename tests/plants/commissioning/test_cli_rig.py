@@ -189,7 +189,7 @@ WRONG = [
     (["emulate", "mine.toml", "sh", "-c", "a b"], "type `stepgap rig emulate mine.toml -- sh -c 'a b'`"),
     (["emulate", "mine.toml", "--intreface", "x"], "--intreface: not an option of rig emulate"),
     (["emulate", "--hold", "inf"], "--hold inf: it must lie between"),
-    (["emulate", "--robot.boom_length", "0.05"], "no twin can be made"),
+    (["emulate", "--parameters.boom_length", "0.05"], "no twin can be made"),
     (["emulate", "--settings", "broken.toml"], "broken.toml: exists and describes another rig"),
     (["emulate", "--settings", "none/e.toml"], "cannot be written"),
 ]

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import tomli_w
 
+from stepgap.base.errors import InputError
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.settings import (
     PATHS,
@@ -22,9 +23,9 @@ from stepgap.experiment.settings import (
     experiment_files,
     load_known,
     load_reference,
+    merged_experiment,
     nested,
 )
-from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.step import StepSpace
 
 SWEEP_FILE = "sweep.toml"
@@ -83,7 +84,7 @@ class Sweep:
     @property
     def space(self) -> StepSpace:
         """State and command of the robot."""
-        return self.base.command.space()
+        return self.base.robot.space
 
     def settings(self, number: int) -> dict[str, Any]:
         """Values of the settings on the axes in a case, by name."""
@@ -123,25 +124,30 @@ def points_digest(base: Experiment, axes: Sequence[Axis]) -> str:
     content = repr([(axis.names, axis.points) for axis in axes])
     for axis in axes:
         for point in axis.points if {*axis.names} & {*PATHS} else ():
-            content += repr(_input_files(replace(base, **dict(zip(axis.names, point, strict=True)))))
+            content += repr(_input_files(merged_experiment(base, nested(zip(axis.names, point, strict=True)), str)))
     return sha256(content.encode()).hexdigest()
 
 
 def _input_files(experiment: Experiment) -> dict[str, str]:
     """Texts of all files of an experiment, by their names in the folder of a run."""
-    space = experiment.command.space()
+    space = experiment.robot.space
     return experiment_files(experiment, load_reference(experiment, space), load_known(experiment, space))
 
 
 def with_changes(base: Experiment, changes: Mapping[str, Any]) -> tuple[Experiment, dict[str, Any]]:
-    """An experiment and a TOML table of its changes; the gap of a random twin is in the experiment already.
+    """An experiment and a TOML table of its changes; a random twin is in the experiment already.
 
     Args:
         base: The experiment.
-        changes: Values by dotted name; `twin` is the number of a random twin, whose gap replaces that of the experiment
-            before the other settings change.
+        changes: Values by dotted name; `twin` is the number of a random twin, whose differences from the model replace
+            those of the experiment before the other settings change.
     """
     table = dict(changes)
     if TWIN_NUMBER in table:
-        base = replace(base, gap=random_gap(random_stream(table.pop(TWIN_NUMBER))))
+        robot = base.robot.randomised(random_stream(table.pop(TWIN_NUMBER)))
+        if robot is None:
+            raise InputError(
+                f"twins: robot '{base.robot.name}' has no random differences from its model; remove this key"
+            )
+        base = replace(base, robot=robot)
     return base, nested(table.items())

@@ -12,13 +12,13 @@ from stepgap.experiment.bands import hops_to_band, tracking_errors
 from stepgap.experiment.cases.case_folder import checked_name
 from stepgap.experiment.cases.plan import CaseOutput
 from stepgap.experiment.loop import run_experiment
+from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.plants import choose_plants
 from stepgap.experiment.run_start import check_reach
 from stepgap.experiment.settings import load_known, load_reference, read_experiment
 from stepgap.records.paper import STATE_NAMES
 from stepgap.records.steps_csv import read_step_log
 from stepgap.records.summary import Deployment, deployment_entry
-from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.step import StepSpace
 
 _KEPT = {
@@ -43,7 +43,7 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
         for file, text in case["files"].items():
             (folder / checked_name(file)).write_text(text, encoding="utf-8", newline="")
         settings = read_experiment(folder / "experiment.toml")
-        nominal = ApexMap(settings.robot, settings.gains, settings.command)
+        nominal = load_nominal(settings).map
         reference, known = load_reference(settings, nominal.space), load_known(settings, nominal.space)
         check_reach(nominal, reference, Path(settings.reference).name)
         plants = choose_plants(settings, reference, False, folder)

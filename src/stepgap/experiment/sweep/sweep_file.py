@@ -14,8 +14,15 @@ from stepgap.base.plugins import suggestion
 from stepgap.base.random_streams import random_stream
 from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import read_toml
-from stepgap.experiment.plants import SIMULATED
-from stepgap.experiment.settings import PATHS, Experiment, in_folder, load_reference, merged_experiment, read_experiment
+from stepgap.experiment.settings import (
+    PATHS,
+    ROBOT,
+    Experiment,
+    in_folder,
+    load_reference,
+    merged_experiment,
+    read_experiment,
+)
 from stepgap.experiment.sweep.sweep import (
     KEEP,
     POINTS_SHA256,
@@ -45,12 +52,15 @@ def read_sweep(path: Path) -> Sweep:
     table = read_toml(path, "a sweep")
     _check_keys(table, _KEYS, f"{path}: ")
     base = read_experiment(_base_file(table["base"], path) if "base" in table else None)
-    if base.plant not in SIMULATED:
-        raise InputError(f"{path}: base: plant '{base.plant}' is a rig; a sweep needs one of {', '.join(SIMULATED)}")
+    if not base.simulated:
+        plants = ", ".join(base.robot.simulations())
+        raise InputError(f"{path}: base: plant '{base.plant}' is not simulated; a sweep needs one of {plants}")
     keep: Any = table.get("keep", KEEP[0])
     if keep not in KEEP:
         raise InputError(f"{path}: keep = {format_value(keep)}, but it must be one of {', '.join(KEEP)}")
-    values = {name: _absolute(name, value, path.parent) for name, value in _flat(_table(table, "axes", f"{path}: "))}
+    values = {
+        name: _absolute(base, name, value, path.parent) for name, value in _flat(_table(table, "axes", f"{path}: "))
+    }
     table = {"seeds": [base.seed], **table, "keep": keep, "axes": values}
     axes = (
         *_twins(table, path),
@@ -58,7 +68,7 @@ def read_sweep(path: Path) -> Sweep:
         *_axes(values, path),
         Axis((SEED,), tuple((seed,) for seed in _integers(table["seeds"], f"{path}: seeds"))),
     )
-    load_reference(base, base.command.space())  # tells now, not in every case, that a file is missing
+    load_reference(base, base.robot.space)  # tells now, not in every case, that a file is missing
     _check(base, axes, path)
     if table.pop(POINTS_SHA256, None) not in (None, points_digest(base, axes)):
         wanted = "use the versions and files that made it, or remove this key for a new sweep"
@@ -66,11 +76,12 @@ def read_sweep(path: Path) -> Sweep:
     return Sweep(base, axes, table, keep)
 
 
-def _absolute(name: str, value: Any, folder: Path) -> Any:
+def _absolute(base: Experiment, name: str, value: Any, folder: Path) -> Any:
     """The values of an axis, with absolute paths."""
     if name not in PATHS or not isinstance(value, list):
         return value
-    return [in_folder(folder.resolve(), name, each) if isinstance(each, str) else each for each in value]
+    home, robot = folder.resolve(), base.robot
+    return [in_folder(home, robot, name, each) if isinstance(each, str) else each for each in value]
 
 
 def _check(base: Experiment, axes: Sequence[Axis], path: Path) -> None:
@@ -93,10 +104,13 @@ def _check(base: Experiment, axes: Sequence[Axis], path: Path) -> None:
 
 def _check_value(base: Experiment, name: str, value: Any, path: Path) -> None:
     """Raises InputError if a value of a setting is not valid; numbers of twins and seeds were checked before."""
-    if name == "plant" and value not in SIMULATED:
-        raise InputError(f"{path}: plant = {format_value(value)}, but it must be one of {', '.join(SIMULATED)}")
+    plants = base.robot.simulations()
+    if name == "plant" and value not in plants:
+        raise InputError(f"{path}: plant = {format_value(value)}, but it must be one of {', '.join(plants)}")
     if name == "rig":
-        raise InputError(f"{path}: rig: a sweep cannot use a rig; its plants are {', '.join(SIMULATED)}")
+        raise InputError(f"{path}: rig: a sweep cannot use a rig; its plants are {', '.join(plants)}")
+    if name == ROBOT:
+        raise InputError(f"{path}: robot: a sweep has one robot; set it in the base experiment")
     if name not in (TWIN_NUMBER, SEED):
         merged_experiment(*with_changes(base, {name: value}), lambda key: f"{path}: [axes] {key}")
 

@@ -10,8 +10,9 @@ from stepgap.base.settings_file import build, read_toml, with_table
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor, RigDevice
 from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.parameters import RobotParameters, parameters_of
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,10 +122,10 @@ def hopper_on_ethercat(settings: RigSettings, robot: RobotParameters) -> Etherca
     return EthercatRig(settings, settings.sensor_model(robot.boom_length))
 
 
-def ethercat_rig_from_file(settings: Path, robot: RobotParameters) -> EthercatRig:
+def ethercat_rig_from_file(settings: Path, robot: Robot) -> EthercatRig:
     """Rig described by a `rig.toml`; entry point of `stepgap.rigs`.
 
     Raises:
-        InputError: A setting is wrong; the message names file, key and rule.
+        InputError: A setting is wrong; the message names file, key and rule. Or the robot is not the hopper.
     """
-    return hopper_on_ethercat(read_rig_settings(settings), robot)
+    return hopper_on_ethercat(read_rig_settings(settings), parameters_of(robot))

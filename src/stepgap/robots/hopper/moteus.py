@@ -10,8 +10,9 @@ from stepgap.base.settings_file import build, read_toml, with_table
 from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
 from stepgap.rigs.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice, CanSettings, Controller
 from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.parameters import RobotParameters, parameters_of
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,10 +112,10 @@ def hopper_on_moteus(settings: MoteusSettings, robot: RobotParameters) -> Moteus
     return MoteusRig(settings, settings.sensor_model(robot.boom_length))
 
 
-def moteus_rig_from_file(settings: Path, robot: RobotParameters) -> MoteusRig:
+def moteus_rig_from_file(settings: Path, robot: Robot) -> MoteusRig:
     """Rig described by a `moteus.toml`; entry point of `stepgap.rigs`.
 
     Raises:
-        InputError: A setting is wrong; the message names file, key and rule.
+        InputError: A setting is wrong; the message names file, key and rule. Or the robot is not the hopper.
     """
-    return hopper_on_moteus(read_moteus_settings(settings), robot)
+    return hopper_on_moteus(read_moteus_settings(settings), parameters_of(robot))

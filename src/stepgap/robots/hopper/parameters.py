@@ -7,7 +7,9 @@ here, each with a reason.
 from dataclasses import dataclass, fields
 from math import isfinite
 
+from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
+from stepgap.robots.robot import Robot
 from stepgap.step import Quantity, StepSpace
 
 
@@ -153,3 +155,15 @@ class CommandBounds:
                 Quantity("fy", "N", self.fy_lower, self.fy_upper),
             ),
         )
+
+
+def parameters_of(robot: Robot) -> RobotParameters:
+    """The physical parameters of the robot that a rig is expected to be.
+
+    Raises:
+        InputError: The robot is not the hopper.
+    """
+    parameters = getattr(robot, "parameters", None)
+    if not isinstance(parameters, RobotParameters):
+        raise InputError(f"robot '{robot.name}': this rig is a hopper's; leave robot at 'hopper'")
+    return parameters

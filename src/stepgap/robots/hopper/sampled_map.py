@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from stepgap.base.compiled import compiled
 from stepgap.base.ranges import require
 from stepgap.hybrid.integrator import Tolerance, make_trace
-from stepgap.robots.hopper.apex_map import ApexMap, as_points, on_all_cores
+from stepgap.robots.hopper.apex_map import as_points, on_all_cores
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.joint_control import joint_law
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
@@ -79,12 +79,3 @@ class SampledApexMap(StepMap):
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next speed, next height)/∂(speed, height, fx, fy) by differences that average over jumps; (…, 2, 4)."""
         return difference_jacobian(self, state, command, DIFFERENCE)
-
-
-def nominal_map(robot: RobotParameters, gains: Gains, bounds: CommandBounds, tick: float | None = None) -> StepMap:
-    """The map of the physics model, with torques that act continuously or, if a tick [s] is given, are held for it.
-
-    Raises:
-        ValueError: As of `ApexMap` and `SampledApexMap`.
-    """
-    return ApexMap(robot, gains, bounds) if tick is None else SampledApexMap(robot, gains, bounds, tick)

@@ -1,0 +1,40 @@
+"""Robots by name: those of this package and of others, found by their entry points."""
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from stepgap.base.errors import InputError
+from stepgap.base.plugins import load_plugin, plugin_names
+from stepgap.robots.robot import Robot
+
+ROBOTS_GROUP = "stepgap.robots"
+"""Entry points of this group are classes: frozen dataclasses, subclasses of `Robot`."""
+
+
+def robot_names() -> tuple[str, ...]:
+    """Names of all installed robots, in alphabetical order."""
+    return plugin_names(ROBOTS_GROUP)
+
+
+def load_robot(name: str) -> Robot:
+    """The robot of this name with default settings.
+
+    Raises:
+        InputError: There is no such robot, a package that it needs is not installed, or it is not a robot.
+    """
+    wanted = f"a subclass of stepgap.Robot that is a dataclass and has name = '{name}'"
+    kind = load_plugin(ROBOTS_GROUP, "robot", name, lambda found: _is_robot(found, name), wanted)
+    try:
+        robot = kind()
+    except (TypeError, ValueError) as error:
+        raise InputError(f"robot '{name}': cannot be made with default settings: {error}") from None
+    for entry in fields(robot):
+        if not is_dataclass(getattr(robot, entry.name)):
+            raise InputError(f"robot '{name}': its field {entry.name} is no table; it must be a frozen dataclass")
+    return robot
+
+
+def _is_robot(found: Any, name: str) -> bool:
+    """Whether an object is a class of robots with this name."""
+    is_class = isinstance(found, type) and issubclass(found, Robot) and is_dataclass(found)
+    return is_class and getattr(found, "name", None) == name

@@ -1,0 +1,102 @@
+"""The hopper as a `Robot`: its settings, and what they make."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from stepgap.base.errors import InputError
+from stepgap.control.reference import Reference, paper_reference
+from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.simulation import HopperSimulation, RingSimulation, TwinSimulation
+from stepgap.robots.hopper.twin.family import random_gap
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.robot import Robot
+from stepgap.step import StepMap, StepSpace
+
+TWIN, EMULATED_RING = "twin", "emulated-ring"
+"""Names of the simulated plants."""
+
+
+@dataclass(frozen=True)
+class Hopper(Robot):
+    """The hopper on a boom.
+
+    Attributes:
+        parameters: Robot of the physics model.
+        gains: Gains of the joint controller.
+        command: Bounds of the step command.
+        gap: Differences of the twin from the model.
+    """
+
+    name: ClassVar[str] = "hopper"
+    presets: ClassVar[Mapping[str, Mapping[str, Callable[[], RealityGap]]]] = {
+        "gap": {"paper": RealityGap, "none": RealityGap.none}
+    }
+
+    parameters: RobotParameters = field(default_factory=RobotParameters)
+    gains: Gains = field(default_factory=Gains)
+    command: CommandBounds = field(default_factory=CommandBounds)
+    gap: RealityGap = field(default_factory=RealityGap)
+
+    @property
+    def space(self) -> StepSpace:
+        """State [speed, height], command [fx, fy]."""
+        return self.command.space()
+
+    def apex_map(self) -> ApexMap:
+        """Map of the physics model."""
+        return ApexMap(self.parameters, self.gains, self.command)
+
+    def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
+        """The equations of motion."""
+        return {"equations": self.apex_map}
+
+    @property
+    def as_modelled(self) -> Self:
+        """This robot with the default differences of the twin."""
+        return replace(self, gap=RealityGap())
+
+    def references(self) -> Mapping[str, Callable[[], Reference]]:
+        """The reference of the paper."""
+        return {"paper": paper_reference}
+
+    def check(self) -> None:
+        """Raises ValueError where a gain does not fit the leg."""
+        try:
+            self.gains.check(self.parameters)
+        except ValueError as error:
+            raise ValueError(f"gains.{error}") from None
+
+    def simulations(self) -> Mapping[str, Callable[[np.random.Generator], HopperSimulation]]:
+        """The twin, and the twin on an EtherCAT bus in software."""
+        return {
+            TWIN: lambda world: TwinSimulation(self, world),
+            EMULATED_RING: lambda world: RingSimulation(self, world),
+        }
+
+    def control(self) -> HopperControl:
+        """The joint controller."""
+        return HopperControl(self.parameters, self.gains, self.command)
+
+    def randomised(self, rng: np.random.Generator) -> Self:
+        """A twin of the family of random twins."""
+        return replace(self, gap=random_gap(rng))
+
+
+def as_hopper(robot: Robot, what: str) -> Hopper:
+    """The robot, if it is the hopper.
+
+    Args:
+        robot: The robot.
+        what: What needs the hopper, for the message.
+
+    Raises:
+        InputError: It is another robot.
+    """
+    if not isinstance(robot, Hopper):
+        raise InputError(f"robot '{robot.name}': {what} only for robot '{Hopper.name}'")
+    return robot

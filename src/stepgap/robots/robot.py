@@ -1,0 +1,82 @@
+"""The interface of a robot: its settings, state and command, nominal maps, reference, and simulated plants."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from stepgap.control.reference import Reference
+from stepgap.plants.compiled_rig import Rows
+from stepgap.plants.plant import Plant, RepeatablePlant
+from stepgap.plants.tick_control import RobotControl
+from stepgap.step import StepMap, StepSpace
+
+OnTicks = Callable[[Rows], None]
+"""Called with the log rows of ticks at their end, some at a time."""
+
+
+class Simulation(ABC):
+    """A simulated plant in one world, such as one floor, which is the same in all deployments of a run."""
+
+    @abstractmethod
+    def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> Plant:
+        """Makes the plant of one deployment; the same generator gives the same steps again.
+
+        Args:
+            rng: Draws everything that is random in this deployment.
+            on_ticks: Called with the ticks, if the plant has any.
+        """
+
+    def repeatable_plant(self, rng: np.random.Generator) -> RepeatablePlant | None:  # noqa: ARG002  (others use it)
+        """Makes a plant that can repeat a step, for the noise floor; None if there is none."""
+        return None
+
+
+class Robot(ABC):
+    """A robot with its settings: a frozen dataclass, each field of which is a table of `experiment.toml`.
+
+    A table is a frozen dataclass with default values, whose `__post_init__` raises ValueError for a wrong value
+    (`base.ranges.require` words the message). Only `space`, `nominal_maps` and `references` are needed; what a robot
+    does not have, the verbs leave out.
+
+    Attributes:
+        name: Name of the robot; that of its entry point.
+        presets: Named values of its tables, by table; key `preset` of that table chooses one.
+    """
+
+    name: ClassVar[str]
+    presets: ClassVar[Mapping[str, Mapping[str, Callable[[], Any]]]] = {}
+
+    @property
+    @abstractmethod
+    def space(self) -> StepSpace:
+        """Names, units and ranges of its state and command."""
+
+    @abstractmethod
+    def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
+        """Its nominal maps by name; the first one is the default. Of a `SimulatorMap`, a surrogate is used."""
+
+    @abstractmethod
+    def references(self) -> Mapping[str, Callable[[], Reference]]:
+        """Its references by name; the first one is the default."""
+
+    def check(self) -> None:  # noqa: B027  (few robots need it)
+        """Raises ValueError, `table.key = value, but it must …`, if settings of different tables do not fit."""
+
+    def simulations(self) -> Mapping[str, Callable[[np.random.Generator], Simulation]]:
+        """Its simulated plants by name, made from a generator that draws the world; the first one is the default."""
+        return {}
+
+    @property
+    def as_modelled(self) -> Self:
+        """This robot with all settings that its nominal maps do not use at their defaults."""
+        return self
+
+    def control(self) -> RobotControl | None:
+        """Its control at 1 kHz, with which a rig becomes a plant; None if it has none."""
+        return None
+
+    def randomised(self, rng: np.random.Generator) -> Self | None:  # noqa: ARG002  (others use it)
+        """This robot with random differences of its simulated plants from the model; None if there are none."""
+        return None

@@ -1,0 +1,179 @@
+"""Robots from MuJoCo models: sections against closed forms, gaps against edited models, and one that learns."""
+
+# pyright: reportAttributeAccessIssue=false
+# ruff: noqa: ARG002  (a robot gets what it may need)
+
+import json
+from dataclasses import dataclass, fields, replace
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from stepgap.experiment.settings import read_experiment
+from stepgap.robots.entry_points import load_robot
+from stepgap.robots.mjcf.mjcf_gap import MjcfGap
+from stepgap.robots.mjcf.mjcf_robot import MjcfRobot
+from stepgap.robots.mjcf.mjcf_step import MjcfPlant, MjcfSimulator
+from stepgap.robots.mjcf.section import Section, apex, touchdown
+from stepgap.step import Array, Quantity, StepSpace, StepStatus
+from tests.cli.command_line import Command
+
+BALL = """
+<mujoco><option timestep="0.0005"/><worldbody>
+  <geom name="floor" type="plane" size="9 9 1" solref="-2000 -10" solimp="0.99 0.99 0.001"/>
+  <body name="ball" pos="0 0 0.1"><joint name="z" type="slide" axis="0 0 1"/><joint name="x" type="slide" axis="1 0 0"/>
+    <geom name="foot" type="sphere" size="0.1" mass="2"/></body></worldbody>
+  <actuator><motor name="lift" joint="z" gear="3"/></actuator></mujoco>
+"""
+
+
+@dataclass(frozen=True)
+class Ball(MjcfRobot):
+    """A ball that bounces; the force acts on it all the time."""
+
+    name = "bouncing_ball"
+    tick = 0.001
+    at_touchdown: bool = False
+
+    @property
+    def space(self) -> StepSpace:
+        return StepSpace((Quantity("height", "m", 0.2, 0.6),), (Quantity("lift", "N", -5.0, 5.0),))
+
+    def mjcf_model(self) -> Any:
+        return mujoco.MjModel.from_xml_string(BALL)
+
+    def controller(self):
+        def control(model: Any, data: Any, command: Array) -> None:
+            data.ctrl[:] = command / 3
+
+        return control
+
+    def section(self) -> Section:
+        return touchdown("foot") if self.at_touchdown else apex("z")
+
+    def state(self, model: Any, data: Any) -> Array:
+        return np.array([data.time if self.at_touchdown else data.qpos[0]])
+
+    def place(self, model: Any, data: Any, state: Array) -> None:
+        data.qpos[0] = state[0]
+
+
+EXACT = replace(MjcfGap.none())
+
+
+def test_touchdown_is_where_a_falling_ball_reaches_the_ground() -> None:
+    simulate = MjcfSimulator(Ball(at_touchdown=True))
+    for height, lift in ((0.3, 0.0), (0.5, 4.0), (0.25, -3.0)):
+        found = simulate(np.array([height]), np.array([lift]))
+        expected = sqrt(2 * height / (9.81 - lift / 2))
+        np.testing.assert_allclose(found, [expected], atol=1.5 * Ball.tick)
+
+
+def test_the_apex_is_the_highest_point_and_less_than_before() -> None:
+    simulate = MjcfSimulator(Ball())
+    heights = np.array([0.25, 0.35, 0.45])
+    found = np.array([np.sum(simulate(np.array([height]), np.zeros(1))) for height in heights])
+    assert (np.diff(found) > 0.02).all()
+    assert (found / heights > 0.1).all()
+    assert (found / heights < 0.99).all()
+
+
+def test_without_a_gap_the_plant_takes_the_steps_of_the_nominal_map() -> None:
+    robot = Ball(gap=EXACT)
+    plant, simulate = MjcfPlant(robot, np.random.default_rng(0)), MjcfSimulator(robot)
+    state = plant.start()
+    for lift in (0.0, 3.0, -2.0):
+        record = plant.take_step(np.array([lift]))
+        expected = simulate(state, np.array([lift]))
+        np.testing.assert_allclose(record.next_state, expected, atol=2e-3)
+        state = record.next_state
+        np.testing.assert_array_equal(record.true_next_state, record.next_state)
+
+
+def test_every_difference_is_in_the_model_or_in_the_steps() -> None:
+    model = Ball().mjcf_model()
+    scaled = replace(EXACT, mass_scale=1.1, payload=0.5, friction_scale=0.5, gear_scale=0.9, slope=0.1).of(model)
+    text = BALL.replace('mass="2"', 'mass="2.7"').replace('gear="3"', 'gear="2.7"')
+    expected = mujoco.MjModel.from_xml_string(text)
+    np.testing.assert_allclose(scaled.body_mass, expected.body_mass)
+    np.testing.assert_allclose(scaled.actuator_gear, expected.actuator_gear)
+    np.testing.assert_allclose(scaled.geom_friction[:, 0], 0.5 * model.geom_friction[:, 0])
+    np.testing.assert_allclose(np.linalg.norm(scaled.opt.gravity), 9.81)
+    assert scaled.opt.gravity[0] == pytest.approx(-9.81 * np.sin(0.1))
+    damped = replace(EXACT, joint_friction=0.3).of(model)
+    assert damped.dof_frictionloss.tolist() == [0.3, 0.0], "only joints with actuators"
+    assert model.body_mass[1] == 2, "the model itself is not changed"
+    base = MjcfPlant(Ball(gap=EXACT), np.random.default_rng(0))
+    base.start()
+    reference = base.take_step(np.array([4.0])).next_state
+    for change in ({"delay": 0.05}, {"force_noise": 0.5}, {"state_noise": 0.1}):
+        plant = MjcfPlant(Ball(gap=replace(EXACT, **change)), np.random.default_rng(0))
+        plant.start()
+        assert abs(plant.take_step(np.array([4.0])).next_state - reference)[0] > 1e-5, change
+
+
+@pytest.mark.parametrize("entry", fields(MjcfGap), ids=lambda entry: entry.name)
+def test_a_difference_that_makes_no_sense_is_refused(entry: Any) -> None:
+    for value in (np.nan, np.inf, -1.0):
+        with pytest.raises(ValueError, match=f"{entry.name} = .*, but it must"):
+            MjcfGap(**{entry.name: value})
+
+
+def test_a_repeated_step_leaves_the_plant_where_it_is() -> None:
+    plants = [MjcfPlant(Ball(), np.random.default_rng(3)) for _ in range(2)]
+    for plant in plants:
+        plant.start()
+    repeats = [plants[0].repeated(np.array([1.0]), np.random.default_rng(seed))[0] for seed in (1, 1, 2)]
+    assert repeats[0] == repeats[1] != repeats[2]
+    first, second = (plant.take_step(np.array([1.0])).next_state for plant in plants)
+    assert first.tolist() == second.tolist()
+
+
+def test_a_fall_and_a_wrong_command_are_statuses() -> None:
+    class Falling(Ball):
+        def failed(self, model: Any, data: Any) -> bool:
+            return data.qpos[0] < 0.05
+
+    plant = MjcfPlant(Falling(), np.random.default_rng(0))
+    plant.start()
+    record = plant.take_step(np.zeros(1))
+    assert record.status == StepStatus.FELL
+    assert np.isnan(record.next_state).all()
+    plant.start()
+    assert plant.take_step(np.array([np.nan])).status == StepStatus.INVALID
+
+    class Floating(Ball):
+        longest_step = 0.2
+
+        def place(self, model: Any, data: Any, state: Array) -> None:
+            data.qpos[0] = 5.0
+
+    assert MjcfSimulator(Floating())(np.array([0.3]), np.zeros(1)) == StepStatus.NO_APEX
+
+
+def test_a_random_gap_is_valid_and_different(package: Path) -> None:
+    robot = load_robot("spring_hopper")
+    first, second = (robot.randomised(np.random.default_rng(seed)) for seed in (1, 2))
+    assert first is not None
+    assert first != second
+    assert first == robot.randomised(np.random.default_rng(1))
+
+
+@pytest.mark.usefixtures("no_repeats")
+def test_the_robot_of_the_page_learns(package: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stepgap.robots.nominal_maps.surrogate_map.MOST_SAMPLES", 512)
+    result = stepgap("run", "--robot", "spring_hopper", "--out", "out", "--iterations", "1", "--quiet")
+    assert result.code == 0, result.err
+    assert "512 simulated steps, error of the surrogate: speed 0.01" in result.err
+    before, after = json.loads(Path("out/summary.json").read_text())["iterations"]
+    assert after["falls"] == 0
+    for name in ("speed", "height"):
+        assert after["rmse"][name] < 0.4 * before["rmse"][name]
+    settings = read_experiment(Path("out/experiment.toml"))
+    assert (settings.nominal.kind, Path(settings.nominal.file).name) == ("simulator", "nominal_map.json")
+    again = stepgap("run", "--resume", "--out", "out", "--quiet")
+    assert (again.code, "simulated steps" in again.err) == (0, False), "the surrogate is read, not fitted again"

@@ -1,0 +1,247 @@
+"""Every robot has every verb: the hopper, and the ball of docs/own_robot.md, which is in another package."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stepgap.gym
+from stepgap.base.errors import InputError
+from stepgap.experiment.nominal import load_nominal
+from stepgap.experiment.settings import (
+    Experiment,
+    experiment_table,
+    load_reference,
+    read_experiment,
+    write_experiment,
+)
+from stepgap.learning.step_log import StepLog
+from stepgap.robots.entry_points import load_robot, robot_names
+from stepgap.robots.robot import Robot, Simulation
+from stepgap.step import StepRecord, StepStatus
+from stepgap.view.source import Source
+from tests.cli.command_line import Command, refused
+from tests.quick_runs import leave_out_sweep_report
+from tests.robots.plug_in import TEMPLATE_TOML
+
+ROBOTS = ("hopper", "ball")
+SHORT = ("--learning.iterations", "1", "--learning.early_stop", "false", "--quiet")
+
+
+@pytest.fixture(params=ROBOTS)
+def robot(request: pytest.FixtureRequest, package: Path) -> Robot:
+    return load_robot(request.param)
+
+
+@pytest.fixture
+def run(stepgap: Command, robot: Robot) -> Callable[..., Path]:
+    """Runs a short experiment, and returns its folder."""
+    space = robot.space
+    rows = [space.state_centre + 0.2 * share * space.state_scale for share in (-1, 1, 0, -0.5) for _ in range(4)]
+    lines = [",".join(space.state_names), *(",".join(map(str, row)) for row in rows)]
+    Path("targets.csv").write_text("\n".join(lines) + "\n")
+
+    def made(*options: str) -> Path:
+        result = stepgap("run", "--robot", robot.name, "--reference", "targets.csv", "--out", "out", *SHORT, *options)
+        assert result.code == 0, result.err
+        return Path("out")
+
+    return made
+
+
+def test_its_settings_are_tables_that_are_written_and_read_back(robot: Robot, tmp_path: Path) -> None:
+    settings = Experiment(robot)
+    write_experiment(tmp_path, settings, load_reference(settings, robot.space))
+    assert read_experiment(tmp_path / "experiment.toml") == settings
+    table = experiment_table(settings)
+    assert table["robot"] == robot.name
+    for field in fields(cast("Any", robot)):
+        assert table[field.name].keys() == {inner.name for inner in fields(getattr(robot, field.name))}
+    assert robot.name in robot_names()
+
+
+def test_its_maps_fit_its_space_and_track_its_references(robot: Robot) -> None:
+    space = robot.space
+    for make in robot.nominal_maps().values():
+        outcome = make().evaluate(space.state_centre, space.command_centre)
+        assert outcome.next_state.shape == space.state_centre.shape
+        assert outcome.status == StepStatus.OK
+    for make in robot.references().values():
+        make().check(space)
+
+
+def test_its_simulations_repeat_themselves_and_differ_from_the_model(robot: Robot) -> None:
+    nominal = load_nominal(Experiment(robot)).map
+    for name, make in robot.simulations().items():
+        if name == "emulated-ring":
+            continue  # it needs raw sockets; tests/experiment/test_plants.py
+        first, second = (_one_step(make(np.random.default_rng(1))) for _ in range(2))
+        assert first.next_state.tolist() == second.next_state.tolist()
+        predicted = nominal(first.state, first.requested)
+        assert (np.abs(first.next_state - predicted) > 1e-4).any()
+
+
+def _one_step(simulation: Simulation) -> StepRecord:
+    with simulation.plant(np.random.default_rng(2)) as plant:
+        plant.start()
+        return plant.take_step(plant.space.command_centre)
+
+
+@pytest.mark.usefixtures("no_repeats")
+def test_run_report_resume_export_fit_and_view(robot: Robot, run: Callable[..., Path], stepgap: Command) -> None:
+    folder = run()
+    summary = json.loads((folder / "summary.json").read_text())
+    before, after = (np.array(list(entry["rmse"].values())) for entry in summary["iterations"])
+    scale = robot.space.state_scale
+    assert np.linalg.norm(after / scale) < 0.7 * np.linalg.norm(before / scale)
+    page = (folder / "report.html").read_text()
+    assert robot.space.state_names[0] in page
+    whole = (folder / "steps.csv").read_bytes()
+    (folder / "steps.csv").write_bytes(whole[: whole.rindex(b"\n1,9,") + 1])
+    (folder / "summary.json").unlink()
+    result = stepgap("run", "--resume", "--out", folder, "--quiet")
+    assert (result.code, (folder / "steps.csv").read_bytes() == whole) == (0, True), result.err
+    for verb in (["report", folder], ["export", folder, "--to", "csv"], ["fit", folder]):
+        result = stepgap(*verb)
+        assert result.code == 0, result.err
+    source = Source(folder)
+    assert source.iterations == [0, 1]
+    source.want(1)
+    assert source.residual(1, 2) is not None
+
+
+@pytest.mark.usefixtures("no_repeats", "no_report")
+def test_warm_start_online_and_exploration(robot: Robot, run: Callable[..., Path], stepgap: Command) -> None:
+    shutil.move(run(), "first")
+    folder = run("--warm-start", "first", "--online", "--explore", "3", "--iterations", "0")
+    assert (folder / "warm_start.csv").is_file()
+    assert read_experiment(folder / "experiment.toml").robot == robot
+
+
+@pytest.mark.parametrize("kind", ["template", "log"])
+@pytest.mark.usefixtures("no_repeats", "no_report")
+def test_any_robot_has_a_template_or_a_log_as_nominal_map(
+    robot: Robot, run: Callable[..., Path], kind: str, stepgap: Command
+) -> None:
+    space = robot.space
+    if kind == "template":
+        nominal = load_nominal(Experiment(robot)).map
+        held = nominal.jacobian(space.state_centre, space.command_centre)
+        names = (*space.state_names, *space.command_names)
+        rows = [
+            f"[derivatives.{name}]\n" + "".join(f"{key} = {value:.1g}\n" for key, value in zip(names, row, strict=True))
+            for name, row in zip(space.state_names, held, strict=True)
+        ]
+        Path("map.toml").write_text("\n".join(rows))
+        file = "map.toml"
+    else:
+        shutil.move(run("--explore", "12", "--iterations", "0"), "first")
+        file = "first/steps.csv"
+    folder = run("--nominal.kind", kind, "--nominal.file", file)
+    settings = read_experiment(folder / "experiment.toml")
+    assert settings.nominal.kind == kind
+    Path(file).unlink()  # the folder of the run is complete
+    assert load_nominal(settings).map.space == space
+    assert stepgap("report", folder).code == 0
+
+
+def test_gait_and_map(robot: Robot, package: Path, stepgap: Command) -> None:
+    Path("e.toml").write_text(f"robot = '{robot.name}'\n")
+    for verb in (["gait", "--robot", robot.name], ["map", "e.toml"]):
+        result = stepgap(*verb)
+        assert result.code == 0, result.err
+        assert robot.space.state_names[0] in result.out
+
+
+def test_sweep(
+    robot: Robot,
+    run: Callable[..., Path],
+    stepgap: Command,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    leave_out_sweep_report(monkeypatch)
+    Path("e.toml").write_text(f"robot = '{robot.name}'\nreference = 'targets.csv'\n[learning]\niterations = 1\n")
+    Path("sweep.toml").write_text("base = 'e.toml'\nseeds = [1, 2]\n[axes]\n'learning.residual' = ['none', 'linear']\n")
+    result = stepgap("sweep", "sweep.toml", "--out", "sweep", "--quiet", "--processes", "1")
+    assert result.code == 0, result.err
+    assert (Path("sweep") / "results.csv").read_text().count("\n") > 4
+
+
+def test_gymnasium(robot: Robot) -> None:
+    for plant in ("", "model"):
+        env = gymnasium.make(stepgap.gym.STEP_ID, robot=robot.name, plant=plant)
+        observation, _ = env.reset(seed=1)
+        assert observation.shape == (2 * len(robot.space.state),)
+        _, reward, _, _, info = env.step(np.zeros(len(robot.space.command), np.float32))
+        assert float(reward) <= 0
+        assert info["status"] == "ok"
+        env.close()
+
+
+def test_the_template_of_the_page(package: Path, tmp_path: Path) -> None:
+    (tmp_path / "template.toml").write_text(TEMPLATE_TOML)
+    changes = [("robot", "ball"), ("nominal.kind", "template"), ("nominal.file", str(tmp_path / "template.toml"))]
+    found = load_nominal(read_experiment(None, changes)).map
+    np.testing.assert_allclose(found([0.6], [0.35]), [0.58])
+
+
+WRONG_TEMPLATES = {
+    "[derivatives.hight]\nheight = 1": "[derivatives] hight: unknown key; did you mean height?",
+    "[derivatives.height]\nspeed = 1": "[derivatives] height.speed: unknown key; the keys here are height, paddle",
+    "[derivatives.height]\npaddle = 'x'": "height.paddle = 'x', but it must be a finite number",
+    "[derivatives.height]\npaddle = nan": "height.paddle = nan, but it must be a finite number",
+    "[derivatives.height]\nheight = 1": "[derivatives]: none by a command",
+    "step = 3": "step = 3, but it must be a table",
+    "[step]\nnext_stat = {}": "[step] next_stat: unknown key; did you mean next_state?",
+    "x = ": "not TOML",
+}
+
+
+@pytest.mark.parametrize("text", WRONG_TEMPLATES)
+def test_a_wrong_template_is_refused_with_the_rule(package: Path, tmp_path: Path, text: str) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(text)
+    settings = read_experiment(None, [("robot", "ball"), ("nominal.kind", "template"), ("nominal.file", str(path))])
+    with pytest.raises(InputError) as caught:
+        load_nominal(settings)
+    assert str(path) in str(caught.value)
+    assert WRONG_TEMPLATES[text] in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (["--robot", "bal"], ["robot 'bal': unknown; did you mean ball?", "hopper"]),
+        (["--robot", "ball", "--gains.stiffness", "3"], ["--gains: unknown key; the keys here are seed"]),
+        (["--robot", "ball", "--ball.restitution", "2"], ["--ball.restitution = 2.0, but it must lie between 0 and 1"]),
+        (["--robot", "ball", "--plant", "twin"], ["--plant twin: unknown; it must be one of dragged, process"]),
+        (["--robot", "ball", "--nominal.kind", "simulator"], ["robot 'ball' has no such map", "equations, template"]),
+        (["--robot", "ball", "--nominal.kind", "log"], ["give its file by nominal.file, such as steps.csv"]),
+        (["--robot", "ball", "--nominal.kind", "log", "--nominal.file", "x.csv"], ["x.csv: No such file"]),
+        (["hopper.toml", "--robot", "ball"], ["--robot ball: hopper.toml is an experiment of robot = 'hopper'"]),
+        (["ball.toml", "--seed", "-1"], ["--seed = -1"]),
+    ],
+)
+def test_wrong_options_are_named(stepgap: Command, package: Path, options: list[str], parts: list[str]) -> None:
+    Path("hopper.toml").write_text("robot = 'hopper'\n")
+    Path("ball.toml").write_text("robot = 'ball'\n[gap]\ndrag = 0.1\n")
+    refused(stepgap("run", *options, "--out", "out"), *parts)
+    assert not Path("out").exists()
+
+
+def test_a_log_of_too_few_steps_is_refused(package: Path, tmp_path: Path) -> None:
+    from stepgap.records.steps_csv import text_of
+
+    robot = load_robot("ball")
+    (tmp_path / "steps.csv").write_text(text_of(StepLog(robot.space)))
+    settings = read_experiment(
+        None, [("robot", "ball"), ("nominal.kind", "log"), ("nominal.file", str(tmp_path / "steps.csv"))]
+    )
+    with pytest.raises(InputError, match="0 completed steps, but a map needs at least 4"):
+        load_nominal(settings)
