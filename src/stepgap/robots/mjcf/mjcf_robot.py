@@ -12,7 +12,7 @@ import numpy as np
 
 from stepgap.control.reference import Reference
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.mjcf.mjcf_step import TickController, MjcfSimulation, MjcfSimulator
+from stepgap.robots.mjcf.mjcf_step import ControlLaw, MjcfSimulation, MjcfSimulator
 from stepgap.robots.mjcf.section import Section
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.robot import Robot, Simulation
@@ -39,7 +39,7 @@ class MjcfRobot(Robot):
         """The model, such as `mujoco.MjModel.from_xml_path("robot.xml")`; made again for every deployment."""
 
     @abstractmethod
-    def controller(self) -> TickController:
+    def controller(self) -> ControlLaw:
         """A new controller for a tick, which writes `data.ctrl`; it may keep its memory in a closure or an object."""
 
     @abstractmethod

@@ -19,7 +19,7 @@ from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 if TYPE_CHECKING:
     from stepgap.robots.mjcf.mjcf_robot import MjcfRobot
 
-TickController = Callable[[Any, Any, Array], None]
+ControlLaw = Callable[[Any, Any, Array], None]
 """Called at every tick with model, data and the command of the step, shape (m,); writes `data.ctrl`."""
 
 
