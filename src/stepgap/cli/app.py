@@ -20,6 +20,7 @@ from stepgap.cli.export import export
 from stepgap.cli.fit import fit
 from stepgap.cli.gait import gait
 from stepgap.cli.map import map_
+from stepgap.cli.new import new
 from stepgap.cli.options import SETTINGS_HELP, add_verb
 from stepgap.cli.recover import recover
 from stepgap.cli.report import report
@@ -42,6 +43,7 @@ app = App(
     default_parameter=Parameter(negative=()),
 )
 add_verb(app, "run", run)
+add_verb(app, "new", new)
 add_verb(app, "sweep", sweep)
 add_verb(app, "report", report)
 add_verb(app, "view", view)

@@ -7,16 +7,13 @@ from typing import NamedTuple
 
 from stepgap.base.errors import InputError, StepGapError, message_of
 from stepgap.base.random_streams import random_stream
-from stepgap.experiment.settings import Experiment
+from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, Experiment
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.log_map import fit_log_map
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap, fit_surrogate, surrogate_from_dict
 from stepgap.robots.nominal_maps.template_file import read_template
 from stepgap.step import Array, StepMap, StepSpace
-
-FROM_TEMPLATE, FROM_LOG = "template", "log"
-"""Kinds of nominal map that every robot has, each with a file."""
 
 
 class Nominal(NamedTuple):

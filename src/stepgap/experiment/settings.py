@@ -48,6 +48,9 @@ PATHS = ("reference", "rig", "warm_start", "nominal.file")
 PROCESS = "process"
 """The plant that is another program; all others but the simulated ones are names of rigs."""
 
+FROM_TEMPLATE, FROM_LOG = "template", "log"
+"""Kinds of nominal map that every robot has, each with a file."""
+
 SURROGATE = "nominal_map.json"
 """File in a run's folder with the surrogate of a simulator."""
 
@@ -132,7 +135,7 @@ class Experiment:
         require(0 <= self.seed < 2**63, "seed", self.seed, "lie between 0 and 2⁶³")
         object.__setattr__(self, "reference", self.reference or next(iter(self.robot.references())))
         object.__setattr__(self, "plant", self.plant or next(iter(self.robot.simulations()), PROCESS))
-        kind = self.nominal.kind or next(iter(self.robot.nominal_maps()))
+        kind = self.nominal.kind or next(iter(self.robot.nominal_maps()), FROM_TEMPLATE)
         object.__setattr__(self, "nominal", replace(self.nominal, kind=kind))
 
     @property

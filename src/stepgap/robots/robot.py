@@ -37,8 +37,7 @@ class Robot(ABC):
     """A robot with its settings: a frozen dataclass, each field of which is a table of `experiment.toml`.
 
     A table is a frozen dataclass with default values, whose `__post_init__` raises ValueError for a wrong value
-    (`base.ranges.require` words the message). Only `space`, `nominal_maps` and `references` are needed; what a robot
-    does not have, the verbs leave out.
+    (`base.ranges.require` words the message). Only `space` is needed; what a robot does not have, the verbs leave out.
 
     Attributes:
         name: Name of the robot; that of its entry point.
@@ -53,13 +52,16 @@ class Robot(ABC):
     def space(self) -> StepSpace:
         """Names, units and ranges of its state and command."""
 
-    @abstractmethod
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
-        """Its nominal maps by name; the first one is the default. Of a `SimulatorMap`, a surrogate is used."""
+        """Its nominal maps by name; the first one is the default. Of a `SimulatorMap`, a surrogate is used.
 
-    @abstractmethod
+        Without any, a template or a log is needed.
+        """
+        return {}
+
     def references(self) -> Mapping[str, Callable[[], Reference]]:
-        """Its references by name; the first one is the default."""
+        """Its references by name; the first one is the default. Without another, stairs in the ranges of use."""
+        return {"stairs": lambda: stairs(self.space)}
 
     def check(self) -> None:  # noqa: B027  (few robots need it)
         """Raises ValueError, `table.key = value, but it must …`, if settings of different tables do not fit."""
@@ -80,3 +82,17 @@ class Robot(ABC):
     def randomised(self, rng: np.random.Generator) -> Self | None:  # noqa: ARG002  (others use it)
         """This robot with random differences of its simulated plants from the model; None if there are none."""
         return None
+
+
+def stairs(space: StepSpace, steps: int = 12) -> Reference:
+    """Stairs within 0.4 of the ranges of use, each coordinate shifted against the one before.
+
+    Args:
+        space: State of the robot.
+        steps: Number of steps on each stair.
+    """
+    shares = np.array([0.0, 0.4, -0.2, 0.2, -0.4, 0.0])
+    rows = [np.roll(shares, shift) for shift in range(len(space.state))]
+    targets = space.state_centre + np.transpose(rows) * space.state_scale
+    segments = [(1 + steps * number, target.tolist()) for number, target in enumerate(targets)]
+    return Reference.from_segments(space.state_names, segments, steps=steps * len(targets))

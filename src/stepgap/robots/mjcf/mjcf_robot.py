@@ -10,7 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from stepgap.control.reference import Reference
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.mjcf.mjcf_step import ControlLaw, MjcfSimulation, MjcfSimulator
 from stepgap.robots.mjcf.section import Section
@@ -67,10 +66,6 @@ class MjcfRobot(Robot):
         """The simulator."""
         return {"simulator": lambda: SimulatorMap(self.space, MjcfSimulator(self))}
 
-    def references(self) -> Mapping[str, Callable[[], Reference]]:
-        """Stairs: every coordinate moves to some values around the middle of its range of use, one after the other."""
-        return {"stairs": lambda: stairs(self)}
-
     def simulations(self) -> Mapping[str, Callable[[np.random.Generator], Simulation]]:
         """The model with its gap."""
         return {"mujoco": lambda world: MjcfSimulation(self)}
@@ -78,18 +73,3 @@ class MjcfRobot(Robot):
     def randomised(self, rng: np.random.Generator) -> Self:
         """This robot with a random gap."""
         return replace(self, gap=MjcfGap.random(rng))
-
-
-def stairs(robot: Robot, steps: int = 12) -> Reference:
-    """Targets for a robot without a reference of its own: stairs within half the ranges of use.
-
-    Args:
-        robot: The robot.
-        steps: Number of steps on each stair.
-    """
-    space = robot.space
-    shares = np.array([0.0, 0.4, -0.2, 0.2, -0.4, 0.0])
-    rows = [np.roll(shares, shift) for shift in range(len(space.state))]
-    targets = space.state_centre + np.transpose(rows) * space.state_scale
-    segments = [(1 + steps * number, target.tolist()) for number, target in enumerate(targets)]
-    return Reference.from_segments(space.state_names, segments, steps=steps * len(targets))

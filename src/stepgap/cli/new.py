@@ -1,0 +1,213 @@
+"""The verb `stepgap new`: a folder with a robot that runs at once, to be changed into one's own."""
+
+import json
+import keyword
+import sys
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from cyclopts import Parameter
+
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.output_files import writing
+from stepgap.cli.options import Flag
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from stepgap.step import Quantity, StepSpace
+
+
+class Starter(NamedTuple):
+    """A robot in Python that a folder begins with.
+
+    Attributes:
+        file: Its file among the starters.
+        class_name: Name of its class.
+        kind: Name of its nominal map.
+        what: What a user replaces, for the README.
+    """
+
+    file: str
+    class_name: str
+    kind: str
+    what: str
+
+
+EQUATIONS = Starter("equations.py.txt", "BallRobot", "equations", "equations")
+MUJOCO = Starter("mujoco.py.txt", "SpringHopper", "simulator", "model and the controller")
+
+
+def new(
+    folder: Path,
+    /,
+    *,
+    mujoco: Flag = False,
+    mjcf: Path | None = None,
+    process: Flag = False,
+    from_: Annotated[Path | None, Parameter(name="--from")] = None,
+) -> None:
+    """Make a folder with a robot that runs at once: its equations in Python, or one of the forms below.
+
+    Args:
+        folder: New folder; its name is the name of the robot.
+        mujoco: A MuJoCo model with a controller, from which the nominal map is computed.
+        mjcf: The same with your model, such as robot.xml; the controller is to be adapted to its joints.
+        process: A program in any language, and a nominal map of a few numbers; nothing is to be installed.
+        from_: The same with a nominal map that is fitted to recorded steps: a run, or its steps.csv.
+    """
+    forms = {"--mujoco": mujoco, "--mjcf": mjcf, "--process": process, "--from": from_}
+    given = [name for name, value in forms.items() if value]
+    if len(given) > 1:
+        raise InputError(f"{' and '.join(given)}: give only one of them")
+    if folder.exists():
+        raise InputError(f"{folder}: exists already; choose another name")
+    if process or from_:
+        contents = _program(folder.name, from_)
+    else:
+        contents = _package(folder.name, MUJOCO if mujoco or mjcf else EQUATIONS, mjcf)
+    with writing(folder, "FOLDER"):
+        folder.mkdir(parents=True)
+        for name, text in contents.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    print(folder / "README.md")
+
+
+def _package(name: str, starter: Starter, model: Path | None) -> dict[str, str]:
+    """Files of a package with a robot in Python."""
+    from stepgap.robots.entry_points import robot_names
+
+    reserved = keyword.iskeyword(name) or name in sys.stdlib_module_names or name in (*robot_names(), "stepgap")
+    if not name.isidentifier() or reserved:
+        rule = "letters, digits and underscores, and no module of Python or known robot has it"
+        raise InputError(f"{name}: not the name of a new Python module: {rule}; choose another")
+    code = _starter(starter.file).replace(_named(starter), f'    name = "{name}"\n')
+    extra: dict[str, str] = {}
+    if model:
+        extra = {"model.xml": _model_text(model)}
+        begin, end = code.index('MJCF = """'), code.index('"""\n', code.index('MJCF = """') + 12) + 4
+        parts = _parts_of(model)
+        code = code[:begin] + f'MJCF = Path(__file__).with_name("model.xml")\n"""{parts}"""\n' + code[end:]
+        code = code.replace("from_xml_string(MJCF)", "from_xml_path(str(MJCF))")
+        code = code.replace(
+            "from dataclasses import dataclass\n", "from dataclasses import dataclass\nfrom pathlib import Path\n"
+        )
+    values = {
+        "name": name,
+        "package": name.replace("_", "-"),
+        "class": starter.class_name,
+        "kind": starter.kind,
+        "what": starter.what,
+        "model": ', "model.xml"' if model else "",
+    }
+    written = {
+        "pyproject.toml": "pyproject.toml.txt",
+        "experiment.toml": "experiment.toml.txt",
+        f"test_{name}.py": "test_equations.py.txt",
+        "README.md": "README_package.md.txt",
+    }
+    filled = {target: Template(_starter(source)).substitute(values) for target, source in written.items()}
+    return {f"{name}.py": code, **filled, **extra}
+
+
+def _program(name: str, log: Path | None) -> dict[str, str]:
+    """Files of a robot that is a program."""
+    from stepgap.robots.hopper.parameters import CommandBounds
+
+    space, extra = CommandBounds().space(), {"template.toml": _starter("template.toml.txt")}
+    values = {"name": name, "kind": "template", "file": "template.toml"}
+    if log:
+        text, space = _read_log(log / "steps.csv" if log.is_dir() else log)
+        extra, values = {"steps.csv": text}, {"name": name, "kind": "log", "file": "steps.csv"}
+    fitted = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
+    values |= {"quantities": _quantities(space), "nominal": fitted}
+    program = (
+        Template(_starter("replayed.py.txt")).substitute(units=_units(space)) if log else _starter("process.py.txt")
+    )
+    return {
+        "experiment.toml": Template(_starter("process.toml.txt")).substitute(values),
+        "robot.py": program,
+        "README.md": Template(_starter("README_process.md.txt")).substitute(values),
+        **extra,
+    }
+
+
+def _starter(name: str) -> str:
+    return files("stepgap.cli").joinpath("starters", name).read_text("utf-8")
+
+
+def _named(starter: Starter) -> str:
+    """The line of a starter that names its robot."""
+    return next(line for line in _starter(starter.file).splitlines(keepends=True) if line.startswith('    name = "'))
+
+
+def _model_text(model: Path) -> str:
+    try:
+        return model.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"--mjcf: {message_of(error)}; give a MuJoCo model") from None
+
+
+def _parts_of(model: Path) -> str:
+    """Names of the joints, actuators and geoms of a MuJoCo model, to which the controller is to be adapted."""
+    import mujoco
+
+    try:
+        loaded = mujoco.MjModel.from_xml_path(str(model))  # pyright: ignore[reportAttributeAccessIssue]
+    except ValueError as error:
+        raise InputError(f"--mjcf {model}: {str(error).splitlines()[0]}") from None
+    kinds = {
+        "joints": (loaded.njnt, loaded.joint),
+        "actuators": (loaded.nu, loaded.actuator),
+        "geoms": (loaded.ngeom, loaded.geom),
+    }
+    lines = [
+        f"{kind}: {', '.join(get(i).name or '(no name)' for i in range(count))}" for kind, (count, get) in kinds.items()
+    ]
+    return "The model has the " + "; ".join(lines) + "."
+
+
+def _read_log(path: Path) -> "tuple[str, StepSpace]":
+    """Text of recorded steps, and a space with the ranges that they cover."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header
+    from stepgap.step import StepSpace
+
+    try:
+        space = space_of_header(path)
+        steps, text = read_step_log(path, space).completed(), path.read_text("utf-8")
+    except (OSError, RecordError, ValueError) as error:
+        raise InputError(f"--from: {message_of(error)}; give a run or its steps.csv") from None
+    if len(steps) < 2:
+        raise InputError(f"--from {path}: fewer than two completed steps; record some more")
+
+    commands = np.array([logged.record.requested for logged in steps])
+
+    def covered(quantities: "tuple[Quantity, ...]", values: np.ndarray) -> "tuple[Quantity, ...]":
+        low, high = values.min(axis=0), values.max(axis=0)
+        ends = zip(
+            quantities, (f"{x:.3g}" for x in low), (f"{x:.3g}" for x in high + 1e-3 * (high == low)), strict=True
+        )
+        return tuple(replace(quantity, lower=float(lower), upper=float(upper)) for quantity, lower, upper in ends)
+
+    return text, StepSpace(covered(space.state, steps.state), covered(space.command, commands))
+
+
+def _quantities(space: "StepSpace") -> str:
+    """The tables of state and command of a custom robot."""
+    blocks = [
+        f'\n[[quantities.{kind}]]\nname = "{quantity.name}"\nunit = "{quantity.unit}"\n'
+        f"lower = {float(quantity.lower)!r}\nupper = {float(quantity.upper)!r}\n"
+        for kind in ("state", "command")
+        for quantity in getattr(space, kind)
+    ]
+    return "".join(blocks)
+
+
+def _units(space: "StepSpace") -> str:
+    """Names and units, as the program answers them."""
+    named = {"state": space.state, "command": space.command}
+    return json.dumps({kind: {each.name: each.unit for each in quantities} for kind, quantities in named.items()})
