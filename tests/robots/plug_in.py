@@ -8,7 +8,7 @@ _DOCS = Path(__file__).parents[2] / "docs"
 _PAGE = (_DOCS / "own_robot.md").read_text("utf-8")
 (_BALL,) = re.findall(r"```python\n(.*?)```", _PAGE, re.DOTALL)
 (_SPRING_HOPPER,) = re.findall(r"```python\n(.*?)```", (_DOCS / "mujoco_robot.md").read_text("utf-8"), re.DOTALL)
-PYPROJECT, TEMPLATE_TOML = re.findall(r"```toml\n(.*?)```", _PAGE, re.DOTALL)
+PYPROJECT, CUSTOM_TOML, TEMPLATE_TOML = re.findall(r"```toml\n(.*?)```", _PAGE, re.DOTALL)
 
 
 def install(folder: Path) -> None:

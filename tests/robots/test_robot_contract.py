@@ -28,7 +28,7 @@ from stepgap.step import StepRecord, StepStatus
 from stepgap.view.source import Source
 from tests.cli.command_line import Command, refused
 from tests.quick_runs import leave_out_sweep_report
-from tests.robots.plug_in import TEMPLATE_TOML
+from tests.robots.plug_in import CUSTOM_TOML, TEMPLATE_TOML
 
 ROBOTS = ("hopper", "ball")
 SHORT = ("--learning.iterations", "1", "--learning.early_stop", "false", "--quiet")
@@ -189,6 +189,37 @@ def test_the_template_of_the_page(package: Path, tmp_path: Path) -> None:
     changes = [("robot", "ball"), ("nominal.kind", "template"), ("nominal.file", str(tmp_path / "template.toml"))]
     found = load_nominal(read_experiment(None, changes)).map
     np.testing.assert_allclose(found([0.6], [0.35]), [0.58])
+
+
+def test_the_settings_of_the_page(tmp_path: Path) -> None:
+    (tmp_path / "experiment.toml").write_text(CUSTOM_TOML)
+    (tmp_path / "template.toml").write_text(TEMPLATE_TOML)
+    settings = read_experiment(tmp_path / "experiment.toml")
+    assert settings.robot.space.state_names == ("height",)
+    np.testing.assert_allclose(load_nominal(settings).map([0.6], [0.35]), [0.58])
+    write_experiment(tmp_path, settings, load_reference(settings, settings.robot.space))
+    assert read_experiment(tmp_path / "experiment.toml").robot == settings.robot
+
+
+WRONG_CUSTOM = {
+    "": "[quantities] state = 0, but it must be at least one [[quantities.state]] with name, unit, lower, upper",
+    "[[quantities.state]]\nname = 'x'\nunit = 'm'\nlower = 0": "upper: missing; it must be given",
+    "[[quantities.state]]\nname = 'x'\nunit = 'm'\nlower = 1\nupper = 0": "upper = 0.0, but it must exceed lower = 1",
+    "[[quantities.state]]\nname = 'x y'\nunit = 'm'\nlower = 0\nupper = 1": "name = 'x y', but it must consist of",
+    "[[quantities.state]]\nname = 'x'\nunit = 'm'\nlower = 0\nupper = 1\n"
+    "[[quantities.command]]\nname = 'x'\nunit = 'm'\nlower = 0\nupper = 1": "but it must have different names",
+    "quantities = 3": "quantities = 3, but it must be a table",
+}
+
+
+@pytest.mark.parametrize("text", WRONG_CUSTOM)
+def test_a_wrong_description_is_refused_with_the_rule(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "e.toml"
+    path.write_text(f"robot = 'custom'\n{text}\n")
+    with pytest.raises(InputError) as caught:
+        read_experiment(path)
+    assert str(path) in str(caught.value)
+    assert WRONG_CUSTOM[text] in str(caught.value)
 
 
 WRONG_TEMPLATES = {
