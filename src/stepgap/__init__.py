@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stepgap.base.errors import InputError as InputError
     from stepgap.base.errors import StepGapError as StepGapError
+    from stepgap.base.ranges import require as require
     from stepgap.control.cautious_controller import CautiousController as CautiousController
     from stepgap.control.command_table import CommandTable as CommandTable
     from stepgap.control.command_table import build_table as build_table
@@ -53,11 +54,22 @@ if TYPE_CHECKING:
     from stepgap.robots.hopper.parameters import CommandBounds as CommandBounds
     from stepgap.robots.hopper.parameters import Gains as Gains
     from stepgap.robots.hopper.parameters import RobotParameters as RobotParameters
+    from stepgap.robots.hopper.robot import Hopper as Hopper
     from stepgap.robots.hopper.sampled_map import SampledApexMap as SampledApexMap
     from stepgap.robots.hopper.sensors import HopperReading as HopperReading
     from stepgap.robots.hopper.sensors import HopperSensorModel as HopperSensorModel
     from stepgap.robots.hopper.twin.reality_gap import RealityGap as RealityGap
     from stepgap.robots.hopper.twin.twin import Twin as Twin
+    from stepgap.robots.map_simulation import MapSimulation as MapSimulation
+    from stepgap.robots.mjcf.mjcf_gap import MjcfGap as MjcfGap
+    from stepgap.robots.mjcf.mjcf_robot import MjcfRobot as MjcfRobot
+    from stepgap.robots.mjcf.section import Section as Section
+    from stepgap.robots.mjcf.section import apex as apex
+    from stepgap.robots.mjcf.section import touchdown as touchdown
+    from stepgap.robots.nominal_maps.simulator import Simulator as Simulator
+    from stepgap.robots.nominal_maps.simulator import SimulatorMap as SimulatorMap
+    from stepgap.robots.robot import Robot as Robot
+    from stepgap.robots.robot import Simulation as Simulation
     from stepgap.step import Outcome as Outcome
     from stepgap.step import Quantity as Quantity
     from stepgap.step import StepFailed as StepFailed
@@ -77,12 +89,16 @@ _MODULES = {
     "Deployment": "records.summary",
     "FixedPoint": "control.limit_cycle",
     "Gains": "robots.hopper.parameters",
+    "Hopper": "robots.hopper.robot",
     "HopperControl": "robots.hopper.hop_control",
     "HopperReading": "robots.hopper.sensors",
     "HopperSensorModel": "robots.hopper.sensors",
     "InputError": "base.errors",
     "LearningSettings": "learning.settings",
     "LoggedStep": "learning.step_log",
+    "MapSimulation": "robots.map_simulation",
+    "MjcfGap": "robots.mjcf.mjcf_gap",
+    "MjcfRobot": "robots.mjcf.mjcf_robot",
     "ModelPlant": "plants.model_plant",
     "Observations": "learning.observations",
     "Observer": "experiment.loop",
@@ -98,9 +114,14 @@ _MODULES = {
     "Rig": "rigs.rig",
     "RigFault": "rigs.rig",
     "RigPlant": "plants.rig_plant",
+    "Robot": "robots.robot",
     "RobotParameters": "robots.hopper.parameters",
     "SampledApexMap": "robots.hopper.sampled_map",
+    "Section": "robots.mjcf.section",
     "SensorModel": "rigs.rig",
+    "Simulation": "robots.robot",
+    "Simulator": "robots.nominal_maps.simulator",
+    "SimulatorMap": "robots.nominal_maps.simulator",
     "StepController": "control.step_controller",
     "StepFailed": "step",
     "StepGapError": "base.errors",
@@ -108,17 +129,20 @@ _MODULES = {
     "StepMap": "step",
     "StepPlan": "control.step_controller",
     "StepRecord": "step",
-    "TrainingData": "learning.regression",
     "StepSpace": "step",
     "StepStatus": "step",
+    "TrainingData": "learning.regression",
     "Twin": "robots.hopper.twin.twin",
+    "apex": "robots.mjcf.section",
     "build_table": "control.command_table",
     "difference_jacobian": "step",
     "fit_residual": "learning.residual_fit",
     "fixed_point": "control.limit_cycle",
     "paper_reference": "control.reference",
     "reachable_set": "control.limit_cycle",
+    "require": "base.ranges",
     "run_experiment": "experiment.loop",
+    "touchdown": "robots.mjcf.section",
 }
 """The module of each public name, imported when the name is first used, so that the command line starts quickly."""
 

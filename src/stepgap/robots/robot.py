@@ -37,7 +37,7 @@ class Robot(ABC):
     """A robot with its settings: a frozen dataclass, each field of which is a table of `experiment.toml`.
 
     A table is a frozen dataclass with default values, whose `__post_init__` raises ValueError for a wrong value
-    (`base.ranges.require` words the message). Only `space` is needed; what a robot does not have, the verbs leave out.
+    (`require` words the message). Only `space` is needed; what a robot does not have, the verbs leave out.
 
     Attributes:
         name: Name of the robot; that of its entry point.
