@@ -1,8 +1,13 @@
 """The nominal map of an experiment: one of the robot's, a simulator's surrogate, a template, or one fitted to a log."""
 
 import json
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
+from time import perf_counter
 from typing import NamedTuple
 
 from stepgap.base.errors import InputError, StepGapError, message_of
@@ -11,9 +16,16 @@ from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, Experiment
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.log_map import fit_log_map
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
-from stepgap.robots.nominal_maps.surrogate_map import SurrogateMap, fit_surrogate, surrogate_from_dict
+from stepgap.robots.nominal_maps.surrogate_map import MapFunction, SurrogateMap, fit_surrogate, surrogate_from_dict
 from stepgap.robots.nominal_maps.template_file import read_template
-from stepgap.step import Array, StepMap, StepSpace
+from stepgap.robots.robot import Robot
+from stepgap.step import Array, Outcome, StepMap, StepSpace
+
+WORTH_PROCESSES = 0.02
+"""Duration of a simulated step [s] from which several processes sample a simulator; they start in seconds."""
+
+TIMED_STEPS = 3
+"""Number of steps whose duration is measured."""
 
 
 class Nominal(NamedTuple):
@@ -55,8 +67,36 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
         return Nominal(nominal)
     if file:
         return Nominal(_read_map(kind, Path(file), robot.space))
-    surrogate = fit_surrogate(nominal, random_stream(settings.seed, 0, 2), on_samples=on_samples)
+    rng = random_stream(settings.seed, 0, 2)
+    with _on_all_cores(robot, kind, nominal) as mapped:
+        surrogate = fit_surrogate(nominal, rng, mapped, on_samples)
     return Nominal(surrogate, json.dumps(surrogate.to_dict()) + "\n")
+
+
+@contextmanager
+def _on_all_cores(robot: Robot, kind: str, nominal: StepMap) -> Iterator[MapFunction]:
+    """The function with which samples are computed: by processes that make the map anew, if one step takes long."""
+    centre, begin = (nominal.space.state_centre, nominal.space.command_centre), perf_counter()
+    for _ in range(TIMED_STEPS):
+        nominal.evaluate(*centre)
+    if (perf_counter() - begin) / TIMED_STEPS < WORTH_PROCESSES:
+        yield map
+        return
+    with ProcessPoolExecutor(initializer=_keep_map, initargs=(robot, kind), mp_context=get_context("spawn")) as pool:
+        yield lambda _, states, commands: pool.map(_evaluate, states, commands)
+
+
+_kept: list[StepMap] = []
+"""The map of this process, if it computes samples for another one."""
+
+
+def _keep_map(robot: Robot, kind: str) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits
+    _kept[:] = [robot.nominal_maps()[kind]()]
+
+
+def _evaluate(states: Array, commands: Array) -> Outcome:
+    return _kept[0].evaluate(states, commands)
 
 
 def _read_map(kind: str, path: Path, space: StepSpace) -> StepMap:

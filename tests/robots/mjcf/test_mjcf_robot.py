@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
@@ -161,6 +162,16 @@ def test_a_random_gap_is_valid_and_different(package: Path) -> None:
     assert first is not None
     assert first != second
     assert first == robot.randomised(np.random.default_rng(1))
+
+
+def test_several_processes_sample_the_same_surrogate(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stepgap.robots.nominal_maps.surrogate_map.MOST_SAMPLES", 128)
+    settings = read_experiment(None, [("robot", "spring_hopper")])
+    found = []
+    for least_duration in (1e9, 0.0):
+        monkeypatch.setattr("stepgap.experiment.nominal.WORTH_PROCESSES", least_duration)
+        found.append(load_nominal(settings).surrogate)
+    assert found[0] == found[1]
 
 
 @pytest.mark.usefixtures("no_repeats")
