@@ -97,7 +97,8 @@ def test_a_log_is_enough(stepgap: Command) -> None:
     assert stepgap("new", "second", "--from", "recorded").code == 0
     settings = tomllib.loads(Path("second/experiment.toml").read_text())
     assert settings["nominal"] == {"kind": "log", "file": "steps.csv"}
-    assert [each["name"] for each in settings["quantities"]["state"]] == ["speed", "height"]
+    first = tomllib.loads(Path("first/experiment.toml").read_text())
+    assert settings["quantities"] == first["quantities"], "names, units and ranges are those of the run"
     result = stepgap(
         "run", "second/experiment.toml", "--out", "out", "--quiet", "--", sys.executable, "second/robot.py"
     )

@@ -101,7 +101,8 @@ def _is_bad_input(error: Exception) -> bool:
 def _line_of(error: Exception) -> str:
     """Message of an error, with its type if neither StepGap nor the system explains it."""
     if isinstance(error, cyclopts.UnusedCliTokensError) and error.unused_tokens:
-        return f"{' '.join(error.unused_tokens)}: too many arguments; --help shows those of this command"
+        hint = "--help shows those of this command; the program of a robot goes after --"
+        return f"{' '.join(error.unused_tokens)}: too many arguments; {hint}"
     about_a_file = isinstance(error, OSError) and error.filename is not None  # such as a full disk
     if _is_bad_input(error) or about_a_file or isinstance(error, StepGapError):
         return f"{message_of(error)}{_hint(error)}"

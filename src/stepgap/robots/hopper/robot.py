@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
@@ -13,6 +14,7 @@ from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.simulation import HopperSimulation, RingSimulation, TwinSimulation
 from stepgap.robots.hopper.twin.family import random_gap
+from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.robot import Robot
 from stepgap.step import StepMap, StepSpace
@@ -34,7 +36,11 @@ class Hopper(Robot):
 
     name: ClassVar[str] = "hopper"
     presets: ClassVar[Mapping[str, Mapping[str, Callable[[], RealityGap]]]] = {
-        "gap": {"paper": RealityGap, "none": RealityGap.none}
+        "gap": {
+            "paper": RealityGap,
+            "none": RealityGap.none,
+            **{name: partial(replace, gap) for name, gap in PAPER_FAMILY.items()},
+        }
     }
 
     parameters: RobotParameters = field(default_factory=RobotParameters)
