@@ -101,7 +101,8 @@ def test_run_report_resume_export_fit_and_view(robot: Robot, run: Callable[..., 
     scale = robot.space.state_scale
     assert np.linalg.norm(after / scale) < 0.7 * np.linalg.norm(before / scale)
     page = (folder / "report.html").read_text()
-    assert robot.space.state_names[0] in page
+    for quantity in robot.space.state:
+        assert f"Error of {quantity.name} [{quantity.unit}]" in page
     whole = (folder / "steps.csv").read_bytes()
     (folder / "steps.csv").write_bytes(whole[: whole.rindex(b"\n1,9,") + 1])
     (folder / "summary.json").unlink()

@@ -112,13 +112,14 @@ def _package(name: str, starter: Starter, model: Path | None) -> dict[str, str]:
 
 def _program(name: str, log: Path | None) -> dict[str, str]:
     """Files of a robot that is a program."""
+    from stepgap.experiment.settings import recorded_space
     from stepgap.robots.hopper.parameters import CommandBounds
 
     space, extra = CommandBounds().space(), {"template.toml": _starter("template.toml.txt")}
     values = {"name": name, "kind": "template", "file": "template.toml"}
     if log:
         text, space = _read_log(log / "steps.csv" if log.is_dir() else log)
-        space = _space_of_run(log, space)
+        space = recorded_space(log if log.is_dir() else log.parent) or space
         extra, values = {"steps.csv": text}, {"name": name, "kind": "log", "file": "steps.csv"}
     fitted = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
     values |= {"quantities": _quantities(space), "nominal": fitted}
@@ -195,19 +196,6 @@ def _read_log(path: Path) -> "tuple[str, StepSpace]":
         return tuple(replace(quantity, lower=float(lower), upper=float(upper)) for quantity, lower, upper in ends)
 
     return text, StepSpace(covered(space.state, steps.state), covered(space.command, commands))
-
-
-def _space_of_run(log: Path, recorded: "StepSpace") -> "StepSpace":
-    """State and command of the robot whose run it is, with units and ranges; else those of the recorded steps."""
-    from stepgap.experiment.settings import read_experiment
-
-    settings = (log if log.is_dir() else log.parent) / "experiment.toml"
-    try:
-        space = read_experiment(settings).robot.space
-    except InputError:
-        return recorded
-    same = (space.state_names, space.command_names) == (recorded.state_names, recorded.command_names)
-    return space if same else recorded
 
 
 def _quantities(space: "StepSpace") -> str:

@@ -7,7 +7,7 @@ from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import check_new, writing
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.replay import logged_ticks, replay, sensor_model_of
-from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
+from stepgap.experiment.settings import Experiment, experiment_table, read_experiment, recorded_space
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
@@ -39,7 +39,7 @@ def report_run(
         InputError: The content of a file is wrong, or the report cannot be written.
     """
     try:
-        record = read_run_folder(folder)
+        record = read_run_folder(folder, recorded_space(folder))
         return write_report(record, _context(record, progress, recorded or {}))
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
@@ -59,7 +59,7 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise InputError("a run is given twice; give each run once")
     try:
-        text = comparison_html([read_run_folder(folder) for folder in folders])
+        text = comparison_html([read_run_folder(folder, recorded_space(folder)) for folder in folders])
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
     with writing(page, "--out"), page.open("x", encoding="utf-8") as file:

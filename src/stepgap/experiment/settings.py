@@ -29,7 +29,7 @@ from stepgap.control.settings import ControlSettings
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.plants.process.process_plant import Timeouts
-from stepgap.records.steps_csv import RecordError, read_step_log, text_of
+from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header, text_of
 from stepgap.robots.entry_points import load_robot, robot_names
 from stepgap.robots.robot import Robot
 from stepgap.step import StepSpace
@@ -224,6 +224,19 @@ def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
     if not len(known):
         raise InputError(f"{files[-1]}: no step yet; {wanted} with at least one step")
     return known
+
+
+def recorded_space(folder: Path) -> StepSpace | None:
+    """State and command of the robot of a run, with units and ranges.
+
+    None if its settings are not known, or are not those of its steps; then only the names in `steps.csv` are known.
+    """
+    try:
+        space, found = read_experiment(folder / "experiment.toml").robot.space, space_of_header(folder / "steps.csv")
+    except (InputError, ValueError, OSError):
+        return None
+    same = (space.state_names, space.command_names) == (found.state_names, found.command_names)
+    return space if same else None
 
 
 def experiment_files(
