@@ -15,7 +15,7 @@ from stepgap.records.steps_csv import RecordError
 from stepgap.report import RunContext, WrittenReport, comparison_html, write_report
 from stepgap.report.motion import RATE, DeploymentMotion, Replay, kept_motion, sensed_motion
 from stepgap.robots.entry_points import load_robot
-from stepgap.robots.hopper.robot import as_hopper
+from stepgap.robots.hopper.robot import TWIN, as_hopper
 
 TICKS_PER_FRAME = 1000 // RATE
 """Number of ticks, of which there are 1000 per second, per frame of the replay."""
@@ -71,7 +71,7 @@ def _context(record: RunRecord, progress: Callable[[int, int], None], recorded: 
     settings = _settings_of(record)
     if isinstance(settings, Missing):
         return RunContext("plant of an unknown kind", settings, settings, settings)
-    plant = {"twin": "simulated twin"}.get(settings.plant, f"plant '{settings.plant}'")
+    plant = {TWIN: "simulated twin"}.get(settings.plant, f"plant '{settings.plant}'")
     defaults = experiment_table(Experiment(load_robot(settings.robot.name)))
     return RunContext(plant, defaults, load_nominal(settings).map, _replay(record, settings, progress, recorded))
 

@@ -75,7 +75,7 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
 
 @contextmanager
 def _on_all_cores(robot: Robot, kind: str, nominal: StepMap) -> Iterator[MapFunction]:
-    """The function with which samples are computed: by processes that make the map anew, if one step takes long."""
+    """The function with which samples are computed: by processes that each make the map, if one step takes long."""
     centre, begin = (nominal.space.state_centre, nominal.space.command_centre), perf_counter()
     for _ in range(TIMED_STEPS):
         nominal.evaluate(*centre)

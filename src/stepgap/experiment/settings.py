@@ -350,7 +350,7 @@ def merged_experiment(experiment: Experiment, table: Mapping[str, Any], locate: 
         part = rest.get(name)
         if isinstance(part, Mapping) and "preset" in part:
             preset = _chosen(presets, part["preset"], locate(f"{name}.preset"))
-            robot = replace(cast("Any", robot), **{name: preset()})
+            robot = replace(cast("Any", robot), **{name: preset})
             rest[name] = {key: value for key, value in part.items() if key != "preset"}
     more = (ROBOT, "method", *(f"{name}.preset" for name in robot.presets))
     experiment, robot = merge_all((experiment, robot), rest, locate, more=more)

@@ -45,7 +45,7 @@ class Robot(ABC):
     """
 
     name: ClassVar[str]
-    presets: ClassVar[Mapping[str, Mapping[str, Callable[[], Any]]]] = {}
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
 
     @property
     @abstractmethod

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
@@ -35,12 +34,8 @@ class Hopper(Robot):
     """
 
     name: ClassVar[str] = "hopper"
-    presets: ClassVar[Mapping[str, Mapping[str, Callable[[], RealityGap]]]] = {
-        "gap": {
-            "paper": RealityGap,
-            "none": RealityGap.none,
-            **{name: partial(replace, gap) for name, gap in PAPER_FAMILY.items()},
-        }
+    presets: ClassVar[Mapping[str, Mapping[str, RealityGap]]] = {
+        "gap": {"paper": RealityGap(), "none": RealityGap.none(), **PAPER_FAMILY}
     }
 
     parameters: RobotParameters = field(default_factory=RobotParameters)

@@ -20,6 +20,7 @@ from stepgap.robots.hopper.ethercat import RigSettings
 from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.twin import Twin
+from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.robots.hopper.twin_machine import TwinMachine
 from stepgap.robots.robot import OnTicks, Simulation
 from stepgap.step import Array
@@ -62,7 +63,7 @@ class HopperSimulation(Simulation):
 
     def __init__(self, hopper: "Hopper", world: np.random.Generator):
         self.hopper = hopper
-        self._make_twin = partial(make_twin, hopper, GroundProfile(hopper.gap, hopper.parameters.boom_length, world))
+        self._make_twin = partial(_twin, hopper, GroundProfile(hopper.gap, hopper.parameters.boom_length, world))
         self._make_twin(np.random.default_rng(0))  # reports errors before the first deployment
 
     def repeatable_plant(self, rng: np.random.Generator) -> TwinPlant:
@@ -98,7 +99,7 @@ class RingSimulation(HopperSimulation):
         for name in ("motor_counts", "boom_counts_horizontal", "boom_counts_vertical"):
             if not isfinite(getattr(hopper.gap, name)):
                 raise InputError(f"gap.{name} must be finite: a ring carries integer counts, such as {name} = 16384")
-        sensors = self._make_twin(np.random.default_rng(0)).sensor_model
+        sensors = twin_sensor_model(hopper.parameters, hopper.gap)
         interface = f"sg{os.getpid()}"  # several runs may be active
         self._bus: RigSettings = emulated_settings(sensors, hopper.parameters, RING, interface)
 
@@ -113,7 +114,7 @@ class RingSimulation(HopperSimulation):
         return DirectRing(twin, RING, self._bus), twin
 
 
-def make_twin(hopper: "Hopper", ground: GroundProfile, rng: np.random.Generator) -> Twin:
+def _twin(hopper: "Hopper", ground: GroundProfile, rng: np.random.Generator) -> Twin:
     """Twin of one deployment, on the floor turned by a random angle."""
     floor_yaw = rng.uniform(0, tau)  # otherwise every deployment would reach a target at the same yaw
     try:

@@ -5,7 +5,7 @@
 
 from collections import deque
 from collections.abc import Callable
-from copy import deepcopy
+from copy import copy, deepcopy
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -142,8 +142,8 @@ class MjcfPlant(RepeatablePlant):
 
     def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
         """Next state of a copy with new noise; there is no yaw."""
-        copied = MjcfPlant.__new__(MjcfPlant)
-        copied.__dict__.update(self.__dict__, _rng=rng, _stepper=self._stepper.copy(rng))
+        copied = copy(self)
+        copied._rng, copied._stepper = rng, self._stepper.copy(rng)
         return copied.take_step(command).next_state
 
     def stop(self) -> None:
