@@ -69,7 +69,7 @@ def test_equal_residuals_are_deployed_once(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_deployment_is_recorded_as_it_was_made() -> None:
     trial, ticks = Trial(NOMINAL, RealityGap(), TASK, twin=0, seed=0), []
-    log, again = trial.first, trial.deploy(trial.uncorrected(NOMINAL), 0, on_ticks=ticks.extend)
+    log, again = trial.first, trial.deploy(trial.uncorrected(NOMINAL), 0, on_ticks=lambda got, step: ticks.extend(got))
     np.testing.assert_array_equal(again.next_state, log.next_state)
     assert len(ticks) > 500 * len(log)
 

@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from stepgap.cli.app import main
-from stepgap.experiment.replay import replay, sensor_model_of
+from stepgap.experiment.replay import find_kinematics, replay
 from stepgap.experiment.settings import Experiment
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
@@ -84,22 +84,22 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
 ) -> None:
     shutil.copytree(finished, "run")
     shutil.rmtree("run/replay")
-    sensors = sensor_model_of(Experiment())
+    kinematics = find_kinematics(Experiment())
     for iteration in (0, 1):
         ticks = replay(finished, iteration)
-        rows = np.column_stack([ticks.rows[:, : len(TICK_UNITS)], np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
+        rows = np.column_stack([ticks.selected(TICK_UNITS).rows, np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
         with TickLog(Path(f"run/ticks/ticks-{iteration}.mcap"), LOG_UNITS) as log:
             log.append(rows)
     settings = Path("run/experiment.toml")
     settings.write_text(settings.read_text().replace('plant = "twin"', 'plant = "ethercat"'))
     result = stepgap("report", "run")
     assert result.err == "stepgap: missing in the report: replay (.: Is a directory; give an existing TOML file)\n"
-    monkeypatch.setattr("stepgap.cli.run_report.sensor_model_of", lambda settings: sensors)
+    monkeypatch.setattr("stepgap.cli.run_report.find_kinematics", lambda settings: kinematics)
     assert stepgap("report", "run") == CommandResult(0, "run/report.html\n", "")
     for iteration in (0, 1):
         name = f"replay/deployment_{iteration}.npz"
         with np.load(finished / name) as simulated, np.load(Path("run") / name) as logged:
-            for channel in ("travel", "height", "alpha_1", "alpha_2", "force"):
+            for channel in ("step", "positions", "touching", "ground"):
                 shown = logged[channel]
                 np.testing.assert_array_equal(shown, simulated[channel][: len(shown)])
     Path("run/ticks/ticks-0.mcap").unlink()

@@ -12,8 +12,8 @@ from stepgap.base.errors import InputError
 from stepgap.cli.app import main
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.plants import simulation_of
-from stepgap.experiment.replay import REPLAY_UNITS, logged_ticks, replay, replayed_hops
-from stepgap.experiment.settings import read_experiment
+from stepgap.experiment.replay import logged_ticks, replay, replayed_steps
+from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.rig_plant import RigPlant
@@ -22,6 +22,7 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.dynamics import masses_of
+from stepgap.robots.hopper.kinematics import TRUE_UNITS
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
@@ -46,7 +47,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Sequen
 
     def watched_start(plant: RigPlant) -> np.ndarray:
         ticks.clear()
-        plant._on_ticks = ticks.extend
+        plant._on_ticks = lambda rows, step: ticks.extend(rows)
         return start(plant)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -72,15 +73,15 @@ def copy(run_folder: Path, tmp_path: Path) -> Path:
 
 
 def test_every_tick_equals_the_original_one(replayed: TickTable, watched: tuple[Path, list]) -> None:
-    np.testing.assert_array_equal(replayed.rows[:, : len(TICK_UNITS)], watched[1])
-    assert list(replayed.units) == list(REPLAY_UNITS)
+    np.testing.assert_array_equal(replayed.selected(TICK_UNITS).rows, watched[1])
+    assert list(replayed.units) == [*TICK_UNITS, *TRUE_UNITS, "step"]
 
 
 def test_a_thinned_or_hop_by_hop_replay_is_the_same(run_folder: Path, replayed: TickTable) -> None:
     progress: list[tuple[int, int]] = []
     np.testing.assert_array_equal(replay(run_folder, 1, 7, lambda *of: progress.append(of)).rows, replayed.rows[::7])
     assert progress == [(0, 3), (1, 3), (2, 3), (3, 3)]
-    hops = list(replayed_hops(run_folder, 1))
+    hops = list(replayed_steps(run_folder, 1))
     assert [set(hop["step"]) for hop in hops] == [{0}, {1}, {2}, {3}]
     np.testing.assert_array_equal(np.concatenate([hop.rows for hop in hops]), replayed.rows)
 
@@ -144,7 +145,7 @@ def test_a_run_on_the_ring_is_simulated_again_without_the_ring(tmp_path: Path) -
 
 def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
     """Writes the log of a rig that moves like the twin: limp, held up, hopping, landing."""
-    ticks = replayed.rows[:, : len(TICK_UNITS)]
+    ticks = replayed.selected(TICK_UNITS).rows
     unread = np.array([ticks[-1, 0], *[np.nan] * (len(TICK_UNITS) - 1)])
     parts = [(ticks[:30], RigState.READY), (ticks[:20], RigState.STAND), (ticks, RigState.HOP)]
     parts += [(ticks[-700:], RigState.STOP), (unread[None], RigState.FAULT)]
@@ -161,7 +162,7 @@ def steps_of(run: Path, iteration: int) -> list[LoggedStep]:
 
 def test_ticks_of_a_rigs_log_are_separated_at_apexes(copy: Path, replayed: TickTable) -> None:
     write_log(copy, replayed, 1)
-    ticks = logged_ticks(copy, steps_of(copy, 1))
+    ticks = logged_ticks(copy, steps_of(copy, 1), Experiment())
     assert list(ticks.units) == [*LOG_UNITS, "step"]
     held = ticks["state"] == RigState.STAND
     assert np.count_nonzero(held) == 20
@@ -172,8 +173,9 @@ def test_ticks_of_a_rigs_log_are_separated_at_apexes(copy: Path, replayed: TickT
 def test_the_ticks_of_a_rig_that_fell_end_when_it_rests(copy: Path, replayed: TickTable) -> None:
     fallen = TickTable(replayed.units, replayed.rows[replayed["step"] <= 2][:-100])
     write_log(copy, fallen, 1)
-    steps = steps_of(copy, 1)[:2]
-    ticks = logged_ticks(copy, [steps[0], replace(steps[1], record=replace(steps[1].record, status=StepStatus.FELL))])
+    first, second = steps_of(copy, 1)[:2]
+    fallen_steps = [first, replace(second, record=replace(second.record, status=StepStatus.FELL))]
+    ticks = logged_ticks(copy, fallen_steps, Experiment())
     assert ticks["step"][-1] == 2
     assert np.count_nonzero(ticks["state"] == RigState.STOP) == 700
 
@@ -185,13 +187,13 @@ def test_a_missing_or_incomplete_log_is_refused(
     write_log(copy, replayed, 1)
     spoil(copy / "ticks" / "ticks-1.mcap")
     with pytest.raises(InputError, match=r"ticks-1\.mcap"):
-        logged_ticks(copy, steps_of(copy, 1))
+        logged_ticks(copy, steps_of(copy, 1), Experiment())
 
 
 def test_a_log_with_too_few_hops_is_refused(copy: Path, replayed: TickTable) -> None:
     write_log(copy, TickTable(replayed.units, replayed.rows[replayed["step"] < 2]), 1)
-    with pytest.raises(InputError, match=r"ticks-1\.mcap: has fewer hops than deployment 1"):
-        logged_ticks(copy, steps_of(copy, 1))
+    with pytest.raises(InputError, match=r"ticks-1\.mcap: has fewer steps than deployment 1"):
+        logged_ticks(copy, steps_of(copy, 1), Experiment())
 
 
 # Refused

@@ -27,7 +27,7 @@ def twin(seed: int = 0, gap: RealityGap | None = None, hold: float = 0.3) -> Twi
 def hops(rig: Rig, commands: np.ndarray, at_once: int = 32) -> tuple[np.ndarray, list[StepRecord], str]:
     """All ticks and steps until the robot falls, in two deployments."""
     rows, records = [], []
-    with RigPlant(rig, CONTROL, rows.extend, at_once) as plant:
+    with RigPlant(rig, CONTROL, lambda got, step: rows.extend(got), at_once) as plant:
         for _ in range(2):
             plant.start()
             for command in commands:
@@ -107,7 +107,7 @@ def test_a_fault_while_it_runs_is_that_of_the_single_calls(at_once: int) -> None
 def broken_off(rig: Rig, at_once: int) -> tuple[np.ndarray, str, str]:
     """All ticks of a robot that breaks off in its first hop, the error, and the message of the rig."""
     rows = []
-    plant = RigPlant(rig, CONTROL, rows.extend, at_once)
+    plant = RigPlant(rig, CONTROL, lambda got, step: rows.extend(got), at_once)
     with pytest.raises(RigFault) as error:
         plant.start()
     plant.stop()

@@ -131,7 +131,7 @@ def test_a_fall_is_a_record_with_a_status_and_the_next_deployment_works():
     ticks = []
     bounds = CommandBounds(fx_lower=-80.0, fx_upper=80.0, fy_lower=-90.0, fy_upper=20.0)
     rig = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
-    with RigPlant(rig, HopperControl(ROBOT, GAINS, bounds), on_ticks=ticks.extend) as plant:
+    with RigPlant(rig, HopperControl(ROBOT, GAINS, bounds), on_ticks=lambda got, step: ticks.extend(got)) as plant:
         plant.start()
         records = [plant.take_step(np.array([70.0, -60.0]))]
         while records[-1].status == StepStatus.OK and len(records) < 10:
@@ -170,10 +170,9 @@ def test_a_sensor_value_that_is_not_finite_stops_the_robot(sensor, bad):
 def test_every_tick_is_reported_with_torques_within_the_limit():
     ticks = []
     rig = Twin(ROBOT, RealityGap(), np.random.default_rng(0))
-    with RigPlant(rig, CONTROL, on_ticks=ticks.extend) as plant:
+    with RigPlant(rig, CONTROL, on_ticks=lambda got, step: ticks.extend(map(Tick.of, got))) as plant:
         plant.start()
         plant.take_step(COMMAND)
-    ticks = [Tick.of(row) for row in ticks]
     times = np.array([tick.time for tick in ticks])
     np.testing.assert_allclose(np.diff(times), 1e-3)
     applied = np.array([tick.applied for tick in ticks])

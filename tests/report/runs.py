@@ -14,7 +14,8 @@ from stepgap.plants.model_plant import ModelPlant
 from stepgap.records.steps_csv import column_names, row_of
 from stepgap.records.summary import MEASURES
 from stepgap.report import NO_CONTEXT, RunContext, read_run_folder, write_report
-from stepgap.report.motion import RATE, DeploymentMotion
+from stepgap.report.motion import INTERVAL
+from stepgap.robots.scene import Link, Motion, Scene
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper
 
@@ -111,11 +112,18 @@ def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: 
     (folder / "summary.json").write_text(json.dumps(content), encoding="utf-8")
 
 
-def motion(frames: int) -> DeploymentMotion:
+SCENE = Scene({"body": 0.03, "foot": 0.01}, (Link("body", "foot", 0.01, "near"),), "body", ("foot",), "height", 1.5)
+"""A body on a circle, and a foot below it."""
+
+
+def motion(frames: int) -> Motion:
     """A synthetic motion whose steps take 0.8 s, from step 0 on."""
-    time = np.arange(frames) / RATE
-    moving = [0.2 * time, 0.5 + 0.1 * np.sin(7 * time), 0.1 * np.cos(7 * time), 1 + 0.3 * np.sin(7 * time)]
-    return DeploymentMotion(np.floor(time / 0.8), moving[0], moving[1], moving[2], moving[3], np.zeros(frames))
+    time = INTERVAL * np.arange(float(frames))
+    yaw, height = 0.2 * time, 0.5 + 0.1 * np.sin(7 * time)
+    body = np.column_stack([1.5 * np.sin(yaw), -1.5 * np.cos(yaw), height])
+    foot = body - np.column_stack([np.zeros((frames, 2)), np.minimum(height, 0.3)])
+    touching = (foot[:, 2:] <= 0).astype(float)
+    return Motion(time, np.floor(time / 0.8), np.stack([body, foot], axis=1), touching, np.zeros(frames))
 
 
 def report_of(folder: Path, context: RunContext = NO_CONTEXT, space: StepSpace | None = None) -> Path:

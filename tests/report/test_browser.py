@@ -7,11 +7,10 @@ from playwright.sync_api import expect
 
 from stepgap.report import RunContext
 from stepgap.report.motion import Replay
-from stepgap.robots.hopper.parameters import RobotParameters
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page
-from tests.report.runs import make_run, motion, report_of
+from tests.report.runs import SCENE, make_run, motion, report_of
 from tests.view.conftest import run_folder as run_folder
 
 
@@ -40,11 +39,11 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
 
 def test_a_fall_is_described_as_one(tmp_path: Path, watched_page: Watched) -> None:
     folder = make_run(tmp_path / "run", 0, lasts=(3,))
-    replay = Replay({0: motion(400)}, RobotParameters(), 0.4)
+    replay = Replay({0: motion(400)}, SCENE)
     page = watched_page.page
     page.goto(report_of(folder, RunContext(replay=replay)).resolve().as_uri())
     page.locator("#replay-slider").fill("399")
     moment = page.locator("#replay-moment")
     expect(moment).to_contain_text("deployment 0, 3.99 s of 3.99 s: step 4 of 4.")
-    expect(moment).to_contain_text("; reached no apex; command")
+    expect(moment).to_contain_text("; reached no end of the step; command")
     watched_page.keep_screenshot("report_fall")

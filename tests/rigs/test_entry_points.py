@@ -11,8 +11,8 @@ from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.moteus.moteus_rig import MoteusRig
 from stepgap.rigs.rig import RigFault
-from stepgap.robots.hopper.hop_control import sensors_of
 from stepgap.robots.hopper.robot import Hopper
+from stepgap.robots.hopper.sensors import hopper_sensors
 
 ROOT, ROBOT = Path(__file__).parents[2], Hopper()
 Install = Callable[..., None]
@@ -41,7 +41,7 @@ def test_our_rigs_are_found_with_their_examples(name: str, settings: str, kind: 
     assert name in rig_names()
     rig = load_rig(name, ROOT / "examples" / settings, ROBOT)
     assert isinstance(rig, kind)
-    assert sensors_of(rig).boom_length == ROBOT.parameters.boom_length
+    assert hopper_sensors(rig.sensor_model).boom_length == ROBOT.parameters.boom_length
     with pytest.raises(RigFault, match="not connected"):
         rig.read()
 

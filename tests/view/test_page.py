@@ -50,13 +50,13 @@ def test_it_shows_the_last_deployment_with_the_first_one_overlaid(page: Page) ->
 def test_it_plays_step_by_step_and_its_charts_grow(page: Page) -> None:
     page.toggle()
     page.update(5.0)
-    assert (page.player.hop, page.player.share) == (0, 0.0)
+    assert (page.player.step, page.player.share) == (0, 0.0)
     known = []
     for _ in range(1 + STEPS):
         page.one_step()
         page.update(5.0)
         apexes = page._tracking[0]._chart.data[-1]
-        known.append((page.player.hop, int(np.isfinite(apexes).sum()), page._step.value))
+        known.append((page.player.step, int(np.isfinite(apexes).sum()), page._step.value))
     assert known == [(step, step, step) for step in range(1 + STEPS)]
     assert "Paused" in page._status.content
     assert f"Step {STEPS}" in page._status.content
@@ -102,16 +102,16 @@ def test_deployment_overlay_and_speed_can_be_chosen(page: Page) -> None:
 def test_the_newest_is_the_last_step_of_the_last_deployment(page: Page) -> None:
     page.choose(0)
     page.follow()
-    assert (page.iteration, page.player.hop, page.player.follow) == (1, STEPS, True)
+    assert (page.iteration, page.player.step, page.player.follow) == (1, STEPS, True)
     page.update(0.0)
-    assert page.player.hop == STEPS
+    assert page.player.step == STEPS
 
 
 def test_ghost_and_robot_begin_a_step_at_the_same_yaw(page: Page) -> None:
     page.player.playing = False
     page.player.show(3)
     page.update(0.0)
-    robot, ghost = page._robot._body.position, page._ghost._body.position
+    robot, ghost = page._robot._balls["hip"].position, page._ghost._balls["hip"].position
     assert np.arctan2(robot[0], -robot[1]) == pytest.approx(np.arctan2(ghost[0], -ghost[1]), abs=1e-3)
 
 
@@ -121,7 +121,7 @@ def test_riding_along_the_robot_stays_in_view(page: Page) -> None:
     page.update(0.0)
     w, _, _, z = page._world.wxyz
     yaw = 2 * np.arctan2(z, w)
-    x, y, _ = page._robot._body.position
+    x, y, _ = page._robot._balls["hip"].position
     assert np.cos(yaw) * x - np.sin(yaw) * y == pytest.approx(0, abs=0.02)
 
 

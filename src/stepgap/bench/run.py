@@ -134,7 +134,7 @@ class RecordedTwin(Twin):
         """Number of ticks since the start of the recording."""
         return round((self._data.time - self.start.time) / self.sensor_model.tick)
 
-    def keep(self, _rows: Rows) -> None:
+    def keep(self, _rows: Rows, _step: int) -> None:
         """Records the inputs of a tick at its end, when they are still in memory."""
         views = self._views
         self.given.append((*views.ctrl, *views.force[self._motors], views.ground[2]))
@@ -160,7 +160,7 @@ def tick_cost(settings: Experiment) -> TickCost:
     hopper = as_hopper(settings.robot, "ticks are timed")
     control = hopper.control()
     twin = RecordedTwin(hopper.parameters, hopper.gap, np.random.default_rng(settings.seed))
-    plain = RigPlant(twin, control, TickRecorder(_EVERY).on_ticks)
+    plain = RigPlant(twin, control, TickRecorder(control.units, _EVERY).on_ticks)
     recorded = RigPlant(twin, control, twin.keep, at_once=1)
     costs = []
     for _ in range(TURNS):
@@ -185,7 +185,7 @@ def _hopping_time(plant: RigPlant, twin: RecordedTwin) -> float:
 def _control_cost(robot_control: HopperControl, twin: Twin) -> float:
     """CPU time of a control tick in compiled code, with the readings of some hops; smallest of several rounds [µs]."""
     blocks, spent = list[Rows](), []
-    with RigPlant(twin, robot_control, blocks.append) as plant:
+    with RigPlant(twin, robot_control, lambda rows, step: blocks.append(rows)) as plant:
         plant.start()
         for _ in range(HOPS):
             plant.take_step(COMMAND)

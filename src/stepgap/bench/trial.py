@@ -19,9 +19,9 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
-from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.plant import Plant
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -101,7 +101,7 @@ class Trial:
         learner: AdaptiveMap,
         iteration: int,
         most_steps: int | None = None,
-        on_ticks: Callable[[Rows], None] | None = None,
+        on_ticks: OnTicks | None = None,
     ) -> StepLog:
         """Steps of a deployment that a method learns from; none if the hop before the first step failed."""
         steps_on = self._tracking(learner, iteration, 0)
@@ -124,7 +124,7 @@ class Trial:
         iteration: int,
         change: Change | None,
         most_steps: int | None,
-        on_ticks: Callable[[Rows], None] | None,
+        on_ticks: OnTicks | None,
     ) -> StepLog:
         nominal, log, twin = self.nominal, StepLog(self.nominal.space), self.twin_of(iteration)
         plant = RigPlant(twin, HopperControl(nominal.robot, nominal.gains, nominal.bounds), on_ticks)

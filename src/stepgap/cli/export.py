@@ -93,16 +93,20 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
 
 
 def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None:
-    from stepgap.experiment.replay import replay_rig
+    from stepgap.experiment.loop import deployment_generator
+    from stepgap.experiment.plants import simulation_of
     from stepgap.experiment.settings import read_experiment
-    from stepgap.robots.hopper.robot import as_hopper
+    from stepgap.robots.hopper.simulation import HopperSimulation
     from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
 
     if iteration is not None:
         raise InputError("--iteration: the model is the same in all deployments; leave this option out")
     settings = read_experiment(folder / "experiment.toml")
-    _, twin = replay_rig(settings, 0)
-    files = mjcf_files(twin, as_hopper(settings.robot, "a model is exported").parameters.boom_length)
+    simulation = simulation_of(settings) if settings.simulated else None
+    if not isinstance(simulation, HopperSimulation):
+        raise InputError(f"robot '{settings.robot.name}', plant '{settings.plant}': only the hopper's twin is exported")
+    _, twin = simulation.direct_rig(deployment_generator(settings.seed, 0))
+    files = mjcf_files(twin, simulation.hopper.parameters.boom_length)
     target = _target(folder, "mjcf", out)
     with writing(target, "--out"):
         target.mkdir()

@@ -3,7 +3,7 @@
 import json as json_format
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.tick_recorder import TickRecorder
     from stepgap.learning.step_log import StepLog
     from stepgap.plants.compiled_rig import Rows
+    from stepgap.plants.ticks.stream import OnTicks
     from stepgap.report import WrittenReport
     from stepgap.step import Array
     from stepgap.view.live import LiveView
@@ -134,16 +135,12 @@ def run(
         resume: Resume the interrupted run in --out.
     """
     from stepgap.base.signals import terminated_as_interrupted
-    from stepgap.cli.run_report import TICKS_PER_FRAME
     from stepgap.experiment.run_start import start_folder
-    from stepgap.experiment.tick_recorder import TickRecorder
-    from stepgap.view.live import LiveView
 
     if not display.view and (display.host or display.port):
         raise InputError("--host, --port: valid only with --view, whose page they belong to")
     ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume)
-    live = LiveView(ready.folder, display.host or "127.0.0.1", display.port) if display.view else None
-    recorder = TickRecorder(TICKS_PER_FRAME)
+    recorder, live = _watchers(ready, display)
     plants = _choose_plants(ready, arm, recorder, live, program or [])
     if not resume:
         start_folder(ready.folder, ready.settings, ready.reference, ready.known, ready.nominal.surrogate)
@@ -184,6 +181,24 @@ def _load_nominal(settings: "Experiment") -> "Nominal":
     return load_nominal(settings, on_samples)
 
 
+def _watchers(ready: Prepared, display: Display) -> "tuple[TickRecorder, LiveView | None]":
+    """The recorder of the ticks that the report will show, and the live page, if it is wanted."""
+    from stepgap.experiment.replay import find_kinematics
+    from stepgap.experiment.tick_recorder import TickRecorder
+    from stepgap.records.missing import Missing
+    from stepgap.report.motion import INTERVAL
+    from stepgap.view.live import LiveView
+    from stepgap.view.source import VIEW_INTERVAL
+
+    units, per_frame, per_view = {}, 1, 1
+    if ready.settings.simulated:  # a rig has its own tick logs
+        kinematics = find_kinematics(ready.settings)
+        if not isinstance(kinematics, Missing):
+            units, per_frame, per_view = kinematics.units, kinematics.every(INTERVAL), kinematics.every(VIEW_INTERVAL)
+    page = (display.host or "127.0.0.1", display.port, units, per_view)
+    return TickRecorder(units, per_frame), LiveView(ready.folder, *page) if display.view else None
+
+
 def _choose_plants(
     ready: Prepared, arm: bool, recorder: "TickRecorder", live: "LiveView | None", program: Sequence[str]
 ) -> "Plants":
@@ -194,14 +209,14 @@ def _choose_plants(
     return choose_plants(ready.settings, ready.reference, arm, ready.folder, on_ticks, program)
 
 
-def _all_of(record: "Callable[[Rows], None]", live: "LiveView | None") -> "Callable[[Rows], None]":
+def _all_of(record: "OnTicks", live: "LiveView | None") -> "OnTicks":
     """Function that passes ticks to the recorder and, if there is one, to the live page."""
     if live is None:
         return record
 
-    def on_ticks(rows: "Rows") -> None:
-        record(rows)
-        live.on_ticks(rows)
+    def on_ticks(rows: "Rows", step: int) -> None:
+        record(rows, step)
+        live.on_ticks(rows, step)
 
     return on_ticks
 

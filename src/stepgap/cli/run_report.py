@@ -6,19 +6,17 @@ from pathlib import Path
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import check_new, writing
 from stepgap.experiment.nominal import load_nominal
-from stepgap.experiment.replay import logged_ticks, replay, sensor_model_of
+from stepgap.experiment.replay import find_kinematics, logged_ticks, replay
 from stepgap.experiment.settings import Experiment, experiment_table, read_experiment, recorded_space
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.records.steps_csv import RecordError
 from stepgap.report import RunContext, WrittenReport, comparison_html, write_report
-from stepgap.report.motion import RATE, DeploymentMotion, Replay, kept_motion, sensed_motion
+from stepgap.report.motion import INTERVAL, Replay, kept_motion
 from stepgap.robots.entry_points import load_robot
-from stepgap.robots.hopper.robot import TWIN, as_hopper
-
-TICKS_PER_FRAME = 1000 // RATE
-"""Number of ticks, of which there are 1000 per second, per frame of the replay."""
+from stepgap.robots.hopper.robot import TWIN
+from stepgap.robots.scene import Motion
 
 
 def report_run(
@@ -33,7 +31,7 @@ def report_run(
     Args:
         folder: The run folder.
         progress: Called with the numbers of finished and of all steps while a deployment is simulated again.
-        recorded: Ticks of deployments, `RATE` per second, as kept by a `TickRecorder` during the run.
+        recorded: Ticks of deployments, one for every frame, as kept by a `TickRecorder` during the run.
 
     Raises:
         InputError: The content of a file is wrong, or the report cannot be written.
@@ -92,20 +90,23 @@ def _replay(
     recorded: Mapping[int, TickTable],
 ) -> Replay | Missing:
     """Motions of the first and the last deployment, or the reason why there are none."""
-
-    def motion(iteration: int) -> DeploymentMotion:
-        if iteration in recorded:
-            ticks = recorded[iteration]
-        elif settings.simulated:
-            ticks = replay(record.folder, iteration, TICKS_PER_FRAME, progress)
-        else:
-            ticks = logged_ticks(record.folder, list(record.steps.of_iteration(iteration))).resampled(RATE)
-        return sensed_motion(ticks, sensors)
-
     ends = dict.fromkeys((record.shown_iterations[0], record.shown_iterations[-1]))
     try:
-        hopper, sensors = as_hopper(settings.robot, "the motion is drawn"), sensor_model_of(settings)
-        motions = {iteration: kept_motion(record, iteration, motion) for iteration in ends}
+        kinematics = find_kinematics(settings)
+        if isinstance(kinematics, Missing):
+            return kinematics
+        measured, scene = [*kinematics.units, "step"], kinematics.scene
+
+        def motion(iteration: int) -> Motion:
+            if iteration in recorded:
+                ticks = recorded[iteration]
+            elif settings.simulated:
+                ticks = replay(record.folder, iteration, kinematics.every(INTERVAL), progress)
+            else:
+                steps = list(record.steps.of_iteration(iteration))
+                ticks = logged_ticks(record.folder, steps, settings).resampled(1 / INTERVAL)
+            return kinematics.motion(ticks.selected(measured))
+
+        return Replay({iteration: kept_motion(record, scene, iteration, motion) for iteration in ends}, scene)
     except (InputError, RecordError) as error:
         return Missing(str(error))
-    return Replay(motions, hopper.parameters, sensors.pivot_height)

@@ -21,10 +21,11 @@ from stepgap.plants.process.line_channel import Child, Connection
 from stepgap.plants.process.process_plant import ProcessPlant
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
+from stepgap.plants.ticks.stream import OnTicks
 from stepgap.records.summary import NoiseFloor
 from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.rig import RigFault
-from stepgap.robots.robot import OnTicks, Simulation
+from stepgap.robots.robot import Simulation
 from stepgap.step import StepMap
 
 
@@ -57,7 +58,7 @@ def choose_plants(
         reference: Reference that will be tracked.
         arm: Whether a person allows torque on a rig.
         folder: Folder of the run, into which a rig's ticks are written.
-        on_ticks: Called with the log rows of the ticks of a simulation, some at a time.
+        on_ticks: Called with the ticks of a simulation, if it has any.
         program: Command line of the program of the plant `process`, or `tcp:PORT`, where it listens.
 
     Raises:

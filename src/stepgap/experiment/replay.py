@@ -14,49 +14,21 @@ from stepgap.experiment.settings import PROCESS, Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.records.missing import Missing
 from stepgap.records.steps_csv import RecordError, read_step_log, row_of
 from stepgap.records.summary import read_summary
 from stepgap.rigs.entry_points import load_rig
-from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import Health, Reading, Rig, RigFault, SensorModel, Torques
-from stepgap.robots.hopper.hop_control import sensors_of
-from stepgap.robots.hopper.phases import Phase
-from stepgap.robots.hopper.robot import as_hopper
-from stepgap.robots.hopper.sensors import HopperSensorModel
-from stepgap.robots.hopper.simulation import HopperSimulation
-from stepgap.robots.hopper.tick import TICK_UNITS
-from stepgap.robots.hopper.twin.twin import Twin
-from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
+from stepgap.rigs.rig import RigFault
+from stepgap.robots.scene import Kinematics
 from stepgap.step import Array
-
-REPLAY_UNITS = {
-    **TICK_UNITS,
-    "step": "",
-    "hip_x": "m",
-    "hip_height": "m",
-    "boom_yaw": "rad",
-    "boom_pitch": "rad",
-    "true_alpha_1": "rad",
-    "true_alpha_2": "rad",
-    "foot_x": "m",
-    "foot_y": "m",
-    "foot_z": "m",
-    "ground_height": "m",
-}
-"""Columns of a replay: those of a tick, the number of its step, and the true state of the twin at the reading.
-
-The hip's x is the distance travelled along the circle; the foot is in MuJoCo's frame, whose z points up from the floor.
-The step before the first recorded one is the hop after the release.
-"""
 
 
 def replay(
     folder: Path, iteration: int, every: int = 1, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> TickTable:
-    """The ticks of a recorded deployment on the twin or an emulated ring, simulated again from its seed and commands.
+    """The ticks of a recorded deployment of a simulated plant, simulated again from its seed and commands.
 
     Args:
         folder: The run folder.
@@ -64,81 +36,73 @@ def replay(
         every: Interval of the kept ticks; 1 keeps every tick.
         progress: Called with the number of finished steps and their total number.
 
+    Returns:
+        Ticks with the columns of `Kinematics.observed_units`, which include the true state, and a column `step`.
+
     Raises:
-        InputError: The run cannot be read, has no such deployment, or was not simulated.
+        InputError: The run cannot be read, has no such deployment, was not simulated, or has no ticks.
         RecordError: The simulated steps differ from the recorded ones.
     """
     experiment, steps = _read(folder, iteration)
-    rows = []
-    for done, ticks in enumerate(_hops(folder, experiment, steps, every)):
-        rows.append(ticks)
+    tables = []
+    for done, table in enumerate(_replayed_steps(folder, experiment, steps, every)):
+        tables.append(table)
         progress(done, len(steps))
-    return TickTable(REPLAY_UNITS, np.concatenate(rows))
+    if not any(map(len, tables)):
+        raise InputError(f"plant '{experiment.plant}': reports no ticks, so the motion between the steps is unknown")
+    return TickTable(tables[0].units, np.concatenate([table.rows for table in tables]))
 
 
-def replayed_hops(folder: Path, iteration: int, every: int = 1) -> Iterator[TickTable]:
-    """Yields the ticks of `replay` hop by hop as they are simulated; the first hop is the one after the release."""
-    for ticks in _hops(folder, *_read(folder, iteration), every):
-        yield TickTable(REPLAY_UNITS, ticks)
+def replayed_steps(folder: Path, iteration: int, every: int = 1) -> Iterator[TickTable]:
+    """Yields the ticks of `replay` step by step as they are simulated; the first ones are those of the start."""
+    return _replayed_steps(folder, *_read(folder, iteration), every)
 
 
-def sensor_model_of(settings: Experiment) -> HopperSensorModel:
-    """Sensor model of the ticks of an experiment; builds no twin.
+def find_kinematics(settings: Experiment) -> Kinematics | Missing:
+    """Kinematics of the robot of an experiment, or the reason why its motion is not known; builds no plant.
 
     Raises:
         InputError: The rig, or the file that describes it, does not exist.
     """
     if settings.plant == PROCESS:
-        raise InputError(f"plant '{PROCESS}': the motion between the steps is not recorded")
-    hopper = as_hopper(settings.robot, "the motion between the steps is shown")
-    if settings.simulated:
-        return twin_sensor_model(hopper.parameters, hopper.gap)
-    return sensors_of(load_rig(settings.plant, Path(settings.rig), hopper))
+        return Missing(f"plant '{settings.plant}': the motion between the steps is not recorded")
+    sensors = None
+    if not settings.simulated:
+        sensors = load_rig(settings.plant, Path(settings.rig), settings.robot).sensor_model
+    kinematics = settings.robot.kinematics(sensors)
+    return kinematics or Missing(f"robot '{settings.robot.name}' has no kinematics, so its motion is not drawn")
 
 
-def logged_ticks(folder: Path, steps: Sequence[LoggedStep]) -> TickTable:
+def logged_ticks(folder: Path, steps: Sequence[LoggedStep], settings: Experiment) -> TickTable:
     """Reads the ticks of a rig's deployment from its log, with a column `step`; only ticks with sensor values are kept.
 
-    They begin when torque is given, and end with the last step or, after a fall, when the robot is at rest. The apexes
-    that were passed while the robot hopped separate the steps; step 0 is the hop after the release.
+    They begin when torque is given, and end with the last step or, after a fall, when the robot is at rest. The ends of
+    steps are those that the robot's control detects; step 0 is the one after the release.
 
     Args:
         folder: The run folder.
         steps: Steps of the deployment, at least one.
+        settings: Settings of the run.
 
     Raises:
-        InputError: The log does not exist, is incomplete, or has fewer hops than the deployment.
+        InputError: The log does not exist, is incomplete, or has fewer steps than the deployment.
     """
-    path = folder / "ticks" / f"ticks-{steps[0].iteration}.mcap"
+    path, control = folder / "ticks" / f"ticks-{steps[0].iteration}.mcap", settings.robot.control()
+    if control is None:
+        raise InputError(f"robot '{settings.robot.name}' has no control for a rig, so its ticks cannot be read")
     try:
         ticks = TickTable(*read_ticks(path))
-        phase, hopping = ticks["phase"], ticks["state"] == RigState.HOP
+        ends = control.step_ends(ticks)
+        ends = ends[ticks["state"][ends] == RigState.HOP]
     except (TickLogError, ValueError) as error:
         raise InputError(str(error)) from None
-    passed = np.flatnonzero((phase[:-1] == Phase.ASCENT) & (phase[1:] == Phase.DESCENT) & hopping[1:]) + 1
-    hop = np.searchsorted(passed, np.arange(len(ticks)))  # the tick just past an apex ends its hop
-    if len(passed) < len(steps):
+    step = np.searchsorted(ends, np.arange(len(ticks)))  # the tick that ends a step belongs to it
+    if len(ends) < len(steps):
         number = steps[0].iteration
-        raise InputError(f"{path}: has fewer hops than deployment {number}, so hops and steps cannot be matched")
-    kept = (ticks["state"] >= RigState.STAND) & (hop <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
-    step = (hop + steps[0].step - 1).astype(float)
-    return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, step])[kept])
-
-
-def replay_rig(settings: Experiment, iteration: int) -> tuple[Rig, Twin]:
-    """Rig of a recorded deployment, in its state before the first hop, and the twin in it.
-
-    Raises:
-        InputError: The plant was not simulated, or no twin can be made with the settings.
-    """
-    if not settings.simulated:
-        raise InputError(
-            f"plant '{settings.plant}': a deployment of a rig cannot be simulated again; its ticks are in ticks/"
-        )
-    simulation = simulation_of(settings)
-    if not isinstance(simulation, HopperSimulation):
-        raise InputError(f"robot '{settings.robot.name}': its motion between the steps is not simulated again")
-    return simulation.direct_rig(deployment_generator(settings.seed, iteration))
+        raise InputError(f"{path}: has fewer steps than deployment {number}, so ticks and steps cannot be matched")
+    kept = (ticks["state"] >= RigState.STAND) & (step <= len(steps)) & np.isfinite(ticks.rows).all(axis=1)
+    numbers = (step + steps[0].step - 1).astype(float)
+    return TickTable({**ticks.units, "step": ""}, np.column_stack([ticks.rows, numbers])[kept])
 
 
 def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:
@@ -155,24 +119,37 @@ def _read(folder: Path, iteration: int) -> tuple[Experiment, list[LoggedStep]]:
     return settings, steps
 
 
-def _hops(folder: Path, settings: Experiment, steps: list[LoggedStep], every: int) -> Iterator[Array]:
-    """Yields the rows of each hop after a check that its step equals the recorded one."""
-    rig, twin = replay_rig(settings, steps[0].iteration)
-    recorder = _Recorder(twin, every)
-    control = as_hopper(settings.robot, "a deployment is simulated again").control()
-    with RigPlant(_ObservedRig(rig, recorder.on_read), control, recorder.on_ticks) as plant:
-        recorder.step = steps[0].step - 1
+def _replayed_steps(folder: Path, settings: Experiment, steps: Sequence[LoggedStep], every: int) -> Iterator[TickTable]:
+    """Yields the ticks of each step after a check that the step equals the recorded one."""
+    if not settings.simulated:
+        raise InputError(
+            f"plant '{settings.plant}': a deployment of a rig cannot be simulated again; its ticks are in ticks/"
+        )
+    kinematics, names, rows = find_kinematics(settings), settings.robot.space.state_names, list[Array]()
+    if isinstance(kinematics, Missing):
+        raise InputError(kinematics.reason)
+    units = {**kinematics.observed_units, "step": ""}
+
+    def on_ticks(ticks: Rows, step: int) -> None:
+        rows.extend(np.array([*row, step + steps[0].step - 1], float) for row in ticks)
+
+    def drained() -> TickTable:
+        table = TickTable(units, np.array(rows, float).reshape(len(rows), len(units)))
+        rows.clear()
+        return table
+
+    rng = deployment_generator(settings.seed, steps[0].iteration)
+    with simulation_of(settings).observed_plant(rng, on_ticks, every) as plant:
         try:
             plant.start()
         except RigFault as fault:
-            raise RecordError(f"{_mismatch(folder, steps[0], plant.space.state_names)} ({fault})") from None
-        yield recorder.drain()
+            raise RecordError(f"{_mismatch(folder, steps[0], names)} ({fault})") from None
+        yield drained()
         for logged in steps:
-            recorder.step = logged.step
             simulated = replace(logged, record=plant.take_step(logged.record.command))
             if row_of(simulated) != row_of(logged):
-                raise RecordError(_mismatch(folder, logged, plant.space.state_names))
-            yield recorder.drain()
+                raise RecordError(_mismatch(folder, logged, names))
+            yield drained()
 
 
 def _mismatch(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
@@ -188,83 +165,3 @@ def _mismatch(folder: Path, logged: LoggedStep, names: tuple[str, ...]) -> str:
     )
     step = f"step {logged.step} of deployment {logged.iteration}"
     return f"{folder / 'steps.csv'}: {step} could not be reproduced exactly; {reason}"
-
-
-class _Recorder:
-    """Keeps ticks together with the true state at the reading of their sensors.
-
-    Attributes:
-        step: Number of the step that is being executed.
-    """
-
-    def __init__(self, twin: Twin, every: int):
-        self.step = 0
-        self._twin, self._every, self._count = twin, every, 0
-        self._truth: tuple[float, ...] = ()
-        self._rows: list[tuple[float, ...]] = []
-
-    def on_read(self) -> None:
-        """Called after the sensors were read."""
-        if self._count % self._every == 0:
-            self._truth = _truth(self._twin)
-
-    def on_ticks(self, rows: Rows) -> None:
-        """Called at the end of every tick, because an observed rig is not run in compiled code."""
-        for row in rows:
-            if self._count % self._every == 0:
-                self._rows.append((*row, self.step, *self._truth))
-            self._count += 1
-
-    def drain(self) -> Array:
-        """Returns and forgets the rows since the last call; shape (k, columns)."""
-        rows, self._rows = self._rows, []
-        return np.array(rows, float).reshape(len(rows), len(REPLAY_UNITS))
-
-
-def _truth(twin: Twin) -> tuple[float, ...]:
-    """The true state, for the last columns of a row."""
-    true = twin.true_state()
-    front, rear = true.leg
-    return (*true.hip, *true.boom, (front + rear) / 2, (front - rear) / 2, *true.foot, true.ground_height)
-
-
-class _ObservedRig(Rig):
-    """A rig that reports every reading.
-
-    Args:
-        rig: The rig.
-        on_read: Called after every reading.
-    """
-
-    def __init__(self, rig: Rig, on_read: Callable[[], None]):
-        self._rig, self._on_read = rig, on_read
-
-    @property
-    def sensor_model(self) -> SensorModel:
-        return self._rig.sensor_model
-
-    @property
-    def limits(self) -> RigLimits | None:
-        return self._rig.limits
-
-    @property
-    def health(self) -> Health:
-        return self._rig.health
-
-    @property
-    def truth(self) -> tuple[float, ...]:
-        return self._rig.truth
-
-    def connect(self) -> None:
-        self._rig.connect()
-
-    def read(self) -> Reading:
-        reading = self._rig.read()
-        self._on_read()
-        return reading
-
-    def write(self, torques: Torques) -> Torques:
-        return self._rig.write(torques)
-
-    def close(self) -> None:
-        self._rig.close()

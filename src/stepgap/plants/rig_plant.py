@@ -1,13 +1,12 @@
 """A plant with a rig in the calling process: it reads, computes the tick and writes, as fast as the rig can."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from stepgap.base.ranges import require
-from stepgap.plants.compiled_rig import CompiledRig, Rows, TickRun
+from stepgap.plants.compiled_rig import CompiledRig, TickRun
 from stepgap.plants.plant import Plant
 from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickFlag
+from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.rig import Rig, RigFault, Torques
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
 
@@ -32,8 +31,7 @@ class RigPlant(Plant):
     Args:
         rig: The rig.
         robot_control: Control of its robot.
-        on_ticks: Called with the log rows of every tick, of one or more at a time; shape (k, fields), the fields are
-            those of `RobotControl.units`.
+        on_ticks: Called with the log rows of every tick; their fields are those of `RobotControl.units`.
         at_once: Largest number of ticks that a `CompiledRig` runs before `on_ticks` is called.
     """
 
@@ -41,7 +39,7 @@ class RigPlant(Plant):
         self,
         rig: Rig,
         robot_control: RobotControl,
-        on_ticks: Callable[[Rows], None] | None = None,
+        on_ticks: OnTicks | None = None,
         at_once: int = TICKS_AT_ONCE,
     ):
         self._rig, self._robot_control, self._space = rig, robot_control, robot_control.space
@@ -54,7 +52,7 @@ class RigPlant(Plant):
     def _begin(self) -> None:
         """Resets control and time for a new deployment."""
         self._control = self._robot_control.control(self._rig)
-        self._time, self._status, self._fault = 0.0, StepStatus.OK, ""
+        self._time, self._status, self._fault, self._number = 0.0, StepStatus.OK, "", 0
         self._applied: Torques | None = NO_TORQUES
 
     @property
@@ -89,6 +87,7 @@ class RigPlant(Plant):
         command = np.asarray(command, float)
         within = np.clip(command, self._space.command_lower, self._space.command_upper)
         state = self._state
+        self._number += 1
         if np.isnan(within).any():
             self._status = StepStatus.INVALID
         self._state, _, lost, yaw = self._step(tuple(within.tolist()))
@@ -108,7 +107,7 @@ class RigPlant(Plant):
             run = self._run(order, self._applied or NO_TORQUES)
             self._time, self._applied = run.time, run.applied
             if self._on_ticks and len(run.rows):
-                self._on_ticks(run.rows)
+                self._on_ticks(run.rows, self._number)
             if run.applied is None:
                 self._status, self._fault = StepStatus.STOPPED, run.fault
             elif run.flags & STEP_ENDED:

@@ -9,6 +9,9 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
+import numpy as np
+
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, Torques
 from stepgap.step import Array, StepSpace, StepStatus
@@ -158,6 +161,10 @@ class RobotControl(ABC):
     @abstractmethod
     def limp_limits(self, rig: Rig) -> RigLimits:
         """Limits of a rig whose motors get no torque: those of its bus, but neither those of pose nor of speed."""
+
+    @abstractmethod
+    def step_ends(self, ticks: TickTable) -> np.ndarray:
+        """Indices of the ticks of a log with which a step ended, in ascending order; shape (k,)."""
 
     @abstractmethod
     def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:

@@ -1,48 +1,45 @@
 "use strict";
-// Draws the hopper of #replay-data on #replay-canvas: parallel projection, z up, the boom's pivot over the origin.
+// Draws the robot of #replay-data on #replay-canvas: parallel projection, z up, the floor at 0. The robot moves along x,
+// or on a circle around the origin.
 (() => {
   const at = (name) => document.getElementById("replay-" + name);
   const data = JSON.parse(at("data").textContent);
   const canvas = at("canvas"), slider = at("slider"), play = at("play"), moment = at("moment");
   const choice = at("deployment"), speed = at("speed"), zoom = at("zoom"), follow = at("follow");
-  const [top_, bottom, toe] = data.leg, radius = data.boom;
-  const MARKS = 12, TRAIL = 120, TICKS = 144;
-  let motion = null, frame = 0, playing = false, before = 0, azimuth = -1.15, elevation = 0.22, drag = null;
+  const radius = data.circle, MARKS = 12, TRAIL = 120, TICKS = 144;
+  const SHADES = {body: "#555", near: "#004a75", far: "#0072b2"};
+  let motion = null, frame = 0, reach = 0.45, playing = false, before = 0, azimuth = -1.15, elevation = 0.22, drag = null;
 
   function unpacked(source) {
     const bytes = Uint8Array.from(atob(source.packed), (letter) => letter.charCodeAt(0));
     const whole = new DataView(bytes.buffer), found = {frames: source.frames, rate: source.rate, deployment: source.deployment};
-    source.channels.forEach((name, row) => {
-      const [low, high] = source.ranges[row], values = new Float64Array(source.frames);
+    let row = 0;
+    const channels = source.ranges.map(([low, high]) => {
+      const values = new Float64Array(source.frames).fill(low);
+      if (high === low) return values;
       for (let i = 0; i < source.frames; i++)
         values[i] = low + (high - low) * whole.getUint16(2 * (row * source.frames + i), true) / data.levels;
-      found[name] = name === "step" ? values.map(Math.round) : values;
+      row++;
+      return values;
     });
-    found.steps = new Map(source.steps.map((step) => [step[0], step.slice(1)]));
+    found.step = channels[0].map(Math.round);
+    found.body = channels.slice(1, 4);
+    found.parts = data.points.map((_, point) => channels.slice(4 + 3 * point, 7 + 3 * point));
+    found.contacts = channels.slice(4 + 3 * data.points.length);
+    found.steps = new Map(source.steps.map(([step, target, reached, command]) => [step, {target, reached, command}]));
     found.ends = new Map();
     for (let i = 1; i < source.frames; i++) if (found.step[i] !== found.step[i - 1]) found.ends.set(found.step[i - 1], i - 1);
     if (found.steps.has(found.step[source.frames - 1])) found.ends.set(found.step[source.frames - 1], source.frames - 1);
     return found;
   }
 
-  // Point on the circle, in the leg's plane: along is forward, up is height.
-  function pointAt(yaw, along, up) {
-    return [radius * Math.sin(yaw) + along * Math.cos(yaw), -radius * Math.cos(yaw) + along * Math.sin(yaw), up];
-  }
-
-  function leg(i) {
-    const yaw = motion.travel[i] / radius, height = motion.height[i];
-    const middle = motion.alpha_1[i], half = motion.alpha_2[i];
-    const knee = Math.asin(top_ / bottom * Math.sin(half));
-    const length = top_ * Math.cos(half) + bottom * Math.cos(knee);
-    const polar = (size, angle) => [size * Math.sin(angle), -size * Math.cos(angle)];
-    const on = ([x, y]) => pointAt(yaw, x, height + y);
-    const joint = polar(length, middle), tip = polar(toe, middle + knee);
-    return {
-      yaw, hip: on([0, 0]), front: on(polar(top_, middle + half)), rear: on(polar(top_, middle - half)),
-      joint: on(joint), foot: on([joint[0] + tip[0], joint[1] + tip[1]]),
-    };
-  }
+  const vectorAt = (axes, i) => axes.map((values) => values[i]);
+  const bodyAt = (i) => vectorAt(motion.body, i);
+  const moved = (point, by) => point.map((value, axis) => value + by[axis]);
+  // How far the body has come: an angle on the circle, or a length along x.
+  const progress = (i) => (radius ? Math.atan2(motion.body[0][i], -motion.body[1][i]) : motion.body[0][i]);
+  // Point above the track.
+  const above = (s, up) => (radius ? [radius * Math.sin(s), -radius * Math.cos(s), up] : [s, 0, up]);
 
   function draw() {
     const wide = canvas.clientWidth, high = canvas.clientHeight, dots = window.devicePixelRatio || 1;
@@ -50,11 +47,13 @@
       canvas.width = Math.round(wide * dots);
       canvas.height = Math.round(high * dots);
     }
-    const pen = canvas.getContext("2d"), here = leg(frame);
-    const turn = azimuth + (follow.checked ? here.yaw : 0);
+    const pen = canvas.getContext("2d"), s = progress(frame), metres = radius || 1;  // metres unit of progress
+    const turn = azimuth + (follow.checked && radius ? s : 0);
     const [a, b, c, d] = [Math.cos(turn), Math.sin(turn), Math.cos(elevation), Math.sin(elevation)];
-    const size = 2.4 * Math.pow(0.32 / 2.4, zoom.value / 100), scale = Math.min(wide, 1.6 * high) / (3.2 * size);
-    const middle = follow.checked ? pointAt(here.yaw, 0, 0.33) : [0, 0, 0.3], near = Math.min(1, zoom.value / 60);
+    const far = radius ? 2.4 : 1.2 * reach, close = 0.32 / 0.45 * reach;
+    const size = far * Math.pow(close / far, zoom.value / 100), scale = Math.min(wide, 1.6 * high) / (3.2 * size);
+    const middle = follow.checked ? above(s, 0.73 * reach) : radius ? [0, 0, 0.3] : above(motion.middle, 0.73 * reach);
+    const near = radius ? Math.min(1, zoom.value / 60) : 1;
     const centre = [near * middle[0], near * middle[1], middle[2]];
     const project = ([x, y, z]) => {
       const [u, v, w] = [x - centre[0], y - centre[1], z - centre[2]];
@@ -85,60 +84,72 @@
       pen.stroke();
     }
 
-    for (const ring of [0.88, 1, 1.12]) {
-      const circle = [];
-      for (let i = 0; i <= TICKS; i++) {
-        const angle = 2 * Math.PI * i / TICKS;
-        circle.push([ring * radius * Math.sin(angle), -ring * radius * Math.cos(angle), 0]);
+    if (radius) {
+      for (const ring of [0.88, 1, 1.12]) {
+        const circle = [];
+        for (let i = 0; i <= TICKS; i++) circle.push(above(2 * Math.PI * i / TICKS, 0).map((value) => ring * value));
+        line(circle, ring === 1 ? "#888" : "#ccc", 1);
       }
-      line(circle, ring === 1 ? "#888" : "#ccc", 1);
-    }
-    for (let i = 0; i < TICKS; i++) {
-      const [x, y] = [Math.sin(2 * Math.PI * i / TICKS), -Math.cos(2 * Math.PI * i / TICKS)];
-      line([[0.88 * radius * x, 0.88 * radius * y, 0], [1.12 * radius * x, 1.12 * radius * y, 0]], i % 12 ? "#ddd" : "#999", 1);
+      for (let i = 0; i < TICKS; i++) {
+        const [x, y] = above(2 * Math.PI * i / TICKS, 0);
+        line([[0.88 * x, 0.88 * y, 0], [1.12 * x, 1.12 * y, 0]], i % 12 ? "#ddd" : "#999", 1);
+      }
+    } else {
+      const pitch = 0.1, first = Math.floor((s - 4 * reach) / pitch), last = Math.ceil((s + 4 * reach) / pitch);
+      for (const side of [-1, 0, 1])
+        line([[first * pitch, side * reach / 2, 0], [last * pitch, side * reach / 2, 0]], side ? "#ccc" : "#888", 1);
+      for (let i = first; i <= last; i++)
+        line([[i * pitch, -reach / 2, 0], [i * pitch, reach / 2, 0]], i % 10 ? "#ddd" : "#999", 1);
     }
 
     const step = motion.step[frame], entry = motion.steps.get(step);
-    if (entry && entry[1] !== null) {
+    const heightOf = (state) => (data.height === null ? null : state[data.height]);
+    if (entry && heightOf(entry.target) !== null) {
       const arc = [];
-      for (let i = -20; i <= 20; i++) arc.push(pointAt(here.yaw + i * 0.02, 0, entry[1]));
+      for (let i = -20; i <= 20; i++) arc.push(above(s + i * 0.03 / metres, heightOf(entry.target)));
       line(arc, "#000", 1, [6, 5]);
     }
     for (let number = step - MARKS; number < step + (frame === motion.ends.get(step) ? 1 : 0); number++) {
       const end = motion.ends.get(number), known = motion.steps.get(number);
-      if (end === undefined || !known) continue;
-      const yaw = motion.travel[end] / radius;
-      line([pointAt(yaw, -0.025, known[1]), pointAt(yaw, 0.025, known[1])], "#000", 2);
-      if (known[3] !== null) dot(pointAt(yaw, 0, known[3]), "#d55e00", 3.5, false);
+      if (end === undefined || !known || heightOf(known.target) === null) continue;
+      const there = progress(end);
+      line([-1, 1].map((side) => above(there + side * 0.0375 / metres, heightOf(known.target))), "#000", 2);
+      if (heightOf(known.reached) !== null) dot(above(there, heightOf(known.reached)), "#d55e00", 3.5, false);
     }
     const trail = [];
-    for (let i = Math.max(0, frame - TRAIL); i <= frame; i++) trail.push(pointAt(motion.travel[i] / radius, 0, motion.height[i]));
+    for (let i = Math.max(0, frame - TRAIL); i <= frame; i++) trail.push(bodyAt(i));
     line(trail, "#e69f00", 1.2);
 
-    line([[0, 0, 0], [0, 0, data.pivot]], "#555", 6);
-    line([[0, 0, data.pivot], here.hip], "#555", 4);
-    const stroke = Math.max(2, 0.012 * scale);
-    line([here.hip, here.rear, here.joint, here.foot], "#0072b2", stroke);
-    line([here.hip, here.front, here.joint], "#004a75", stroke);
-    for (const pin of [here.front, here.rear, here.joint]) dot(pin, "#004a75", 0.7 * stroke, false);
-    dot(here.hip, "#333", 1.6 * stroke, true);
-    dot(here.foot, "#c00000", 0.9 * stroke, motion.force[frame] > 1);
+    const here = motion.parts.map((axes) => moved(vectorAt(axes, frame), bodyAt(frame)));
+    const depth = (link) => a * (here[link[0]][0] + here[link[1]][0]) + b * (here[link[0]][1] + here[link[1]][1]);
+    for (const link of [...data.links].sort((one, other) => depth(other) - depth(one)))
+      line([here[link[0]], here[link[1]]], SHADES[link[3]], Math.max(2, 1.4 * link[2] * scale));
+    const touching = new Set(data.feet.filter((_, foot) => motion.contacts[foot][frame] > 0.5));
+    data.points.forEach((ball, point) => {
+      const foot = data.feet.includes(point), fill = point === data.body || touching.has(point);
+      if (ball) dot(here[point], foot ? "#c00000" : point === data.body ? "#333" : "#004a75", Math.max(2, 0.8 * ball * scale), fill);
+    });
 
     slider.value = frame;
     const time = (frame / motion.rate).toFixed(2), end = ((motion.frames - 1) / motion.rate).toFixed(2);
     moment.textContent = `deployment ${motion.deployment}, ${time} s of ${end} s: ` + (entry
-      ? `step ${step} of ${motion.last}. Target ${format(entry[0], "m/s")}, ${format(entry[1], "m")}; ` +
-        `reached ${entry[3] === null ? "no apex" : format(entry[2], "m/s") + ", " + format(entry[3], "m")}; command ${format(entry[4], "N")}, ${format(entry[5], "N")}.`
-      : "released.");
+      ? `step ${step} of ${motion.last}. Target ${named(entry.target, data.state)}; ` +
+        `reached ${entry.reached.includes(null) ? "no end of the step" : named(entry.reached, data.state)}; ` +
+        `command ${named(entry.command, data.command)}.`
+      : "before the first step.");
   }
 
-  function format(value, unit) {
-    return value === null ? "unknown" : value.toFixed(unit === "N" ? 1 : 3).replace("-", "\u2212") + " " + unit;
+  function named(values, quantities) {
+    return values.map((value, i) => {
+      const [name, unit, decimals] = quantities[i];
+      return `${name} ` + (value === null ? "unknown" : `${value.toFixed(decimals).replace("-", "\u2212")} ${unit}`.trim());
+    }).join(", ");
   }
 
   function choose() {
     motion = unpacked(data.motions[choice.selectedIndex]);
     motion.last = Math.max(...motion.steps.keys());
+    motion.middle = (motion.body[0][0] + motion.body[0][motion.frames - 1]) / 2;
     slider.max = motion.frames - 1;
     frame = Math.min(frame, motion.frames - 1);
     draw();
@@ -168,6 +179,8 @@
     draw();
   }
 
+  // Size of the robot, by which the view is scaled.
+  reach = Math.max(0.1, ...data.motions.map((each) => each.ranges[3][1])) * 0.75;
   data.motions.forEach((each) => choice.add(new Option(each.deployment)));
   choice.selectedIndex = data.motions.length - 1;
   choice.addEventListener("change", choose);

@@ -11,8 +11,9 @@ from stepgap.learning.step_log import StepLog
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.html import absence, safe
-from stepgap.report.motion import RATE, DeploymentMotion, Replay
-from stepgap.step import Array
+from stepgap.report.motion import Replay
+from stepgap.robots.scene import Motion, Scene
+from stepgap.step import Array, Quantity
 
 REPLAY_SCRIPT: Final = files("stepgap.report").joinpath("replay.js").read_text(encoding="utf-8")
 """Script that draws the replay; its data are in the page."""
@@ -24,7 +25,7 @@ MOST_FRAMES: Final = 60_000
 """Largest number of frames of a motion on the page; a longer motion is thinned."""
 
 CONTROLS: Final = """<div id="replay-view">
-<canvas id="replay-canvas" tabindex="0" role="img" aria-label="The hopper on its boom; drag to turn the view"></canvas>
+<canvas id="replay-canvas" tabindex="0" role="img" aria-label="The robot; drag to turn the view"></canvas>
 <p id="replay-moment" aria-live="off">The replay needs JavaScript, which does not run here.</p>
 <input id="replay-slider" type="range" min="0" max="0" value="0" aria-label="Time">
 <p class="controls"><button id="replay-play" type="button">Play</button>
@@ -32,7 +33,7 @@ CONTROLS: Final = """<div id="replay-view">
 <label>speed <select id="replay-speed"><option>0.1</option><option>0.25</option><option>0.5</option>
 <option selected>1</option><option>2</option><option>8</option></select></label>
 <label>zoom <input id="replay-zoom" type="range" min="0" max="100" value="75"></label>
-<label><input id="replay-follow" type="checkbox" checked> follow the hopper</label></p>
+<label><input id="replay-follow" type="checkbox" checked> follow the robot</label></p>
 </div>"""
 
 
@@ -40,43 +41,63 @@ def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
     """Canvas, controls and data of the replay, or the reason why there are none."""
     if isinstance(replay, Missing):
         return absence("replay", replay)
-    robot = replay.robot
+    scene, space = replay.scene, record.steps.space
+    names, known = list(scene.points), scene.height in space.state_names
     data = {
         "levels": LEVELS,
-        "leg": [robot.top_length, robot.bottom_length, robot.foot_length],
-        "boom": robot.boom_length,
-        "pivot": replay.pivot_height,
-        "motions": [_motion(number, motion, record.steps) for number, motion in replay.motions.items()],
+        "points": list(scene.points.values()),
+        "links": [[names.index(link.start), names.index(link.end), link.radius, link.shade] for link in scene.links],
+        "body": names.index(scene.body),
+        "feet": [names.index(foot) for foot in scene.feet],
+        "height": space.state_names.index(scene.height) if known else None,
+        "circle": scene.circle,
+        "state": [_described(quantity) for quantity in space.state],
+        "command": [_described(quantity) for quantity in space.command],
+        "motions": [_packed(number, motion, scene, record.steps) for number, motion in replay.motions.items()],
     }
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     kept = f'<script type="application/json" id="replay-data">{text}</script>'
-    return f'{CONTROLS}\n<p class="note">{safe(_legend())}</p>\n{kept}'
+    return f'{CONTROLS}\n<p class="note">{safe(_legend(known))}</p>\n{kept}'
 
 
-def _legend() -> str:
+def _legend(height: bool) -> str:
+    marks = (
+        " Dashed: target height at the end of the step. Circles: measured heights at the ends of steps; bars: their "
+        "targets."
+    )
     return (
-        "Drag to rotate; the keys ← and → move by one frame. The leg is drawn as a closed chain; the foot is filled "
-        "while it bears load. Dashed: target height of the next apex. Circles: measured apexes; bars: their targets. "
-        "The motion was measured by the sensors of boom and motors; motion that they cannot measure, such as the "
-        f"boom's bending, is not shown. There are {RATE} frames per second."
+        "Drag to rotate; the keys ← and → move by one frame. A foot is filled while it touches the ground."
+        f"{marks if height else ''} The motion was measured by the sensors of the robot; motion that they cannot "
+        "measure, such as the bending of a boom, is not shown."
     )
 
 
-def _motion(number: int, motion: DeploymentMotion, log: StepLog) -> dict[str, Any]:
-    """JSON data of a motion: its channels as consecutive 16-bit integers, and its steps."""
-    every = -(-len(motion.step) // MOST_FRAMES)
-    channels = [channel[::every] for channel in motion.channels.values()]
+def _described(quantity: Quantity) -> list[str | int]:
+    """Name, unit and number of decimals of a quantity."""
+    return [quantity.name, quantity.unit, int(np.clip(3 - np.log10(quantity.upper - quantity.lower), 0, 6))]
+
+
+def _packed(number: int, motion: Motion, scene: Scene, log: StepLog) -> dict[str, Any]:
+    """JSON data of a motion: its channels as consecutive 16-bit integers, and its steps.
+
+    The channels are the step, the position of the body, those of all points relative to it, and the contacts. Of a
+    channel that is constant, only the value is there.
+    """
+    every = -(-len(motion.time) // MOST_FRAMES)
+    body = motion.positions[:, scene.index(scene.body), :]
+    relative = (motion.positions - body[:, None]).reshape(len(body), -1)
+    channels = np.column_stack([motion.step, body, relative, motion.touching])[::every].T
     ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
-    packed = b"".join(_levels(channel).astype("<u2").tobytes() for channel in channels)
+    packed = b"".join(_levels(channel).astype("<u2").tobytes() for channel in channels if np.ptp(channel))
     steps = [
-        [logged.step, *_rounded(logged.target), *_rounded(logged.record.next_state), *_rounded(logged.record.command)]
+        [logged.step, *map(_rounded, (logged.target, logged.record.next_state, logged.record.command))]
         for logged in log.of_iteration(number)
     ]
+    frames = channels.shape[1]
     return {
         "deployment": number,
-        "rate": RATE / every,
-        "frames": len(channels[0]),
-        "channels": list(motion.channels),
+        "rate": (frames - 1) / max(float(np.ptp(motion.time[::every])), 1e-9),
+        "frames": frames,
         "ranges": ranges,
         "packed": b64encode(packed).decode(),
         "steps": steps,
@@ -85,8 +106,7 @@ def _motion(number: int, motion: DeploymentMotion, log: StepLog) -> dict[str, An
 
 def _levels(channel: Array) -> Array:
     """The channel scaled from 0 at its smallest to `LEVELS` at its largest value."""
-    span = float(np.ptp(channel))
-    return np.round((channel - channel.min()) / span * LEVELS) if span > 0 else np.zeros(len(channel))
+    return np.round((channel - channel.min()) / np.ptp(channel) * LEVELS)
 
 
 def _rounded(values: Array) -> list[float | None]:

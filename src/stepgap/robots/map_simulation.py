@@ -7,7 +7,8 @@ from typing import final
 import numpy as np
 
 from stepgap.plants.model_plant import ModelPlant
-from stepgap.robots.robot import OnTicks, Simulation
+from stepgap.plants.ticks.stream import OnTicks
+from stepgap.robots.robot import Simulation
 from stepgap.step import StepMap
 
 

@@ -7,13 +7,12 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from stepgap.control.reference import Reference
-from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.plant import Plant, RepeatablePlant
 from stepgap.plants.tick_control import RobotControl
+from stepgap.plants.ticks.stream import OnTicks, thinned
+from stepgap.rigs.rig import SensorModel
+from stepgap.robots.scene import Kinematics
 from stepgap.step import StepMap, StepSpace
-
-OnTicks = Callable[[Rows], None]
-"""Called with the log rows of ticks at their end, some at a time."""
 
 
 class Simulation(ABC):
@@ -25,8 +24,18 @@ class Simulation(ABC):
 
         Args:
             rng: Draws everything that is random in this deployment.
-            on_ticks: Called with the ticks, if the plant has any.
+            on_ticks: Called with the ticks, if the plant has any; their columns are those of `Kinematics.units`.
         """
+
+    def observed_plant(self, rng: np.random.Generator, on_ticks: OnTicks, every: int) -> Plant:
+        """Makes a plant in this process that takes the same steps, whose ticks also contain the true state.
+
+        Args:
+            rng: As of `plant`.
+            on_ticks: Called with every `every`-th tick; the columns are those of `Kinematics.observed_units`.
+            every: Interval of the reported ticks.
+        """
+        return self.plant(rng, thinned(on_ticks, every))
 
     def repeatable_plant(self, rng: np.random.Generator) -> RepeatablePlant | None:  # noqa: ARG002  (others use it)
         """Makes a plant that can repeat a step, for the noise floor; None if there is none."""
@@ -77,6 +86,14 @@ class Robot(ABC):
 
     def control(self) -> RobotControl | None:
         """Its control at 1 kHz, with which a rig becomes a plant; None if it has none."""
+        return None
+
+    def kinematics(self, sensors: SensorModel | None = None) -> Kinematics | None:  # noqa: ARG002
+        """How it is drawn from its ticks; None if it is not drawn.
+
+        Args:
+            sensors: Sensor model of its rig; None for its simulated plants.
+        """
         return None
 
     def randomised(self, rng: np.random.Generator) -> Self | None:  # noqa: ARG002  (others use it)

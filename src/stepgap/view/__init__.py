@@ -1,6 +1,6 @@
 """The page that shows a run in the browser.
 
-`geometry` gives the positions of the joints, `motion` the robot's motion in a hop, `source` all data of a run; `player`
-chooses the moment that is drawn; `robot_scene`, `plots` and `page` draw it. `watch` serves the page. For a run in
-progress, `live` serves it in a separate process, so that no fault of the page disturbs the run.
+`source` has all data of a run; `player` chooses the moment that is drawn; `robot_scene`, `plots` and `page` draw it.
+`watch` serves the page. For a run in progress, `live` serves it in a separate process, so that no fault of the page
+disturbs the run.
 """

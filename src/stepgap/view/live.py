@@ -2,18 +2,19 @@
 
 import subprocess
 import sys
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
 from stepgap.experiment.loop import Observer
-from stepgap.experiment.tick_recorder import HopCount
 from stepgap.plants.compiled_rig import Rows
+from stepgap.plants.ticks.stream import thinned
 from stepgap.plants.ticks.tick_ring import TickRing
-from stepgap.robots.hopper.tick import TICK_UNITS
-from stepgap.view.motion import TICK_STRIDE
+from stepgap.records.summary import Deployment
 
 ROWS = 2**16
-"""Number of ticks that the ring keeps for the page: nine minutes of hopping."""
+"""Number of ticks that the ring keeps for the page: nine minutes of motion."""
 
 
 class LiveView:
@@ -26,29 +27,33 @@ class LiveView:
         folder: Folder of the run, which contains the settings when the context is entered.
         host: Host name or address at which the page is served.
         port: Port of the page; None for the first free one.
+        units: Columns of the ticks with their units; empty if the robot has no ticks.
+        every: Interval of the ticks that the page gets.
     """
 
-    def __init__(self, folder: Path, host: str, port: int | None):
-        self._folder, self._host, self._port = folder, host, port
-        self._hops, self._count = HopCount(), 0
+    def __init__(self, folder: Path, host: str, port: int | None, units: Mapping[str, str], every: int):
+        self._folder, self._host, self._port, self._units = folder, host, port, units
+        self._iteration, self._push_some = 0, thinned(self._push, every)
 
-    def on_ticks(self, rows: Rows) -> None:
-        """Passes every `TICK_STRIDE`-th tick to the page."""
-        hops = self._hops.on_ticks(rows)
-        for i in range(-self._count % TICK_STRIDE, len(rows), TICK_STRIDE):
-            self._ring.push((self._hops.iteration, hops[i], *rows[i]))
-        self._count += len(rows)
+    def on_ticks(self, rows: Rows, step: int) -> None:
+        """Passes some of the ticks to the page."""
+        self._push_some(rows, step)
 
     def observing(self, observer: Observer) -> Observer:
-        """Observer that also counts steps and deployments for the ticks."""
-        return self._hops.observing(observer)
+        """Observer that also counts deployments for the ticks."""
+
+        def on_deployment(deployment: Deployment) -> None:
+            observer.on_deployment(deployment)
+            self._iteration = deployment.iteration + 1
+
+        return replace(observer, on_deployment=on_deployment)
 
     def stay(self) -> None:
         """Waits, at the end of the run, until the page is ended."""
         self._process.wait()
 
     def __enter__(self) -> Self:
-        self._ring = TickRing.create(2 + len(TICK_UNITS), ROWS)
+        self._ring = TickRing.create(2 + len(self._units), ROWS)
         program = "import sys; from stepgap.cli.app import main; main(sys.argv[1:])"
         options = ["--host", self._host, *(["--port", str(self._port)] if self._port else [])]
         self._process = subprocess.Popen(
@@ -63,3 +68,7 @@ class LiveView:
         self._process.terminate()
         self._process.wait()
         self._ring.__exit__()
+
+    def _push(self, rows: Rows, step: int) -> None:
+        for row in rows:
+            self._ring.push((self._iteration, step, *row))

@@ -11,8 +11,8 @@ from stepgap.learning.observations import error_of
 from stepgap.learning.residual import join_points
 from stepgap.learning.step_log import LoggedStep
 from stepgap.report.colours import BLUE, VERMILLION
+from stepgap.robots.scene import Scene
 from stepgap.step import StepStatus
-from stepgap.view.geometry import HopperPose
 from stepgap.view.learned import curve_along
 from stepgap.view.player import Player
 from stepgap.view.plots import BAND, INK, LearnedPlot, TrackingPlot, add_legend, named
@@ -23,8 +23,8 @@ NO_OVERLAY = "nothing"
 SPEEDS = {"¼": 0.25, "½": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "16": 16.0}
 """Selectable speeds, relative to real time."""
 
-CAMERA, LOOK_AT = (0.62, -0.8, 0.14), (0.04, 0.1, -0.13)
-"""Position of the camera and its target, relative to a point on the circle 0.45 m above the floor [m]."""
+CAMERA, LOOK_AT = (1.1, -1.42, 1.05), (0.07, 0.18, 0.57)
+"""Position of the camera and its target, relative to the start of the track, in heights of the robot."""
 
 
 class Page:
@@ -36,7 +36,7 @@ class Page:
         server: Server of the page.
         source: Data of the run.
         iteration: Deployment that is shown first; None for the last.
-        live: Whether the run is in progress, so that the newest hop is shown.
+        live: Whether the run is in progress, so that the newest step is shown.
     """
 
     def __init__(self, server: ViserServer, source: Source, iteration: int | None = None, live: bool = False):
@@ -74,14 +74,14 @@ class Page:
 
     def one_step(self) -> None:
         """Plays one step to its end."""
-        self.player.one_step(self._source.hop_count(self.iteration))
+        self.player.one_step(self._source.motion_count(self.iteration))
 
     def follow(self) -> None:
-        """Shows the newest hop of the newest deployment, and follows new hops."""
+        """Shows the newest step of the newest deployment, and follows new steps."""
         newest = max(self._source.iterations, default=0)
         if newest != self.iteration:
             self.choose(newest)
-        self.player.show(self._source.hop_count(newest) - 1)
+        self.player.show(self._source.motion_count(newest) - 1)
         self.player.playing = self.player.follow = True
 
     def update(self, elapsed: float) -> None:
@@ -98,14 +98,14 @@ class Page:
         if player.follow and newest > self.iteration and player.share >= 1:
             self.choose(newest)
             player.follow = True
-        count = source.hop_count(self.iteration)
+        count = source.motion_count(self.iteration)
         player.advance(elapsed, count, self._duration)
         with self._server.atomic():
             self._show_motion()
             state = (
                 self.iteration,
                 self.overlaid,
-                player.hop,
+                player.step,
                 count,
                 self._along.value,
                 source.missing_motion,
@@ -116,23 +116,24 @@ class Page:
                 self._drawn = state
 
     def _duration(self, number: int) -> float | None:
-        hop = self._source.hop(self.iteration, number)
-        return hop.duration if hop else None
+        motion = self._source.motion(self.iteration, number)
+        return motion.duration if motion else None
 
     def _build_scene(self) -> None:
-        scene, hopper, height = self._server.scene, self._source.hopper, self._source.pivot_height
-        scene.set_up_direction("+z")
-        self._world = scene.add_frame("/world", show_axes=False)
-        if hopper is None:
+        api, source = self._server.scene, self._source
+        api.set_up_direction("+z")
+        self._world = api.add_frame("/world", show_axes=False)
+        if source.kinematics is None:
             return
-        robot = hopper.parameters
-        self._ground = Ground(scene, "/world/ground", robot.boom_length, height)
-        self._robot = RobotScene(scene, "/world/robot", robot, height)
-        self._ghost = RobotScene(scene, "/world/ghost", robot, height, ghost=True)
+        scene = source.kinematics.scene
+        self._ground = Ground(api, "/world/ground", scene)
+        self._robot = RobotScene(api, "/world/robot", scene)
+        self._ghost = RobotScene(api, "/world/ghost", scene, ghost=True)
         self._ghost.hide()
-        above_track = np.array([0.0, -robot.boom_length, 0.45])
-        self._server.initial_camera.position = tuple(above_track + CAMERA)
-        self._server.initial_camera.look_at = tuple(above_track + LOOK_AT)
+        height = source.kinematics.at_section(source.space.state_centre)[:, 2].max()
+        start = np.array([0.0, -scene.circle, 0.0])
+        self._server.initial_camera.position = tuple(start + height * np.array(CAMERA))
+        self._server.initial_camera.look_at = tuple(start + height * np.array(LOOK_AT))
 
     def _build_controls(self) -> None:
         gui = self._server.gui
@@ -142,7 +143,7 @@ class Page:
         self._status = gui.add_markdown("")
         self._deployment = gui.add_dropdown("Deployment", [self._label(0)])
         self._overlay = gui.add_dropdown("Overlay", [NO_OVERLAY], hint="A deployment shown next to it, step by step")
-        self._step = gui.add_slider("Step", 0, 1, 1, 0, hint="0: the hop after the release")
+        self._step = gui.add_slider("Step", 0, 1, 1, 0, hint="0: before the first step")
         self._buttons = gui.add_button_group("Play", ("Pause / play", "One step", "Newest"))
         self._speed = gui.add_dropdown("Speed", list(SPEEDS), initial_value="1", hint="Times real time")
         self._ride = gui.add_checkbox("Ride along", True, hint="The robot stays in view, and the floor turns under it")
@@ -154,7 +155,7 @@ class Page:
         self._when_changed(self._speed, self.set_speed)
 
     def _show_from(self, number: int) -> None:
-        """Shows a hop from its start; sets the slider again, because an automatic move may have come in between."""
+        """Shows a step from its start; sets the slider again, because an automatic move may have come in between."""
         self.player.show(number)
         self._step.value = number + 1 if number < self._step.max else number - 1
         self._drawn = ()
@@ -202,29 +203,30 @@ class Page:
 
     def _show_motion(self) -> None:
         source, player = self._source, self.player
-        hop = source.hop(self.iteration, player.hop)
-        if hop is None or source.hopper is None:
+        motion = source.motion(self.iteration, player.step)
+        if motion is None or source.kinematics is None:
             return
-        pose, ground = hop.at(player.share)
-        self._robot.show(pose)
-        self._ground.show(ground)
-        yaw = pose.yaw if self._ride.value else 0.0
-        self._world.wxyz = (np.cos(yaw / 2), 0.0, 0.0, -np.sin(yaw / 2))
-        self._show_ghost(hop.poses[0, 0])
+        scene, frame = source.kinematics.scene, motion.frame(player.share)
+        self._robot.show(motion.positions[frame])
+        self._ground.show(float(motion.ground[frame]))
+        ridden = float(scene.progress(motion.positions[frame])) if self._ride.value else 0.0
+        yaw, x = (ridden, 0.0) if scene.circle else (0.0, ridden)
+        self._world.wxyz, self._world.position = (np.cos(yaw / 2), 0.0, 0.0, -np.sin(yaw / 2)), (-x, 0.0, 0.0)
+        self._show_ghost(scene, float(scene.progress(motion.positions[0])))
 
-    def _show_ghost(self, start: float) -> None:
-        """Draws the overlaid deployment in the same step, starting at the same yaw."""
-        number, other, hop = self.player.hop, self.overlaid, None
-        if other is not None and other != self.iteration and number < self._source.hop_count(other):
-            hop = self._source.hop(other, number)
-        if hop is None:
+    def _show_ghost(self, scene: Scene, start: float) -> None:
+        """Draws the overlaid deployment in the same step, starting at the same place."""
+        number, other, motion = self.player.step, self.overlaid, None
+        if other is not None and other != self.iteration and number < self._source.motion_count(other):
+            motion = self._source.motion(other, number)
+        if motion is None:
             self._ghost.hide()
             return
-        pose = hop.at(self.player.share)[0]
-        self._ghost.show(HopperPose(start + pose.yaw - hop.poses[0, 0], *pose[1:]))
+        by = start - float(scene.progress(motion.positions[0]))
+        self._ghost.show(scene.moved(motion.positions[motion.frame(self.player.share)], by))
 
     def _show_step(self) -> None:
-        source, number = self._source, self.player.hop
+        source, number = self._source, self.player.step
         steps = source.steps(self.iteration)
         other = self.overlaid
         overlaid = [] if other is None or other == self.iteration else source.steps(other)

@@ -1,4 +1,4 @@
-"""Charts of the page: targets and apexes hop by hop, and the learned error.
+"""Charts of the page: targets and measured states step by step, and the learned error.
 
 A series without a number at its left end would disturb the automatic range of its chart. Therefore an extra invisible
 series spans the range.

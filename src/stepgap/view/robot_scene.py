@@ -1,12 +1,12 @@
-"""The 3-D scene of boom, leg and ground."""
+"""The 3-D scene of a robot and of its ground."""
 
-from collections.abc import Mapping
+from math import sqrt
 
 import numpy as np
 from viser import CylinderHandle, IcosphereHandle, SceneApi
 
-from stepgap.robots.hopper.parameters import RobotParameters
-from stepgap.view.geometry import HopperPose, Joints, joints_at, turned_to
+from stepgap.robots.scene import Scene, Shade
+from stepgap.step import Array
 
 Colour = tuple[int, int, int]
 
@@ -18,66 +18,53 @@ DARK_RGB, BLUE_RGB, SKY_RGB, VERMILLION_RGB, LIGHT_RGB = (
     (225, 227, 230),
 )
 
-RADII: Mapping[str, float] = {
-    "boom": 0.014,
-    "front_top": 0.009,
-    "rear_top": 0.009,
-    "front_bottom": 0.007,
-    "rear_bottom": 0.007,
-}
-"""Radii of the drawn links [m]."""
-
-JOINT_RADII: Mapping[str, float] = {"front_knee": 0.012, "rear_knee": 0.012, "ankle": 0.010, "foot": 0.009}
-BODY_RADIUS, BODY_WIDTH = 0.04, 0.07
+SHADES: dict[Shade, Colour] = {"body": DARK_RGB, "near": BLUE_RGB, "far": SKY_RGB}
 
 TRACK_WIDTH, MARK_EVERY = 0.16, 0.1
-"""Width of the marks on the circle, and their distance [m]."""
+"""Width of the marks on the track, and their distance [m]."""
+
+TRACK_MARKS = 400
+"""Number of marks on a straight track on either side of the start."""
 
 
 class RobotScene:
     """A robot in the scene.
 
     Args:
-        scene: Scene in which the robot is drawn.
+        api: Scene of the server, in which the robot is drawn.
         name: Name of its node.
-        robot: Lengths of the robot.
-        pivot_height: Height of the boom's pivot [m].
+        scene: Points and links of the robot.
         ghost: Whether it is drawn transparent.
     """
 
-    def __init__(self, scene: SceneApi, name: str, robot: RobotParameters, pivot_height: float, ghost: bool = False):
-        self._robot, self._pivot_height = robot, pivot_height
-        self._root = scene.add_frame(name, show_axes=False)
-        colours = {
-            "boom": DARK_RGB,
-            "front_top": BLUE_RGB,
-            "rear_top": SKY_RGB,
-            "front_bottom": BLUE_RGB,
-            "rear_bottom": SKY_RGB,
-        }
+    def __init__(self, api: SceneApi, name: str, scene: Scene, ghost: bool = False):
+        self._root = api.add_frame(name, show_axes=False)
         look = {"opacity": 0.35, "cast_shadow": False, "receive_shadow": False} if ghost else {}
-        ends = joints_at(robot, pivot_height, HopperPose(0.0, 0.0, 0.0, 0.5)).links
-        lengths = {link: float(np.linalg.norm(end - start)) for link, (start, end) in ends.items()}
-        self._links: dict[str, CylinderHandle] = {
-            link: scene.add_cylinder(
-                f"{name}/{link}", radius, lengths[link], VERMILLION_RGB if ghost else colours[link], **look
-            )
-            for link, radius in RADII.items()
-        }
-        dark = VERMILLION_RGB if ghost else DARK_RGB
-        self._body = scene.add_cylinder(f"{name}/body", BODY_RADIUS, BODY_WIDTH, dark, **look)
-        self._joints: dict[str, IcosphereHandle] = {
-            joint: scene.add_icosphere(f"{name}/{joint}", radius, dark, **look) for joint, radius in JOINT_RADII.items()
+
+        def colour(shade: Shade) -> Colour:
+            return VERMILLION_RGB if ghost else SHADES[shade]
+
+        self._links: list[tuple[int, int, CylinderHandle]] = []
+        for number, link in enumerate(scene.links):
+            handle = api.add_cylinder(f"{name}/link_{number}", link.radius, 1.0, colour(link.shade), **look)
+            self._links.append((scene.index(link.start), scene.index(link.end), handle))
+        self._scene = scene
+        self._balls: dict[str, IcosphereHandle] = {
+            point: api.add_icosphere(f"{name}/{point}", radius, colour("body"), **look)
+            for point, radius in scene.points.items()
+            if radius
         }
 
-    def show(self, pose: HopperPose) -> None:
-        """Draws the robot in a pose."""
-        joints = joints_at(self._robot, self._pivot_height, pose)
-        for link, (start, end) in joints.links.items():
-            self._links[link].position, self._links[link].wxyz = (start + end) / 2, turned_to(end - start)
-        self._body.position, self._body.wxyz = joints.hip, turned_to(_across(joints))
-        for joint, handle in self._joints.items():
-            handle.position = getattr(joints, joint)
+    def show(self, positions: Array) -> None:
+        """Draws the robot with its points at these positions; shape (P, 3) [m]."""
+        for start, end, handle in self._links:
+            along = positions[end] - positions[start]
+            handle.position, handle.wxyz = (positions[start] + positions[end]) / 2, turned_to(along)
+            length = round(float(np.linalg.norm(along)), 6)
+            if handle.height != length:  # most links are rigid
+                handle.height = length
+        for point, handle in self._balls.items():
+            handle.position = positions[self._scene.index(point)]
         self._root.visible = True
 
     def hide(self) -> None:
@@ -85,34 +72,61 @@ class RobotScene:
         self._root.visible = False
 
 
-def _across(joints: Joints) -> np.ndarray:
-    """Direction of the motors' axis, along the boom."""
-    return joints.hip - joints.pivot
-
-
 class Ground:
-    """The floor under the boom, with marks on the circle, and the post of the pivot.
+    """The floor, with marks on the track of the robot.
 
     Args:
-        scene: Scene in which the floor is drawn.
+        api: Scene of the server, in which the floor is drawn.
         name: Name of its node.
-        radius: Radius of the circle [m].
-        pivot_height: Height of the boom's pivot [m].
+        scene: Scene of the robot, which determines the track.
     """
 
-    def __init__(self, scene: SceneApi, name: str, radius: float, pivot_height: float):
-        self._root = scene.add_frame(name, show_axes=False)
-        scene.add_cylinder(f"{name}/floor", 1.6 * radius, 0.02, LIGHT_RGB, position=(0, 0, -0.011), cast_shadow=False)
-        count = round(2 * np.pi * radius / MARK_EVERY)
-        angles = 2 * np.pi * np.arange(count) / count
-        outward = np.stack([np.sin(angles), -np.cos(angles), np.zeros(count)], axis=-1)
-        circle = np.stack([radius * outward, radius * np.roll(outward, 1, axis=0)], axis=1)
-        half_width = np.where(np.arange(count) % 10 == 0, TRACK_WIDTH, TRACK_WIDTH / 3)[:, None] / 2
-        marks = np.stack([(radius - half_width) * outward, (radius + half_width) * outward], axis=1)
-        lines = np.concatenate([circle, marks]) + np.array([0, 0, 0.001])
-        scene.add_line_segments(f"{name}/marks", lines.astype(np.float32), (150, 153, 160), thickness=0.004)
-        scene.add_cylinder(f"{name}/post", 0.03, pivot_height, DARK_RGB, position=(0, 0, pivot_height / 2))
+    def __init__(self, api: SceneApi, name: str, scene: Scene):
+        self._root = api.add_frame(name, show_axes=False)
+        if scene.circle:
+            radius = 1.6 * scene.circle
+            api.add_cylinder(f"{name}/floor", radius, 0.02, LIGHT_RGB, position=(0, 0, -0.011), cast_shadow=False)
+        else:
+            size = (2 * TRACK_MARKS * MARK_EVERY, 4.0, 0.02)
+            api.add_box(f"{name}/floor", LIGHT_RGB, size, position=(0, 0, -0.011), cast_shadow=False)
+        lines = _circle(scene.circle) if scene.circle else _straight()
+        raised = (lines + np.array([0, 0, 0.001])).astype(np.float32)
+        api.add_line_segments(f"{name}/marks", raised, (150, 153, 160), thickness=0.004)
 
     def show(self, height: float) -> None:
-        """Moves the floor to its height under the foot [m]."""
+        """Moves the floor to its height under the robot [m]."""
         self._root.position = (0.0, 0.0, height)
+
+
+def _half_widths(count: int) -> Array:
+    """Half the width of each mark, of which every tenth is longer; shape (count, 1) [m]."""
+    return TRACK_WIDTH / 2 * np.where(np.arange(count) % 10 == 0, 1.0, 1 / 3)[:, None]
+
+
+def _circle(radius: float) -> Array:
+    """Segments of a circular track and its marks; shape (2 count, 2, 3) [m]."""
+    count = round(2 * np.pi * radius / MARK_EVERY)
+    angles = 2 * np.pi * np.arange(count) / count
+    outward = np.stack([np.sin(angles), -np.cos(angles), np.zeros(count)], axis=-1)
+    circle = np.stack([radius * outward, radius * np.roll(outward, 1, axis=0)], axis=1)
+    half = _half_widths(count)
+    marks = np.stack([(radius - half) * outward, (radius + half) * outward], axis=1)
+    return np.concatenate([circle, marks])
+
+
+def _straight() -> Array:
+    """Segments of a straight track and its marks; shape (count, 2, 3) [m]."""
+    count = 2 * TRACK_MARKS + 1
+    x, half, none = MARK_EVERY * np.arange(-TRACK_MARKS, TRACK_MARKS + 1.0), _half_widths(count)[:, 0], np.zeros(count)
+    marks = np.stack([np.stack([x, side * half, none], axis=-1) for side in (-1, 1)], axis=1)
+    return np.concatenate([np.array([[[x[0], 0.0, 0.0], [x[-1], 0.0, 0.0]]]), marks])
+
+
+def turned_to(direction: Array) -> Array:
+    """Quaternion (w, x, y, z) of the shortest rotation from +z to a direction; shape (4,)."""
+    length = np.linalg.norm(direction)
+    x, y, z = direction / length if length > 0 else (0.0, 0.0, 1.0)
+    if z < -1 + 1e-12:
+        return np.array([0.0, 1.0, 0.0, 0.0])
+    scale = sqrt(2 * (1 + z))
+    return np.array([scale / 2, -y / scale, x / scale, 0.0])

@@ -13,7 +13,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.experiment.nominal import load_nominal
-from stepgap.experiment.replay import logged_ticks, replayed_hops, sensor_model_of
+from stepgap.experiment.replay import find_kinematics, logged_ticks, replayed_steps
 from stepgap.experiment.settings import read_experiment
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import Residual
@@ -23,13 +23,14 @@ from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.model_files import read_model
 from stepgap.records.steps_csv import read_step_log
-from stepgap.robots.hopper.robot import Hopper
-from stepgap.robots.hopper.sensors import HopperSensorModel
-from stepgap.robots.hopper.tick import TICK_UNITS
-from stepgap.view.motion import TICK_STRIDE, HopMotion, invisible_hop, sensed_hop, still_hop, true_hop
+from stepgap.robots.scene import Kinematics, Motion
+from stepgap.step import Array
 
-RING_FIELDS = 2 + len(TICK_UNITS)
-"""Number of fields of a row of the ring: deployment, hop, tick."""
+VIEW_INTERVAL = 0.008
+"""Time between two drawn ticks [s]."""
+
+STILL = 0.75
+"""Displayed duration of a step with unknown motion [s]."""
 
 
 class Source:
@@ -37,13 +38,13 @@ class Source:
 
     Args:
         folder: The run folder.
-        ring: Ticks of a run in progress; without a ring, the motion is read or simulated again.
+        ring: Ticks of a run in progress, each with its deployment and step; without a ring, the motion is read or
+            simulated again.
 
     Attributes:
         settings: Settings of the experiment.
-        hopper: Its robot, if that can be drawn.
         space: State and command of its steps.
-        sensor_model: Sensor model of the rig; None where the rig is not available.
+        kinematics: How its robot is drawn; None if it is not.
 
     Raises:
         InputError: It is not a run folder, a model in it is not valid, or it has no step and no run is adding one.
@@ -56,14 +57,13 @@ class Source:
             raise InputError(f"{folder}: contains no experiment.toml; give the folder of a run")
         self.settings = read_experiment(folder / "experiment.toml")
         self.nominal = load_nominal(self.settings).map
-        robot = self.settings.robot
-        self.hopper = robot if isinstance(robot, Hopper) else None
         self.space = self.nominal.space
         self._missing: Missing | None = None
-        self.sensor_model = self._find_sensor_model()
+        self._has_motion = True
+        self.kinematics = self._find_kinematics()
         self._size, self._log = -1, StepLog(self.space)
         self._steps: dict[int, list[LoggedStep]] = {}
-        self._motion: dict[int, list[HopMotion | None]] = {}
+        self._motion: dict[int, list[Motion | None]] = {}
         self._loaders: dict[int, Thread] = {}
         self._closed = Event()
         self._ticks: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
@@ -73,13 +73,6 @@ class Source:
             raise InputError(f"{folder / 'steps.csv'}: no step yet; try again when there are some")
         for iteration in self._steps:
             self._model(iteration)
-
-    @property
-    def pivot_height(self) -> float:
-        """Height of the boom's pivot [m]."""
-        if self.sensor_model:
-            return self.sensor_model.pivot_height
-        return self.hopper.gap.boom_pivot_height if self.hopper else 0.0
 
     @property
     def missing_motion(self) -> Missing | None:
@@ -95,27 +88,30 @@ class Source:
         """Recorded steps of a deployment."""
         return self._steps.get(iteration, [])
 
-    def hop_count(self, iteration: int) -> int:
-        """Number of hops of a deployment: the one after the release, and its steps."""
+    def motion_count(self, iteration: int) -> int:
+        """Number of motions of a deployment: the one of the start, and those of its steps."""
         return 1 + len(self.steps(iteration))
 
-    def hop(self, iteration: int, number: int) -> HopMotion | None:
-        """Motion of a hop, None while it is being computed; if it is not available, the robot rests at the apex."""
-        hops, steps = self._motion.get(iteration, []), self.steps(iteration)
-        if number < len(hops) and (hop := hops[number]):
-            return hop
+    def motion(self, iteration: int, number: int) -> Motion | None:
+        """Motion of a step, None while it is being computed; if it is not available, the robot rests at the section.
+
+        Args:
+            iteration: Number of the deployment.
+            number: 0 for the start, k for the k-th recorded step of the deployment.
+        """
+        motions, steps = self._motion.get(iteration, []), self.steps(iteration)
+        if number < len(motions) and (motion := motions[number]):
+            return motion
         if self._is_loading(iteration) or not steps:
             return None
         state = steps[min(number, len(steps)) - 1].record.next_state if number else steps[0].record.state
         known = state if np.isfinite(state).all() else steps[min(number, len(steps)) - 1].record.state
-        if self.hopper is None:
-            return invisible_hop()
-        return still_hop(self.hopper.parameters, self.hopper.gains, self.pivot_height, known)
+        return self._still(known)
 
     def want(self, iteration: int) -> None:
         """Starts to load the motion of a deployment, unless it is known or comes through the ring."""
         from_ring = self._ring is not None and iteration >= max(self._steps, default=0)
-        if iteration in self._motion or from_ring or self.hopper is None:
+        if iteration in self._motion or from_ring or self.kinematics is None or not self._has_motion:
             return
         self._motion[iteration] = []
         load = self._simulate if self.settings.simulated else self._read_log
@@ -160,14 +156,22 @@ class Source:
                 raise InputError(message_of(error)) from None
         return self._models[iteration]
 
-    def _find_sensor_model(self) -> HopperSensorModel | None:
+    def _find_kinematics(self) -> Kinematics | None:
+        """Kinematics of the robot; where its motion is not known, those of its simulated plants."""
         try:
-            return sensor_model_of(self.settings)
+            found = find_kinematics(self.settings)
         except InputError as error:
-            if self.hopper and self.settings.simulated:
-                raise
-            self._missing = Missing(str(error))
-            return None
+            found = Missing(str(error))
+        if not isinstance(found, Missing):
+            return found
+        self._missing, self._has_motion = found, False
+        return self.settings.robot.kinematics()
+
+    def _still(self, state: Array) -> Motion:
+        """The robot at rest in a state at the section; a pause if it is not drawn."""
+        points = self.kinematics.at_section(state) if self.kinematics else np.zeros((1, 3))
+        feet = len(self.kinematics.scene.feet) if self.kinematics else 0
+        return Motion(np.array([0.0, STILL]), np.zeros(2), np.stack([points, points]), np.zeros((2, feet)), np.zeros(2))
 
     def _read_steps(self) -> bool:
         path = self.folder / "steps.csv"
@@ -187,40 +191,41 @@ class Source:
         return True
 
     def _drain(self, ring: TickRing) -> None:
-        """Takes the ticks out of the ring; a hop is complete when its step is recorded or a later hop has begun."""
+        """Takes the ticks out of the ring; a step is complete when it is recorded or a later one has begun."""
         rows = ring.drain()
         for row in rows:
             self._ticks[int(row[0]), int(row[1])].append(row[2:])
         newest = max(self._ticks, default=(0, 0))
         for iteration, number in sorted(self._ticks):
-            if number < self.hop_count(iteration) and ((iteration, number) < newest or number > 0):
-                ticks = TickTable(TICK_UNITS, np.array(self._ticks.pop((iteration, number))))
-                hops = self._motion.setdefault(iteration, [])
-                hops.extend([None] * (number + 1 - len(hops)))
-                hops[number] = sensed_hop(ticks, self.sensor_model) if self.sensor_model else None
+            if number < self.motion_count(iteration) and ((iteration, number) < newest or number > 0):
+                rows = np.array(self._ticks.pop((iteration, number)))
+                motions = self._motion.setdefault(iteration, [])
+                motions.extend([None] * (number + 1 - len(motions)))
+                if self.kinematics:
+                    numbered = {**self.kinematics.units, "step": ""}
+                    table = TickTable(numbered, np.column_stack([rows, np.full(len(rows), float(number))]))
+                    motions[number] = self.kinematics.motion(table)
 
     def _is_loading(self, iteration: int) -> bool:
         return iteration in self._loaders and self._loaders[iteration].is_alive()
 
-    def _load(self, iteration: int, load: Callable[[int, list[HopMotion | None]], None]) -> None:
-        """Loads the motion hop by hop; the page shows errors."""
+    def _load(self, iteration: int, load: Callable[[int, list[Motion | None], Kinematics], None]) -> None:
+        """Loads the motion step by step; the page shows errors."""
+        assert self.kinematics
         try:
-            load(iteration, self._motion[iteration])
+            load(iteration, self._motion[iteration], self.kinematics)
         except (ValueError, OSError) as error:
             self._missing = Missing(str(error))
 
-    def _simulate(self, iteration: int, hops: list[HopMotion | None]) -> None:
-        assert self.sensor_model
-        for table in replayed_hops(self.folder, iteration, TICK_STRIDE):
-            hops.append(true_hop(table, self.sensor_model))
+    def _simulate(self, iteration: int, motions: list[Motion | None], kinematics: Kinematics) -> None:
+        for table in replayed_steps(self.folder, iteration, kinematics.every(VIEW_INTERVAL)):
+            motions.append(kinematics.motion(table) if len(table) else None)
             if self._closed.is_set():
                 return
 
-    def _read_log(self, iteration: int, hops: list[HopMotion | None]) -> None:
-        if self.sensor_model is None:
-            raise InputError(f"plant '{self.settings.plant}' is not available, so its counts cannot be read")
+    def _read_log(self, iteration: int, motions: list[Motion | None], kinematics: Kinematics) -> None:
         steps = self.steps(iteration)
-        ticks = logged_ticks(self.folder, steps)
+        ticks = logged_ticks(self.folder, steps, self.settings)
         for step in range(steps[0].step - 1, steps[-1].step + 1):
-            rows = ticks.rows[ticks["step"] == step]
-            hops.append(sensed_hop(TickTable(ticks.units, rows[::TICK_STRIDE]), self.sensor_model))
+            rows = ticks.rows[ticks["step"] == step][:: kinematics.every(VIEW_INTERVAL)]
+            motions.append(kinematics.motion(TickTable(ticks.units, rows)) if len(rows) else None)

@@ -43,7 +43,7 @@ def recorded() -> tuple[list[Tick], list[TrueState]]:
     """Hops of a twin heavier than its model, on a boom with friction, and the truth after each tick."""
     ticks, truth = list[Tick](), list[TrueState]()
 
-    def record(rows: Rows) -> None:
+    def record(rows: Rows, _step: int) -> None:
         ticks.extend(map(Tick.of, rows))
         truth.append(twin.true_state())
 

@@ -373,7 +373,9 @@ class Counted(Rig):
 
 def hops(rig: Rig) -> tuple[list[np.ndarray], list[Tick]]:
     rows = []
-    with RigPlant(rig, HopperControl(ROBOT, Gains(), CommandBounds(), HOPPER.limits), on_ticks=rows.extend) as plant:
+    with RigPlant(
+        rig, HopperControl(ROBOT, Gains(), CommandBounds(), HOPPER.limits), on_ticks=lambda got, step: rows.extend(got)
+    ) as plant:
         states = [plant.start()]
         states += [plant.take_step(np.array([-5.0, -5.0])).next_state for _ in range(1)]
     return states, [Tick.of(row) for row in rows]

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
-from stepgap.robots.hopper.hop_control import sensors_of
 from stepgap.robots.hopper.moteus import MoteusSettings, hopper_on_moteus, read_moteus_settings
 from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.sensors import hopper_sensors
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "moteus.toml"
 TEXT = EXAMPLE.read_text(encoding="utf-8")
@@ -86,5 +86,5 @@ def test_any_number_is_accepted_or_refused_in_one_line(tmp_path_factory: pytest.
         message = ""
         assert 0 < settings.motor_1.torque_limit < inf
         assert 0 < settings.watchdog <= 0.5
-        assert isfinite(sensors_of(hopper_on_moteus(settings, RobotParameters())).motor_counts)
+        assert isfinite(hopper_sensors(hopper_on_moteus(settings, RobotParameters()).sensor_model).motor_counts)
     assert "\n" not in message

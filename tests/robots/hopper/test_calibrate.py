@@ -23,9 +23,9 @@ from stepgap.robots.hopper.calibrate import (
     write_calibrated,
 )
 from stepgap.robots.hopper.ethercat import RigSettings, hopper_on_ethercat, read_rig_settings
-from stepgap.robots.hopper.hop_control import HopControl, sensors_of
+from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
-from stepgap.robots.hopper.sensors import HopperReading
+from stepgap.robots.hopper.sensors import HopperReading, hopper_sensors
 from stepgap.robots.hopper.tick import LOG_UNITS
 
 ROBOT = RobotParameters()
@@ -78,7 +78,7 @@ def test_the_reading_of_the_pose_is_correct_afterwards(before: RigSettings, pose
             with_zeros(before, found_zeros)
         return
     after = with_zeros(before, found_zeros)
-    sensors = sensors_of(hopper_on_ethercat(after, ROBOT))
+    sensors = hopper_sensors(hopper_on_ethercat(after, ROBOT).sensor_model)
     found = reading_of(after, counts)
     motion = HopControl(sensors, ROBOT, Gains(), after.limits).observe(found).motion
     count = tau / sensors.motor_counts

@@ -36,7 +36,7 @@ SETTINGS = emulated_settings(twin().sensor_model, ROBOT, RING, INTERFACE)
 
 def hop(rig: Rig):
     ticks, states = [], []
-    with RigPlant(rig, HopperControl(ROBOT, GAINS, BOUNDS), on_ticks=ticks.extend) as plant:
+    with RigPlant(rig, HopperControl(ROBOT, GAINS, BOUNDS), on_ticks=lambda got, step: ticks.extend(got)) as plant:
         try:
             states.append(plant.start())
         except RigFault as fault:

@@ -55,7 +55,8 @@ def map_from_ticks(trial: Trial) -> StepMap:
     from stepgap.bench.methods.tick_identification import identify_from_ticks
 
     rows: list[Sequence[float]] = []
-    again = trial.deploy(trial.uncorrected(trial.nominal), 0, on_ticks=rows.extend)  # exactly the same deployment
+    # exactly the same deployment
+    again = trial.deploy(trial.uncorrected(trial.nominal), 0, on_ticks=lambda ticks, step: rows.extend(ticks))
     if not len(again):
         return trial.nominal
     return identify_from_ticks(trial.nominal, list(map(Tick.of, rows)), trial.twin_of(0).sensor_model)

@@ -1,6 +1,6 @@
 """Ticks as an array whose columns have names and units."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,11 @@ class TickTable:
     def __getitem__(self, name: str) -> Array:
         """One column; shape (k,)."""
         return self.rows[:, list(self.units).index(name)]
+
+    def selected(self, names: Collection[str]) -> "TickTable":
+        """Selects columns, in the order in which they are here."""
+        kept = [name in names for name in self.units]
+        return TickTable({name: unit for name, unit in self.units.items() if name in names}, self.rows[:, kept])
 
     def resampled(self, rate: float) -> "TickTable":
         """Selects ticks at a lower rate [1/s]: for each sampling time the first tick at or after it."""

@@ -11,6 +11,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from stepgap.base.compiled_record import Record, as_record, from_record
 from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, RobotControl, TickControl
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, Torques
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.hop_state import Apex, HopState, TickSettings
@@ -20,7 +21,7 @@ from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
-from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel, hopper_sensors
 from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
 
@@ -155,10 +156,15 @@ class HopperControl(RobotControl):
         """Limits of a rig whose motors get no torque."""
         return self._limits_of(rig).limp()
 
+    def step_ends(self, ticks: TickTable) -> np.ndarray:
+        """Ticks in which the robot had just passed an apex."""
+        phase = ticks["phase"]
+        return np.flatnonzero((phase[:-1] == Phase.ASCENT) & (phase[1:] == Phase.DESCENT)) + 1
+
     def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
         """Description of a logged tick: pose, contact, torques and exceeded limits."""
         reading = HopperReading(*(tick[name] for name in HopperReading._fields))
-        state = HopControl(sensors_of(rig), self.robot, self.gains, self._limits_of(rig)).observe(reading)
+        state = self._new_control(rig).observe(reading)
         motion, beyond = state.motion, Limited(state.watch.stopped)
         return {
             "phase": Phase(int(tick["phase"])).name,
@@ -172,7 +178,7 @@ class HopperControl(RobotControl):
         }
 
     def _new_control(self, rig: Rig) -> HopControl:
-        return HopControl(sensors_of(rig), self.robot, self.gains, self._limits_of(rig))
+        return HopControl(hopper_sensors(rig.sensor_model), self.robot, self.gains, self._limits_of(rig))
 
     def _limits_of(self, rig: Rig) -> SafetyLimits:
         """Limits that were given, or the rig's, or those of a simulation."""
@@ -180,14 +186,3 @@ class HopperControl(RobotControl):
         if not isinstance(limits, SafetyLimits):
             raise RigFault(f"the rig's limits must be the hopper's SafetyLimits, not {type(limits).__name__}")
         return limits
-
-
-def sensors_of(rig: Rig) -> HopperSensorModel:
-    """Sensor model of a hopper's rig.
-
-    Raises:
-        RigFault: The rig is that of another robot.
-    """
-    if not isinstance(rig.sensor_model, HopperSensorModel):
-        raise RigFault(f"the rig's sensor model must be a HopperSensorModel, not {type(rig.sensor_model).__name__}")
-    return rig.sensor_model

@@ -8,13 +8,17 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.control.reference import Reference, paper_reference
+from stepgap.rigs.rig import SensorModel
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.kinematics import HopperKinematics
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.sensors import hopper_sensors
 from stepgap.robots.hopper.simulation import HopperSimulation, RingSimulation, TwinSimulation
 from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.robots.robot import Robot
 from stepgap.step import StepMap, StepSpace
 
@@ -82,6 +86,11 @@ class Hopper(Robot):
     def control(self) -> HopperControl:
         """The joint controller."""
         return HopperControl(self.parameters, self.gains, self.command)
+
+    def kinematics(self, sensors: SensorModel | None = None) -> HopperKinematics:
+        """Kinematics of boom and leg with the sensors of a rig, or with those of the twin."""
+        model = twin_sensor_model(self.parameters, self.gap) if sensors is None else hopper_sensors(sensors)
+        return HopperKinematics(self.parameters, self.gains, model)
 
     def randomised(self, rng: np.random.Generator) -> Self:
         """A twin of the family of random twins."""

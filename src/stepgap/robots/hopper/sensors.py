@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from stepgap.rigs.rig import SensorModel
+from stepgap.rigs.rig import RigFault, SensorModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,3 +51,14 @@ class HopperReading(NamedTuple):
     boom_horizontal: float
     boom_vertical: float
     contact_force: float
+
+
+def hopper_sensors(model: SensorModel) -> HopperSensorModel:
+    """The sensor model of a rig, if it is that of a hopper.
+
+    Raises:
+        RigFault: The rig is that of another robot.
+    """
+    if not isinstance(model, HopperSensorModel):
+        raise RigFault(f"the rig's sensor model must be a HopperSensorModel, not {type(model).__name__}")
+    return model

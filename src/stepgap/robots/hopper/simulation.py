@@ -13,16 +13,18 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.plants.plant import RepeatablePlant
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.ticks.stream import OnTicks
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import Rig
 from stepgap.robots.hopper.direct_ring import DirectRing
 from stepgap.robots.hopper.ethercat import RigSettings
+from stepgap.robots.hopper.observed_plant import observed_plant
 from stepgap.robots.hopper.ring_rig import RingRig, emulated_settings
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
 from stepgap.robots.hopper.twin_machine import TwinMachine
-from stepgap.robots.robot import OnTicks, Simulation
+from stepgap.robots.robot import Simulation
 from stepgap.step import Array
 
 if TYPE_CHECKING:
@@ -69,6 +71,10 @@ class HopperSimulation(Simulation):
     def repeatable_plant(self, rng: np.random.Generator) -> TwinPlant:
         """Plant of the twin itself, which can repeat a step."""
         return TwinPlant(self._make_twin(rng), self.hopper)
+
+    def observed_plant(self, rng: np.random.Generator, on_ticks: OnTicks, every: int) -> RigPlant:
+        """Plant whose ticks also contain the true state of the twin."""
+        return observed_plant(*self.direct_rig(rng), self.hopper.control(), on_ticks, every)
 
     @abstractmethod
     def direct_rig(self, rng: np.random.Generator) -> tuple[Rig, Twin]:

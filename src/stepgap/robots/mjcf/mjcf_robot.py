@@ -10,7 +10,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from stepgap.rigs.rig import SensorModel
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
+from stepgap.robots.mjcf.mjcf_kinematics import MjcfKinematics
 from stepgap.robots.mjcf.mjcf_step import ControlLaw, MjcfSimulation, MjcfSimulator
 from stepgap.robots.mjcf.section import Section
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
@@ -69,6 +71,10 @@ class MjcfRobot(Robot):
     def simulations(self) -> Mapping[str, Callable[[np.random.Generator], Simulation]]:
         """The model with its gap."""
         return {"mujoco": lambda world: MjcfSimulation(self)}
+
+    def kinematics(self, sensors: SensorModel | None = None) -> MjcfKinematics:  # noqa: ARG002
+        """The geoms of the model."""
+        return MjcfKinematics(self)
 
     def randomised(self, rng: np.random.Generator) -> Self:
         """This robot with a random gap."""

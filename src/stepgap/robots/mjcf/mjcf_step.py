@@ -4,7 +4,7 @@
 # (MuJoCo ships no types for its compiled part.)
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy, deepcopy
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,10 @@ import mujoco
 import numpy as np
 
 from stepgap.plants.plant import RepeatablePlant
+from stepgap.plants.ticks.stream import OnTicks
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.robot import OnTicks, Simulation
+from stepgap.robots.mjcf.mjcf_kinematics import tick_row
+from stepgap.robots.robot import Simulation
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
 if TYPE_CHECKING:
@@ -54,10 +56,21 @@ class MjcfStepper:
         """True state; shape (n,)."""
         return np.asarray(self._robot.state(self._model, self._data), float)
 
-    def step(self, command: Array) -> StepStatus:
-        """Moves to the next section; returns how the step ended."""
+    @property
+    def tick_row(self) -> Sequence[float]:
+        """Row of the last tick; the columns are those of `tick_units`."""
+        return tick_row(self._data)
+
+    def step(self, command: Array, on_tick: Callable[[], None] = lambda: None) -> StepStatus:
+        """Moves to the next section; returns how the step ended.
+
+        Args:
+            command: Command of the step; shape (m,).
+            on_tick: Called at the end of every tick.
+        """
         for _ in range(self._most_ticks):
             self._tick(command)
+            on_tick()
             if not np.isfinite(self._data.qacc).all() or self._robot.failed(self._model, self._data):
                 return StepStatus.FELL
             if self._crosses():
@@ -112,10 +125,11 @@ class MjcfPlant(RepeatablePlant):
     Args:
         robot: The robot.
         rng: Draws the noise.
+        on_ticks: Called with the ticks of every step at its end, and with the first posture as step 0.
     """
 
-    def __init__(self, robot: "MjcfRobot", rng: np.random.Generator):
-        self._robot, self._rng = robot, rng
+    def __init__(self, robot: "MjcfRobot", rng: np.random.Generator, on_ticks: OnTicks | None = None):
+        self._robot, self._rng, self._on_ticks, self._number = robot, rng, on_ticks, 0
         self._stepper = MjcfStepper(robot, robot.gap, rng)
         self._state = np.full(len(robot.space.state), np.nan)
 
@@ -127,7 +141,9 @@ class MjcfPlant(RepeatablePlant):
     def start(self) -> Array:
         """Puts the robot into the middle of its range of use, and measures."""
         self._stepper.place(self.space.state_centre)
-        self._state = self._measured(self._rng)
+        self._state, self._number = self._measured(self._rng), 0
+        if self._on_ticks:
+            self._on_ticks([self._stepper.tick_row], 0)
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:
@@ -135,7 +151,7 @@ class MjcfPlant(RepeatablePlant):
         command = np.asarray(command, float)
         applied = np.clip(command, self.space.command_lower, self.space.command_upper)
         before, unknown = self._state, np.full(len(self._state), np.nan)
-        status = self._stepper.step(applied) if np.isfinite(applied).all() else StepStatus.INVALID
+        status = self._step(applied) if np.isfinite(applied).all() else StepStatus.INVALID
         true_state = self._stepper.state if status == StepStatus.OK else unknown
         self._state = self._measured(self._rng) if status == StepStatus.OK else unknown
         return StepRecord(before, command, applied, self._state, status, requested=applied, true_next_state=true_state)
@@ -143,11 +159,20 @@ class MjcfPlant(RepeatablePlant):
     def repeated(self, command: Array, rng: np.random.Generator, turned: float = 0.0) -> Array:  # noqa: ARG002
         """Next state of a copy with new noise; there is no yaw."""
         copied = copy(self)
-        copied._rng, copied._stepper = rng, self._stepper.copy(rng)
+        copied._rng, copied._stepper, copied._on_ticks = rng, self._stepper.copy(rng), None
         return copied.take_step(command).next_state
 
     def stop(self) -> None:
         """Does nothing: a simulation stands still."""
+
+    def _step(self, command: Array) -> StepStatus:
+        self._number += 1
+        if self._on_ticks is None:
+            return self._stepper.step(command)
+        rows = list[Sequence[float]]()
+        status = self._stepper.step(command, lambda: rows.append(self._stepper.tick_row))
+        self._on_ticks(rows, self._number)
+        return status
 
     def _measured(self, rng: np.random.Generator) -> Array:
         noise = self._robot.gap.state_noise * self.space.state_scale
@@ -164,9 +189,9 @@ class MjcfSimulation(Simulation):
     def __init__(self, robot: "MjcfRobot"):
         self._robot = robot
 
-    def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> MjcfPlant:  # noqa: ARG002
+    def plant(self, rng: np.random.Generator, on_ticks: OnTicks | None = None) -> MjcfPlant:
         """Plant of one deployment."""
-        return MjcfPlant(self._robot, rng)
+        return MjcfPlant(self._robot, rng, on_ticks)
 
     def repeatable_plant(self, rng: np.random.Generator) -> MjcfPlant:
         """The same."""

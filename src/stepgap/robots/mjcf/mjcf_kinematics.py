@@ -1,0 +1,164 @@
+"""The geoms of a MuJoCo model as points and links, and their positions in the ticks of a plant."""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo ships no types for its compiled part.)
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.robots.scene import Kinematics, Link, Motion, Scene, Shade
+from stepgap.step import Array
+
+if TYPE_CHECKING:
+    from stepgap.robots.mjcf.mjcf_robot import MjcfRobot
+
+TOUCHING_DISTANCE = 0.002
+"""Clearance of a foot below which it is drawn as touching the ground [m]."""
+
+_PLANE, _HFIELD, _SPHERE, _CAPSULE, _CYLINDER = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("PLANE", "HFIELD", "SPHERE", "CAPSULE", "CYLINDER")
+)
+_DRAWN_GROUPS = 3
+"""Geoms of the first groups are drawn, as in MuJoCo's viewer."""
+
+_JOINT_UNITS = {int(mujoco.mjtJoint.mjJNT_SLIDE): "m", int(mujoco.mjtJoint.mjJNT_HINGE): "rad"}
+
+
+class _End(NamedTuple):
+    """A point that is fixed to a geom.
+
+    Attributes:
+        geom: Number of the geom.
+        offset: Position in the frame of the geom; shape (3,) [m].
+        radius: Radius around the point [m].
+    """
+
+    geom: int
+    offset: Array
+    radius: float
+
+
+class MjcfKinematics(Kinematics):
+    """Kinematics of a MuJoCo model: a sphere is a ball, any other geom is a link along its longest axis.
+
+    The robot moves along x. Its body is the first body of the model. Geoms of spheres and capsules that can collide are
+    feet. The state coordinate `height`, if there is one, is taken to be the height of the body.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: "MjcfRobot"):
+        self._robot, self._model = robot, robot.mjcf_model()
+        self._data = mujoco.MjData(self._model)
+        drawn = [geom for geom in range(self._model.ngeom) if _is_drawn(self._model, geom)]
+        self._ends = {name: end for geom in drawn for name, end in _ends(self._model, geom).items()}
+        self._feet = tuple(name for name, end in self._ends.items() if _can_touch(self._model, end.geom))
+        self._links = tuple(link for geom in drawn for link in _links(self._model, geom))
+
+    @property
+    def scene(self) -> Scene:
+        """The geoms, and the frame of the first body."""
+        points = {"body": 0.0} | {name: end.radius for name, end in self._ends.items()}
+        height = "height" if "height" in self._robot.space.state_names else ""
+        return Scene(points, self._links, "body", self._feet, height)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Time, generalised positions and control signals."""
+        return tick_units(self._model)
+
+    @property
+    def tick(self) -> float:
+        """Time between two calls of the controller [s]."""
+        return self._robot.tick
+
+    def motion(self, ticks: TickTable) -> Motion:
+        """Motion in ticks."""
+        start = list(ticks.units).index("time") + 1
+        positions = np.empty((len(ticks), 1 + len(self._ends), 3))
+        for row, frame in zip(ticks.rows, positions, strict=True):
+            self._data.qpos[:] = row[start : start + self._model.nq]
+            mujoco.mj_kinematics(self._model, self._data)
+            frame[:] = self._points()
+        ends = list(self._ends)
+        feet = [1 + ends.index(foot) for foot in self._feet]
+        radii = np.array([self._ends[foot].radius for foot in self._feet])
+        touching = positions[:, feet, 2] - radii < TOUCHING_DISTANCE
+        return Motion(ticks["time"], ticks["step"], positions, touching.astype(float), np.zeros(len(ticks)))
+
+    def at_section(self, state: Array) -> Array:
+        """Positions after `MjcfRobot.place`."""
+        mujoco.mj_resetData(self._model, self._data)
+        self._robot.place(self._model, self._data, state)
+        mujoco.mj_kinematics(self._model, self._data)
+        return self._points()
+
+    def _points(self) -> Array:
+        """Positions of the points; shape (P, 3) [m]."""
+        data = self._data
+        ends = [data.geom_xpos[geom] + data.geom_xmat[geom].reshape(3, 3) @ at for geom, at, _ in self._ends.values()]
+        return np.array([data.xpos[1], *ends])
+
+
+def tick_units(model: Any) -> dict[str, str]:
+    """Columns of a tick of a MuJoCo model with their units: time, `qpos_JOINT` and `ctrl_ACTUATOR`."""
+    units = {"time": "s"}
+    for number, size in enumerate(np.diff([*model.jnt_qposadr, model.nq])):
+        name, unit = model.joint(number).name or number, _JOINT_UNITS.get(int(model.jnt_type[number]), "")
+        units |= {f"qpos_{name}{f'_{index}' if size > 1 else ''}": unit for index in range(size)}
+    return units | {f"ctrl_{model.actuator(number).name or number}": "" for number in range(model.nu)}
+
+
+def tick_row(data: Any) -> Sequence[float]:
+    """Row of a tick; the columns are those of `tick_units`."""
+    return (data.time, *data.qpos, *data.ctrl)
+
+
+def _is_drawn(model: Any, geom: int) -> bool:
+    """Whether a geom belongs to the robot and is visible."""
+    hidden = model.geom_group[geom] >= _DRAWN_GROUPS or model.geom_type[geom] in (_PLANE, _HFIELD)
+    return not hidden and model.geom_bodyid[geom] > 0
+
+
+def _can_touch(model: Any, geom: int) -> bool:
+    """Whether a geom is round and can collide with the ground."""
+    return model.geom_type[geom] in (_SPHERE, _CAPSULE) and bool(
+        model.geom_contype[geom] | model.geom_conaffinity[geom]
+    )
+
+
+def _name(model: Any, geom: int) -> str:
+    return model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name or 'body'}_{geom}"
+
+
+def _ends(model: Any, geom: int) -> dict[str, _End]:
+    """The centre of a sphere, or the two ends of another geom along its longest axis, by name."""
+    name, size, kind = _name(model, geom), model.geom_size[geom], model.geom_type[geom]
+    if kind == _SPHERE:
+        return {name: _End(geom, np.zeros(3), float(size[0]))}
+    if kind in (_CAPSULE, _CYLINDER):
+        centre, half, axis, radius = np.zeros(3), float(size[1]), 2, float(size[0])
+    else:
+        centre, halves = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        axis = int(np.argmax(halves))
+        half, radius = float(halves[axis]), float(np.mean(np.delete(halves, axis)))
+    along = half * np.eye(3)[axis]
+    return {f"{name}_{side}": _End(geom, centre + sign * along, radius) for side, sign in (("a", -1), ("b", 1))}
+
+
+def _links(model: Any, geom: int) -> list[Link]:
+    """The link of a geom that is not a sphere; parts of the first body have its shade, others that of their side."""
+    ends = _ends(model, geom)
+    if len(ends) == 1:
+        return []
+    start, end = ends
+    shade: Shade = "body"
+    if model.geom_bodyid[geom] > 1:
+        y = model.body_pos[model.geom_bodyid[geom], 1] + model.geom_pos[geom, 1]
+        shade = "far" if y > 1e-6 else "near"
+    return [Link(start, end, ends[start].radius, shade)]
