@@ -123,7 +123,7 @@
     const here = motion.parts.map((axes) => moved(vectorAt(axes, frame), bodyAt(frame)));
     const depth = (link) => a * (here[link[0]][0] + here[link[1]][0]) + b * (here[link[0]][1] + here[link[1]][1]);
     for (const link of [...data.links].sort((one, other) => depth(other) - depth(one)))
-      line([here[link[0]], here[link[1]]], SHADES[link[3]], Math.max(2, 1.4 * link[2] * scale));
+      line([here[link[0]], here[link[1]]], SHADES[link[3]], Math.max(2, 2 * link[2] * scale));
     const touching = new Set(data.feet.filter((_, foot) => motion.contacts[foot][frame] > 0.5));
     data.points.forEach((ball, point) => {
       const foot = data.feet.includes(point), fill = point === data.body || touching.has(point);

@@ -53,10 +53,10 @@ is the common joint of the bottom links, and the foot the end of the rear knee's
 LINKS = (
     Link("base", "pivot", 0.03),
     Link("pivot", "hip", 0.014),
-    Link("hip", "front_knee", 0.009, "near"),
-    Link("front_knee", "ankle", 0.007, "near"),
-    Link("hip", "rear_knee", 0.009, "far"),
-    Link("rear_knee", "foot", 0.007, "far"),
+    Link("hip", "front_knee", 0.008, "near"),
+    Link("front_knee", "ankle", 0.006, "near"),
+    Link("hip", "rear_knee", 0.008, "far"),
+    Link("rear_knee", "foot", 0.006, "far"),
 )
 
 TOUCHING_FORCE = 1.0

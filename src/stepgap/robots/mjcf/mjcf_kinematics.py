@@ -63,7 +63,8 @@ class MjcfKinematics(Kinematics):
     @property
     def scene(self) -> Scene:
         """The geoms, and the frame of the first body."""
-        points = {"body": 0.0} | {name: end.radius for name, end in self._ends.items()}
+        linked = {link.start for link in self._links} | {link.end for link in self._links}
+        points = {"body": 0.0} | {name: 0.0 if name in linked else end.radius for name, end in self._ends.items()}
         height = "height" if "height" in self._robot.space.state_names else ""
         return Scene(points, self._links, "body", self._feet, height)
 
@@ -127,9 +128,8 @@ def _is_drawn(model: Any, geom: int) -> bool:
 
 def _can_touch(model: Any, geom: int) -> bool:
     """Whether a geom is round and can collide with the ground."""
-    return model.geom_type[geom] in (_SPHERE, _CAPSULE) and bool(
-        model.geom_contype[geom] | model.geom_conaffinity[geom]
-    )
+    collides = bool(model.geom_contype[geom] | model.geom_conaffinity[geom])
+    return collides and model.geom_type[geom] in (_SPHERE, _CAPSULE)
 
 
 def _name(model: Any, geom: int) -> str:
