@@ -70,6 +70,10 @@ if TYPE_CHECKING:
     from stepgap.robots.nominal_maps.simulator import SimulatorMap as SimulatorMap
     from stepgap.robots.robot import Robot as Robot
     from stepgap.robots.robot import Simulation as Simulation
+    from stepgap.robots.scene import Kinematics as Kinematics
+    from stepgap.robots.scene import Link as Link
+    from stepgap.robots.scene import Motion as Motion
+    from stepgap.robots.scene import Scene as Scene
     from stepgap.step import Outcome as Outcome
     from stepgap.step import Quantity as Quantity
     from stepgap.step import StepFailed as StepFailed
@@ -94,12 +98,15 @@ _MODULES = {
     "HopperReading": "robots.hopper.sensors",
     "HopperSensorModel": "robots.hopper.sensors",
     "InputError": "base.errors",
+    "Kinematics": "robots.scene",
     "LearningSettings": "learning.settings",
+    "Link": "robots.scene",
     "LoggedStep": "learning.step_log",
     "MapSimulation": "robots.map_simulation",
     "MjcfGap": "robots.mjcf.mjcf_gap",
     "MjcfRobot": "robots.mjcf.mjcf_robot",
     "ModelPlant": "plants.model_plant",
+    "Motion": "robots.scene",
     "Observations": "learning.observations",
     "Observer": "experiment.loop",
     "Outcome": "step",
@@ -117,6 +124,7 @@ _MODULES = {
     "Robot": "robots.robot",
     "RobotParameters": "robots.hopper.parameters",
     "SampledApexMap": "robots.hopper.sampled_map",
+    "Scene": "robots.scene",
     "Section": "robots.mjcf.section",
     "SensorModel": "rigs.rig",
     "Simulation": "robots.robot",

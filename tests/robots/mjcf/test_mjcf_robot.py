@@ -21,7 +21,7 @@ from stepgap.robots.mjcf.mjcf_robot import MjcfRobot
 from stepgap.robots.mjcf.mjcf_step import MjcfPlant, MjcfSimulator
 from stepgap.robots.mjcf.section import Section, apex, touchdown
 from stepgap.step import Array, Quantity, StepSpace, StepStatus
-from tests.cli.command_line import Command
+from tests.cli.command_line import Command, CommandResult
 
 BALL = """
 <mujoco><option timestep="0.0005"/><worldbody>
@@ -188,3 +188,10 @@ def test_the_robot_of_the_page_learns(package: Path, stepgap: Command, monkeypat
     assert (settings.nominal.kind, Path(settings.nominal.file).name) == ("simulator", "nominal_map.json")
     again = stepgap("run", "--resume", "--out", "out", "--quiet")
     assert (again.code, "simulated steps" in again.err) == (0, False), "the surrogate is read, not fitted again"
+    motion = Path("out/replay/deployment_1.npz")
+    recorded = motion.read_bytes()
+    motion.unlink()
+    assert stepgap("report", "out") == CommandResult(0, "out/report.html\n", "")
+    assert motion.read_bytes() == recorded, "the deployment is simulated again to the same motion"
+    result = stepgap("export", "out", "--to", "ticks", "--iteration", "1")
+    assert (result.code, Path(result.out.strip()).name) == (0, "ticks_1.mcap")
