@@ -18,7 +18,7 @@ from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.reduced import uprightness
-from stepgap.robots.hopper.safety import BRAKED, Limited, Motion
+from stepgap.robots.hopper.safety import BRAKED, JointMotion, Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.step import Array, StepStatus
 
@@ -177,14 +177,14 @@ class Checked(NamedTuple):
 
 
 def check_torque(
-    limits: SafetyLimits, watch: Watch, motion: Motion, health: Health, torque_1: float, torque_2: float
+    limits: SafetyLimits, watch: Watch, motion: JointMotion, health: Health, torque_1: float, torque_2: float
 ) -> Checked:
     """Limits the torques; after a fault they brake for a while and then stay zero.
 
     Args:
         limits: Limits.
         watch: Watch of the previous tick.
-        motion: Motion at this tick.
+        motion: JointMotion at this tick.
         health: Health at this tick.
         torque_1: Torque requested of motor 1 [N·m].
         torque_2: Torque requested of motor 2 [N·m].
@@ -223,7 +223,7 @@ def brakes(limits: SafetyLimits, watch: Watch) -> bool:
     return bool(watch.stopped) and not watch.stopped & ~BRAKED and watch.braked <= limits.brake_ticks
 
 
-def _brake(limits: SafetyLimits, watch: Watch, motion: Motion) -> tuple[float, float]:
+def _brake(limits: SafetyLimits, watch: Watch, motion: JointMotion) -> tuple[float, float]:
     """Torques against the rotation, within limits [N·m]; driving torque stops immediately; braking torque grows."""
     speed_1, speed_2 = motion.rate_1 + motion.rate_2, motion.rate_1 - motion.rate_2
     return _brake_motor(limits, watch.torque_1, speed_1), _brake_motor(limits, watch.torque_2, speed_2)
@@ -239,7 +239,7 @@ def _within(most: float, value: float, centre: float = 0.0) -> float:
     return min(centre + most, max(centre - most, value))
 
 
-def _out_of_range(limits: SafetyLimits, motion: Motion, torques: float) -> Limited:
+def _out_of_range(limits: SafetyLimits, motion: JointMotion, torques: float) -> Limited:
     """Reasons why the motion or the torques, given as their sum, are not allowed."""
     alpha_1, alpha_2, rate_1, rate_2, leg_length, hip_height = motion
     if not isfinite(torques + alpha_1 + alpha_2 + rate_1 + rate_2 + leg_length + hip_height):
@@ -394,7 +394,7 @@ class ReferenceControl:
         tick, self._time = self._sensors.tick, self._due + late
         self._due = (self._time if late > tick else self._due) + tick
 
-    def sense(self, reading: HopperReading, *, stale: bool = False, age: float = 0.0) -> Motion:
+    def sense(self, reading: HopperReading, *, stale: bool = False, age: float = 0.0) -> JointMotion:
         """Processes the sensor values of this tick and updates the phase.
 
         Args:
@@ -422,7 +422,7 @@ class ReferenceControl:
             self._fit.add(self._sampled - self._phase_start, x - self._x_start + leg.shift_x, y + leg.shift_y)
         self._update_phase(reading.contact_force, x)
         self._left_ground = self._left_ground or before == Phase.THRUST != self._phase
-        self._motion = Motion(alpha_1, alpha_2, rate_1, rate_2, leg.length, y)
+        self._motion = JointMotion(alpha_1, alpha_2, rate_1, rate_2, leg.length, y)
         return self._motion
 
     def hop_torque(self, command: tuple[float, float]) -> Torques:

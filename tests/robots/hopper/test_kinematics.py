@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.kinematics import POINTS, HopperKinematics, HopperPose, joint_positions
+from stepgap.robots.hopper.kinematics import JOINTS, HopperKinematics, HopperPose, joint_positions
 from stepgap.robots.hopper.leg import foot, four_bar, leg_of
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.robot import Hopper
@@ -30,7 +30,7 @@ class Joints:
     """Joints in a pose by their names."""
 
     def __init__(self, pivot_height: float, pose: HopperPose):
-        self.__dict__.update(zip(POINTS, joint_positions(ROBOT, pivot_height, pose), strict=True))
+        self.__dict__.update(zip(JOINTS, joint_positions(ROBOT, pivot_height, pose), strict=True))
 
     def __getattr__(self, name: str) -> np.ndarray:
         return self.__dict__[name]

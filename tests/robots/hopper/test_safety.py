@@ -11,7 +11,7 @@ from stepgap.base.compiled_record import as_record
 from stepgap.rigs.rig import HEALTHY, Health
 from stepgap.robots.hopper import RobotParameters
 from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.safety import BRAKED, Limited, Motion, Watch, check_torque
+from stepgap.robots.hopper.safety import BRAKED, JointMotion, Limited, Watch, check_torque
 
 LIMITS = SafetyLimits.of(RobotParameters())
 TIGHT = SafetyLimits(
@@ -25,9 +25,9 @@ TIGHT = SafetyLimits(
     lowest_hip=0.1,
     highest_hip=0.9,
 )
-STANDING = Motion(0.1, 0.5, 0.0, 0.0, 0.26, 0.5)
+STANDING = JointMotion(0.1, 0.5, 0.0, 0.0, 0.26, 0.5)
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)
-MOTIONS = st.builds(Motion, ANY, ANY, ANY, ANY, ANY, ANY)
+MOTIONS = st.builds(JointMotion, ANY, ANY, ANY, ANY, ANY, ANY)
 
 
 @cache
@@ -68,7 +68,7 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_final():
     late = rng.integers(1, 4, ticks).tolist()
     for torque, motion, well, ticks_late in zip(torques.tolist(), motions.tolist(), health.tolist(), late, strict=True):
         well[2] *= ticks_late
-        checked = checked_torque(TIGHT, watch, Motion(*motion), Health(*well), *torque)
+        checked = checked_torque(TIGHT, watch, JointMotion(*motion), Health(*well), *torque)
         applied, before, limited = checked[:2], watch[:2], checked.limited
         seen.update(reason for reason in Limited if reason & limited)
         assert all(abs(value) <= TIGHT.torque for value in applied)  # false for NaN

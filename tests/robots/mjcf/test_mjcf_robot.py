@@ -193,5 +193,5 @@ def test_the_robot_of_the_page_learns(package: Path, stepgap: Command, monkeypat
     motion.unlink()
     assert stepgap("report", "out") == CommandResult(0, "out/report.html\n", "")
     assert motion.read_bytes() == recorded, "the deployment is simulated again to the same motion"
-    result = stepgap("export", "out", "--to", "ticks", "--iteration", "1")
+    result = stepgap("export", "out", "--to", "mcap", "--iteration", "1")
     assert (result.code, Path(result.out.strip()).name) == (0, "ticks_1.mcap")

@@ -10,7 +10,7 @@ from stepgap.robots.hopper.estimator import FlightFit, JointRates
 from stepgap.robots.hopper.joint_control import JointLaw
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.phases import Phase
-from stepgap.robots.hopper.safety import Motion, Watch
+from stepgap.robots.hopper.safety import JointMotion, Watch
 from stepgap.robots.hopper.sensors import HopperSensorModel
 
 STEP_TIMEOUT = 4.0
@@ -150,7 +150,7 @@ class HopState(NamedTuple):
     mode: int = int(Mode.STEP)
     phase: int = Phase.DESCENT.value
     sampled: float = 0.0
-    motion: Motion = Motion(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    motion: JointMotion = JointMotion(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     rates: JointRates = JointRates()
     flight: FlightState = FlightState()
     hop: HopProgress = HopProgress()

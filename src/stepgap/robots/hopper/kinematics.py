@@ -35,7 +35,7 @@ TRUE_UNITS: Mapping[str, str] = {
 The hip's x is the distance travelled along the circle; the foot is in MuJoCo's frame, whose z points up from the floor.
 """
 
-POINTS: Mapping[str, float] = {
+JOINTS: Mapping[str, float] = {
     "base": 0.0,
     "pivot": 0.0,
     "hip": 0.035,
@@ -98,7 +98,7 @@ class HopperKinematics(Kinematics):
     @property
     def scene(self) -> Scene:
         """Boom and leg on their circle."""
-        return Scene(POINTS, LINKS, "hip", ("foot",), "height", self._robot.boom_length)
+        return Scene(JOINTS, LINKS, "hip", ("foot",), "height", self._robot.boom_length)
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -148,7 +148,7 @@ class HopperKinematics(Kinematics):
 
 
 def joint_positions(robot: RobotParameters, pivot_height: float, pose: HopperPose) -> Array:
-    """Positions of `POINTS` in poses, with the boom's pivot at a height [m]; shape (F, 7, 3), or (7, 3) of one pose."""
+    """Positions of `JOINTS` in poses, with the boom's pivot at a height [m]; shape (F, 7, 3), or (7, 3) of one pose."""
     beta = np.arcsin(robot.top_length / robot.bottom_length * np.sin(pose.alpha_2))
     outward, forward, up = _tip_axes(pose)
 

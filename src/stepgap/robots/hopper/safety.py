@@ -61,7 +61,7 @@ STOPS = int(Limited(sum(Limited)) & ~CHANGES_TORQUE)
 """Bits of all reasons that stop the robot."""
 
 
-class Motion(NamedTuple):
+class JointMotion(NamedTuple):
     """Measured motion of leg and hip.
 
     Attributes:
@@ -122,7 +122,7 @@ def check_torque(limits, watch, motion, health, torque_1, torque_2):
     Args:
         limits: Limits; fields as in `SafetyLimits`.
         watch: Watch of the previous tick; fields as in `Watch`.
-        motion: Motion at this tick; fields as in `Motion`.
+        motion: JointMotion at this tick; fields as in `JointMotion`.
         health: Health at this tick; fields as in `Health`.
         torque_1: Torque requested of motor 1 [N·m].
         torque_2: Torque requested of motor 2 [N·m].

@@ -10,13 +10,13 @@ from stepgap.robots.hopper.estimator import apex_passed, no_samples, with_readin
 from stepgap.robots.hopper.hop_state import FlightState
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.phases import Phase, next_phase
-from stepgap.robots.hopper.safety import Motion
+from stepgap.robots.hopper.safety import JointMotion
 
 _TURN = 2.0 * np.pi
 
 
 class Body(NamedTuple):
-    """Measured motion of the hip, in addition to `Motion`.
+    """Measured motion of the hip, in addition to `JointMotion`.
 
     Attributes:
         x: Distance travelled [m].
@@ -35,7 +35,7 @@ class Body(NamedTuple):
 
 @as_written
 def sense(settings, rates, sampled, inputs):
-    """Returns `JointRates`, `Motion` and `Body` of this tick."""
+    """Returns `JointRates`, `JointMotion` and `Body` of this tick."""
     model = settings.sensor_model
     phi_1 = inputs.motor_1 * _TURN / model.motor_counts
     phi_2 = inputs.motor_2 * _TURN / model.motor_counts
@@ -45,7 +45,7 @@ def sense(settings, rates, sampled, inputs):
     pitch = inputs.boom_vertical * _TURN / model.boom_counts_vertical
     x, y = model.boom_length * yaw, model.pivot_height + model.boom_length * np.sin(pitch)
     length, hip_rate, shift_x, shift_y = _leg_state(settings.masses, alpha_1, alpha_2, rates.rate_1, rates.rate_2)
-    motion = Motion(alpha_1, alpha_2, rates.rate_1, rates.rate_2, length, y)
+    motion = JointMotion(alpha_1, alpha_2, rates.rate_1, rates.rate_2, length, y)
     return rates, motion, Body(x, yaw, hip_rate, shift_x, shift_y)
 
 
