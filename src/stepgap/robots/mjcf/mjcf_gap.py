@@ -5,7 +5,7 @@
 
 from copy import deepcopy
 from dataclasses import dataclass, fields
-from math import cos, isfinite, sin
+from math import cos, isfinite, sin, sqrt
 from typing import Any, Self
 
 import mujoco
@@ -27,6 +27,8 @@ class MjcfGap:
         gear_scale: Factor on the forces of all actuators.
         slope: Slope of the ground in the direction of x, uphill positive [rad].
         delay: Time by which control signals come later [s]; rounded to ticks.
+        ground_softness: Factor on the static sinkage of all contacts; the contact's damping ratio stays.
+        motor_lag: Time constant of the first-order lag of all control signals [s].
         state_noise: Standard deviation of the noise of measured states, in half ranges of use.
         force_noise: Standard deviation of the noise of each control signal, relative to the signal.
     """
@@ -39,6 +41,8 @@ class MjcfGap:
     gear_scale: float = 0.93
     slope: float = 0.0
     delay: float = 0.002
+    ground_softness: float = 1.0
+    motor_lag: float = 0.0
     state_noise: float = 0.005
     force_noise: float = 0.01
 
@@ -46,7 +50,7 @@ class MjcfGap:
         for entry in fields(self):
             value = getattr(self, entry.name)
             require(isfinite(value), entry.name, value, "be finite")
-            if entry.name.endswith("_scale"):
+            if entry.name.endswith("_scale") or entry.name == "ground_softness":
                 require(value > 0, entry.name, value, "be positive")
             elif entry.name != "slope":
                 require(value >= 0, entry.name, value, "not be negative")
@@ -55,7 +59,15 @@ class MjcfGap:
     @classmethod
     def none(cls) -> Self:
         """No difference."""
-        return cls(1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+        return cls(
+            mass_scale=1.0,
+            friction_scale=1.0,
+            damping_scale=1.0,
+            gear_scale=1.0,
+            delay=0.0,
+            state_noise=0.0,
+            force_noise=0.0,
+        )
 
     @classmethod
     def random(cls, rng: np.random.Generator) -> Self:
@@ -70,7 +82,7 @@ class MjcfGap:
         )
 
     def of(self, model: Any) -> Any:
-        """A copy of a MuJoCo model with these differences; delay and noise are not in it."""
+        """A copy of a MuJoCo model with these differences; delay, lag and noise are not in it."""
         changed = deepcopy(model)
         changed.body_mass *= self.mass_scale
         changed.body_inertia *= self.mass_scale
@@ -81,7 +93,18 @@ class MjcfGap:
         changed.dof_damping[dofs] *= self.damping_scale
         changed.dof_frictionloss[dofs] += self.joint_friction
         changed.actuator_gear *= self.gear_scale
+        _soften(changed.geom_solref, self.ground_softness)
         gravity = float(np.linalg.norm(changed.opt.gravity))
         changed.opt.gravity[:] = (-gravity * sin(self.slope), 0.0, -gravity * cos(self.slope))
         mujoco.mj_setConst(changed, mujoco.MjData(changed))
         return changed
+
+
+def _soften(solref: np.ndarray, factor: float) -> None:
+    """Multiplies the static sinkage of contacts; (time constant, damping ratio) or −(stiffness, damping), shape (k, 2).
+
+    The stiffness is proportional to the inverse square of the time constant.
+    """
+    direct = solref[:, 0] < 0
+    solref[direct] /= np.array([factor, sqrt(factor)])
+    solref[~direct, 0] *= sqrt(factor)

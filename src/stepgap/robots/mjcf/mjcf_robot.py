@@ -62,7 +62,7 @@ class MjcfRobot(Robot):
     @property
     def as_modelled(self) -> Self:
         """This robot with the default gap."""
-        return replace(self, gap=type(self.gap)())
+        return replace(self, gap=type(self)().gap)
 
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The simulator."""

@@ -49,6 +49,7 @@ class MjcfStepper:
         mujoco.mj_forward(self._model, self._data)
         self._control = self._robot.controller()
         self._late = deque([self._data.ctrl.copy()] * round(self._gap.delay / self._robot.tick))
+        self._lagged = self._data.ctrl.copy()
         self._armed, self._guard = False, 0.0
 
     @property
@@ -91,6 +92,9 @@ class MjcfStepper:
         if self._late:
             self._late.append(data.ctrl.copy())
             data.ctrl[:] = self._late.popleft()
+        if self._gap.motor_lag:
+            self._lagged += (data.ctrl - self._lagged) * self._robot.tick / (self._gap.motor_lag + self._robot.tick)
+            data.ctrl[:] = self._lagged
         mujoco.mj_step(self._model, data, self._substeps)
 
     def _crosses(self) -> bool:
