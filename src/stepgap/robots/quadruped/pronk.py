@@ -5,7 +5,7 @@ from mid-stance on, the step command and a constant thrust are added. Each foot 
 and rear legs differ by a vertical force that holds the pitch. Jᵀ of each leg makes torques of the forces. In flight all
 feet are placed below their hips, ahead by a distance that increases with the speed.
 
-Left and right legs move together, so a leg of each end represents both. Positions are relative to the hip or the middle
+Positions are relative to the hip or the middle
 of the trunk, x forward and z up; angles turn about y, so a positive pitch is nose down.
 """
 
@@ -21,9 +21,6 @@ from stepgap.robots.quadruped.model import HIP_X, LINK
 FLIGHT, COMPRESSION, THRUST = 0, 1, 2
 """Phases of a step."""
 
-FRONT, REAR = 3, 7
-"""Indices of the thigh angles of a front and a rear leg in the positions of the model; the calf's angle follows."""
-
 
 @dataclass(frozen=True)
 class PronkGains:
@@ -31,6 +28,7 @@ class PronkGains:
 
     Attributes:
         stiffness: Stiffness of the spring of the virtual leg [N/m].
+        damping: Damping of the virtual leg [N·s/m].
         rest_length: Its rest length, with which the robot lands [m].
         thrust: Upward force from mid-stance on, which balances the losses of a step [N].
         neutral_time: Distance by which the feet land ahead of the hips, per speed [s].
@@ -38,18 +36,21 @@ class PronkGains:
         speed_setpoint: Speed at which the speed changes least without command [m/s].
         pitch_stiffness: Torque against the pitch in stance [N·m/rad].
         pitch_damping: Torque against its rate [N·m·s/rad].
+        retraction: Height by which the feet are raised while the robot rises in flight [m].
         foot_stiffness: Stiffness with which each foot is placed in flight [N/m].
         foot_damping: Damping of this motion [N·s/m].
     """
 
     stiffness: float = 5000.0
+    damping: float = 120.0
     rest_length: float = 0.31
-    thrust: float = 130.0
-    neutral_time: float = 0.045
+    thrust: float = 320.0
+    neutral_time: float = 0.037
     speed_gain: float = 0.04
     speed_setpoint: float = 0.5
-    pitch_stiffness: float = 150.0
-    pitch_damping: float = 10.0
+    pitch_stiffness: float = 200.0
+    pitch_damping: float = 14.0
+    retraction: float = 0.03
     foot_stiffness: float = 900.0
     foot_damping: float = 18.0
 
@@ -68,6 +69,7 @@ class PronkLaw(NamedTuple):
     """`PronkGains` for compiled code."""
 
     stiffness: float
+    damping: float
     rest_length: float
     thrust: float
     neutral_time: float
@@ -75,6 +77,7 @@ class PronkLaw(NamedTuple):
     speed_setpoint: float
     pitch_stiffness: float
     pitch_damping: float
+    retraction: float
     foot_stiffness: float
     foot_damping: float
 
@@ -104,19 +107,20 @@ def landing_place(law, speed):
 
 
 @compiled
-def virtual_force(law, x, z, thrusts, force_x, force_z):
+def virtual_force(law, x, z, length_rate, thrusts, force_x, force_z):
     """Force on the trunk (x, z) [N] of the virtual leg in stance.
 
     Args:
         law: `PronkLaw`.
         x: Foot of the virtual leg relative to the middle of the trunk, forward [m].
         z: The same, upward [m].
+        length_rate: Rate of the leg's length [m/s].
         thrusts: Whether mid-stance has passed.
         force_x: Forward force of the command [N].
         force_z: Upward force of the command [N].
     """
     length = np.sqrt(x * x + z * z)
-    spring = law.stiffness * (law.rest_length - length)
+    spring = law.stiffness * (law.rest_length - length) - law.damping * length_rate
     more_x, more_z = (force_x, law.thrust + force_z) if thrusts else (0.0, 0.0)
     return -spring * x / length + more_x, -spring * z / length + more_z
 
@@ -166,36 +170,34 @@ def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
         torques: Is filled with the torques of the motors, thigh and calf of each leg; shape (8,) [N·m].
     """
     pitch, rate = position[2], velocity[2]
-    front = leg_pose(pitch, rate, position[FRONT], position[FRONT + 1], velocity[FRONT], velocity[FRONT + 1])
-    rear = leg_pose(pitch, rate, position[REAR], position[REAR + 1], velocity[REAR], velocity[REAR + 1])
-    # the hips are symmetric to the middle of the trunk, so the virtual foot is the mean of the feet relative to them
-    x, z = 0.5 * (front.x + rear.x), 0.5 * (front.z + rear.z)
+    x, z, x_rate, z_rate = 0.0, 0.0, 0.0, 0.0
+    for leg in range(4):  # the hips are symmetric to the middle of the trunk, so it is their mean position
+        pose = _leg_pose(position, velocity, leg)
+        x, z, x_rate, z_rate = x + pose.x / 4, z + pose.z / 4, x_rate + pose.x_rate / 4, z_rate + pose.z_rate / 4
     length = np.sqrt(x * x + z * z)
-    length_rate = 0.5 * (x * (front.x_rate + rear.x_rate) + z * (front.z_rate + rear.z_rate)) / length
+    length_rate = (x * x_rate + z * z_rate) / length
     phase = next_phase(law, phase, length, length_rate, velocity[1] >= 0.0, contact)
-    if phase == FLIGHT:
-        place_x, place_z = landing_place(law, velocity[0])
-        _place(law, front, place_x, place_z, torques[0:4])
-        _place(law, rear, place_x, place_z, torques[4:8])
-        return phase
-    body_x, body_z = virtual_force(law, x, z, phase == THRUST, force_x, force_z)
+    place_x, place_z = landing_place(law, velocity[0])
+    place_z += law.retraction if velocity[1] > 0.0 else 0.0  # so that no foot touches the ground on its way
+    body_x, body_z = virtual_force(law, x, z, length_rate, phase == THRUST, force_x, force_z)
     moment = -law.pitch_stiffness * pitch - law.pitch_damping * rate - (z * body_x - x * body_z)
-    more_rear = moment / (4.0 * HIP_X)
-    _push(front, 0.25 * body_x, max(0.0, 0.25 * body_z - more_rear), torques[0:4])
-    _push(rear, 0.25 * body_x, max(0.0, 0.25 * body_z + more_rear), torques[4:8])
+    for leg in range(4):
+        pose, end = _leg_pose(position, velocity, leg), 1.0 if leg < 2 else -1.0  # front or rear
+        if phase == FLIGHT:
+            level = place_z + end * HIP_X * np.sin(pitch)  # so that front and rear feet land together
+            foot_x = law.foot_stiffness * (pose.x - place_x) + law.foot_damping * pose.x_rate
+            foot_z = law.foot_stiffness * (pose.z - level) + law.foot_damping * pose.z_rate
+        else:
+            foot_x, foot_z = 0.25 * body_x, max(0.0, 0.25 * body_z - end * moment / (4.0 * HIP_X))
+        torques[2 * leg] = -(pose.x_1 * foot_x + pose.z_1 * foot_z)  # τ = −Jᵀ F pushes the body with F
+        torques[2 * leg + 1] = -(pose.x_2 * foot_x + pose.z_2 * foot_z)
     return phase
 
 
 @compiled
-def _place(law, leg, x, z, torques):
-    """Torques of two legs in flight that move their feet to a place relative to the hips."""
-    force_x = law.foot_stiffness * (x - leg.x) - law.foot_damping * leg.x_rate
-    force_z = law.foot_stiffness * (z - leg.z) - law.foot_damping * leg.z_rate
-    _push(leg, -force_x, -force_z, torques)
-
-
-@compiled
-def _push(leg, force_x, force_z, torques):
-    """Torques of two legs in stance, each of which pushes the body with a force: τ = −Jᵀ F."""
-    torques[0] = torques[2] = -(leg.x_1 * force_x + leg.z_1 * force_z)
-    torques[1] = torques[3] = -(leg.x_2 * force_x + leg.z_2 * force_z)
+def _leg_pose(position, velocity, leg):
+    """`LegPose` of a leg, by its number."""
+    thigh = 3 + 2 * leg
+    return leg_pose(
+        position[2], velocity[2], position[thigh], position[thigh + 1], velocity[thigh], velocity[thigh + 1]
+    )

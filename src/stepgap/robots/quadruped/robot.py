@@ -23,12 +23,12 @@ from stepgap.robots.quadruped.spring_mass import SpringMassMap
 from stepgap.step import Array, Quantity, StepMap, StepSpace
 
 SPACE = StepSpace(
-    state=(Quantity("speed", "m/s", 0.2, 0.9), Quantity("height", "m", 0.37, 0.46)),
+    state=(Quantity("speed", "m/s", 0.2, 0.8), Quantity("height", "m", 0.38, 0.45)),
     command=(Quantity("fx", "N", -40.0, 40.0), Quantity("fz", "N", -60.0, 60.0)),
 )
 """State at the apex: forward speed, and height of the middle of the trunk. Command: forces from mid-stance on."""
 
-FOUR_NUMBERS = np.array([[0.4, 0.0, 0.004, 0.0], [0.0, 0.6, 0.0, 0.0004]])
+FOUR_NUMBERS = np.array([[0.4, 0.0, 0.004, 0.0], [0.0, 0.4, 0.0, 0.0004]])
 """Rough derivatives of the next state: by the same coordinate, and by the force in its direction."""
 
 
@@ -49,7 +49,7 @@ class Quadruped(MjcfRobot):
             gear_scale=0.97,
             delay=0.002,
             ground_softness=1.5,
-            motor_lag=0.004,
+            motor_lag=0.003,
             state_noise=0.005,
             force_noise=0.01,
         )

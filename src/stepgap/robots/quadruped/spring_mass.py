@@ -134,7 +134,8 @@ def _at_event(law, mass, before, after, thrusts, force_x, force_z):
 @compiled
 def _rates(law, mass, state, thrusts, force_x, force_z):
     x, z, x_rate, z_rate = state
-    body_x, body_z = virtual_force(law, -x, -z, thrusts, force_x, force_z)
+    length_rate = (x * x_rate + z * z_rate) / np.sqrt(x * x + z * z)
+    body_x, body_z = virtual_force(law, -x, -z, length_rate, thrusts, force_x, force_z)
     return x_rate, z_rate, body_x / mass, body_z / mass - GRAVITY
 
 
