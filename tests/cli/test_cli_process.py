@@ -31,6 +31,10 @@ class Watched:
 sys.stdin = Watched()
 runpy.run_path({example!r}, run_name="__main__")
 """  # noqa: E501
+IN_MILLIMETRES = """
+def in_mm(state):
+    return {"speed": state["speed"], "height": 1000 * state["height"]}
+"""
 
 
 @pytest.fixture
@@ -76,6 +80,22 @@ def test_a_failing_program_leaves_its_steps_and_learning_goes_on(run, kind: str,
     log = read_step_log(Path("out/steps.csv"), SPACE)
     assert [len(log.of_iteration(number)) for number in log.iterations] == [12, 12, 12]
     assert [logged.record.status for logged in log.of_iteration(1)][-2:] == [StepStatus.OK, StepStatus.STOPPED]
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_program_in_millimetres_is_warned_of_once_per_deployment(run) -> None:
+    code = (EXAMPLES / "robot.py").read_text().replace('"state": state}', '"state": in_mm(state)}')
+    code = code.replace('"next": state', '"next": in_mm(state)').replace(
+        "def main()", f"{IN_MILLIMETRES}\n\ndef main()"
+    )
+    Path("robot.py").write_text(code)
+    result = run(sys.executable, "robot.py")
+    assert result.code == 0, result.err
+    warnings = [line for line in result.err.splitlines() if "check the unit" in line]
+    assert [line.partition(", height was about 5")[0] for line in warnings] == [
+        f"stepgap: In the first 5 steps of deployment {number}" for number in range(3)
+    ]
+    assert "but its range of use is 0.52 to 0.64 m:" in warnings[0]
 
 
 @pytest.mark.usefixtures("no_report")

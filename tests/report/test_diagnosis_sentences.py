@@ -53,6 +53,15 @@ def test_a_weak_command_and_one_at_its_bound_are_named(record: RunRecord) -> Non
     assert "fx was at a bound in 100 % of the steps of deployment 0" in text
 
 
+def test_a_state_in_the_wrong_unit_is_named_even_without_a_nominal_map(record: RunRecord) -> None:
+    steps = [
+        replace(one, record=replace(one.record, state=one.record.state * [1, 1000])) for one in steps_of(20, 1, plain)
+    ]
+    named, rest = diagnosis_sentences(replace(record, space=SPACE, steps=StepLog(SPACE, steps)), Missing("no map"))
+    assert named.startswith("In the first 5 steps of deployment 0, height was about 5")
+    assert rest == "Not available: no map."
+
+
 def test_what_cannot_be_judged_is_said(record: RunRecord) -> None:
     assert "Deployment 0 has 10 steps with a known error, too few" in sentences(record, plain, 10)
     assert diagnosis_sentences(record, Missing("no map")) == ["Not available: no map."]

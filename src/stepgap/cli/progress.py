@@ -10,8 +10,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from stepgap.cli.terminal import warn
 from stepgap.experiment.loop import Observer
-from stepgap.learning.step_log import LoggedStep
+from stepgap.experiment.state_ranges import FIRST_STEPS, far_states
+from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
 from stepgap.step import StepSpace, StepStatus
@@ -29,6 +31,8 @@ def progress_bar(description: str, quiet: bool = False) -> Iterator[Callable[[in
 
 class RunProgress:
     """Progress display of a run: on a terminal a bar per deployment with its error, elsewhere a line per deployment.
+
+    In each deployment it warns of states that are far outside their ranges of use (`far_states`).
 
     Args:
         space: Names and units of the state.
@@ -53,6 +57,7 @@ class RunProgress:
         self._task: TaskID | None = None
         self._last = 0
         self._errors: list[np.ndarray] = []
+        self._first: list[LoggedStep] = []
 
     @property
     def observer(self) -> Observer:
@@ -77,8 +82,19 @@ class RunProgress:
             self._errors.append(logged.record.next_state - logged.target)
         error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
         self._bars.update(self._task, advance=1, error=error)
+        self._first.append(logged)
+        if len(self._first) == FIRST_STEPS:
+            self._warn_of_far_states()
+
+    def _warn_of_far_states(self) -> None:
+        if not self._quiet:
+            for sentence in far_states(StepLog(self._space, self._first)):
+                warn(sentence)
 
     def _on_deployment(self, deployment: Deployment) -> None:
+        if len(self._first) < FIRST_STEPS:
+            self._warn_of_far_states()
+        self._first = []
         if self._task is not None:
             self._bars.remove_task(self._task)
             self._task = None

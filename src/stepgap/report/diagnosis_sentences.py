@@ -1,8 +1,9 @@
-"""The diagnosis of the first deployment in sentences: memory, noise that varies, authority."""
+"""The diagnosis of the first deployment in sentences: units, memory, noise that varies, authority."""
 
 import numpy as np
 
 from stepgap.experiment.diagnosis import SMALLEST_GAIN, Diagnosis, diagnose, part_at_bounds
+from stepgap.experiment.state_ranges import far_states
 from stepgap.learning.observations import Observations, observe
 from stepgap.learning.step_log import StepLog
 from stepgap.records.missing import Missing
@@ -24,8 +25,14 @@ def diagnosis_sentences(record: RunRecord, nominal: StepMap | Missing) -> list[s
         record: The run.
         nominal: Map of the physics model, or the reason why it is not known.
     """
+    first = record.steps.of_iteration(record.steps.iterations[0])
     if isinstance(nominal, Missing):
-        return [f"Not available: {nominal.reason}."]
+        return [*far_states(first), f"Not available: {nominal.reason}."]
+    return [*far_states(first), *_of_nominal(record, nominal)]
+
+
+def _of_nominal(record: RunRecord, nominal: StepMap) -> list[str]:
+    """The sentences for which the errors of the nominal map are needed."""
     first, last = record.steps.iterations[0], record.steps.iterations[-1]
     steps, space = record.steps.of_iteration(first), record.space
     observed = observe(steps, nominal)
