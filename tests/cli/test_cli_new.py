@@ -11,6 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.experiment.nominal import load_nominal
+from stepgap.experiment.settings import read_experiment
+from stepgap.records.steps_csv import read_step_log
 from tests.cli.command_line import Command, refused
 
 ROOT = Path(__file__).parents[2]
@@ -105,6 +108,32 @@ def test_a_log_is_enough(stepgap: Command) -> None:
     assert result.code == 0, result.err
 
 
+def test_a_log_of_another_program_is_enough(stepgap: Command) -> None:
+    rng, speed, rows = np.random.default_rng(0), 0.2, ["v_mm;push;trial"]
+    for number in range(30):
+        push = rng.uniform(-1, 1)
+        rows.append(f"{1000 * speed};{push if number != 7 else ''};{'a' if number < 20 else 'b'}")
+        speed = 0.5 * speed + 0.1 + 0.1 * push
+    Path("log.csv").write_text("\n".join(rows))
+    Path("columns.toml").write_text(
+        'state = ["speed=v_mm"]\ncommand = ["push"]\ndeployment = "trial"\n'
+        'units = { v_mm = "m/s" }\nfactors = { v_mm = 1e-3 }\n'
+    )
+    assert stepgap("new", "mine", "--from", "log.csv", "--columns", "columns.toml").code == 0
+    settings = read_experiment(Path("mine/experiment.toml"))
+    (state,), (command,) = settings.robot.space.state, settings.robot.space.command
+    steps = read_step_log(Path("mine/steps.csv"), settings.robot.space)
+    # A new deployment begins after the row without a command, and with another trial; the last row of each has no next.
+    assert [len(steps.of_iteration(number)) for number in steps.iterations] == [7, 11, 9]
+    assert (state.unit, command.name) == ("m/s", "push")
+    assert [state.lower, state.upper] == pytest.approx([steps.state.min(), steps.state.max()], abs=0.01)
+    nominal = load_nominal(settings).map
+    assert nominal([0.2], [0.3]) == pytest.approx(0.5 * 0.2 + 0.1 + 0.1 * 0.3, rel=1e-4), (
+        "the log is that of a linear robot"
+    )
+    assert 'UNITS = {"state": {"speed": "m/s"}' in Path("mine/robot.py").read_text()
+
+
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
@@ -116,7 +145,13 @@ def test_a_log_is_enough(stepgap: Command) -> None:
         (["x", "--mjcf", "none.xml"], ["--mjcf: ", "none.xml: No such file"]),
         (["x", "--mjcf", "wrong.xml"], ["--mjcf wrong.xml: "]),
         (["x", "--from", "none"], ["--from: ", "none: No such file", "give a run or its steps.csv"]),
-        (["x", "--from", "wrong.xml"], ["--from: "]),
+        (["x", "--from", "wrong.xml"], ["--from: ", "name its columns"]),
+        (["x", "--from", "log.csv"], ["log.csv, line 1: not the header of a step log", "name its columns"]),
+        (["x", "--from", "log.csv", "--state", "v", "--target", "w"], ["--command: no column"]),
+        (["x", "--from", "log.csv", "--state", "w", "--command", "u"], ["state 'w': no column 'w'; there is v, u [N]"]),
+        (["x", "--from", "log.csv", "--state", "v", "--command", "u [N]"], ["column 'u [N]'", "by NAME=COLUMN"]),
+        (["x", "--from", "log.csv", "--state", "v", "--command", "u=u [N]"], ["fewer than 4 completed steps"]),
+        (["x", "--state", "v"], ["--state: only with --from"]),
         (["there/file/x"], ["there/file/x: cannot be written"]),
     ],
 )
@@ -124,5 +159,6 @@ def test_wrong_arguments_write_nothing(stepgap: Command, arguments: list[str], p
     Path("there").mkdir()
     Path("there/file").touch()
     Path("wrong.xml").write_text("<mujoco><nonsense/></mujoco>")
+    Path("log.csv").write_text("v,u [N]\n0,1\n1,1\n1,0\n")
     refused(stepgap("new", *arguments), *parts)
-    assert sorted(path.name for path in Path().iterdir()) == ["there", "wrong.xml"]
+    assert sorted(path.name for path in Path().iterdir()) == ["log.csv", "there", "wrong.xml"]

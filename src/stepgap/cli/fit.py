@@ -2,7 +2,7 @@
 
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -10,39 +10,11 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, write_new
-from stepgap.cli.options import Integer, Overrides
+from stepgap.cli.options import NO_COLUMNS, ColumnNames, Integer, Overrides
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.fit import FitData
     from stepgap.learning.validation import Validation
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class ColumnNames:
-    """Columns of a CSV file that was not written by StepGap.
-
-    Attributes:
-        state: Columns of the state before the step, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN.
-        next: Columns of the state after the step. [default: those of the state in the following row]
-        command: Columns of the command.
-        target: Columns of the target; without --command they are used as the command.
-        predicted: Columns of the nominal next state.
-        deployment: Column that distinguishes deployments.
-        step: Column that counts the steps; rows belong together where it increases by one.
-    """
-
-    state: str | None = None
-    next: str | None = None
-    command: str | None = None
-    target: str | None = None
-    predicted: str | None = None
-    deployment: str | None = None
-    step: str | None = None
-
-    def given(self) -> dict[str, str]:
-        """The options that were given."""
-        return {name: text for name, text in asdict(self).items() if text is not None}
 
 
 @Parameter(name="*")
@@ -71,7 +43,7 @@ class Results:
             raise InputError(f"{self.plot}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
 
 
-NO_COLUMNS, NO_RESULTS = ColumnNames(), Results()
+NO_RESULTS = Results()
 
 
 def fit(

@@ -12,10 +12,14 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import writing
-from stepgap.cli.options import Flag
+from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
 
 if TYPE_CHECKING:  # slow imports are made where they are used
-    from stepgap.step import Quantity, StepSpace
+    from collections.abc import Sequence
+
+    from stepgap.learning.step_log import StepLog
+    from stepgap.records.columns import Columns
+    from stepgap.step import Array, Quantity, StepSpace
 
 
 class Starter(NamedTuple):
@@ -46,6 +50,8 @@ def new(
     mjcf: Path | None = None,
     process: Flag = False,
     from_: Annotated[Path | None, Parameter(name="--from")] = None,
+    columns: Path | None = None,
+    names: ColumnNames = NO_COLUMNS,
 ) -> None:
     """Make a folder with a robot that runs at once: its equations in Python, or one of the forms below.
 
@@ -54,16 +60,21 @@ def new(
         mujoco: A MuJoCo model with a controller, from which the nominal map is computed.
         mjcf: The same with your model, such as robot.xml; the controller is to be adapted to its joints.
         process: A program in any language, and a nominal map of a few numbers; nothing is to be installed.
-        from_: The same with a nominal map that is fitted to recorded steps: a run, or its steps.csv.
+        from_: The same with a nominal map that is fitted to recorded steps: a run, its steps.csv, or a CSV file of any
+            origin, if its columns are named.
+        columns: TOML file that names the columns of such a file; its keys are the options from here to --step, and
+            units and factors.
     """
     forms = {"--mujoco": mujoco, "--mjcf": mjcf, "--process": process, "--from": from_}
     given = [name for name, value in forms.items() if value]
     if len(given) > 1:
         raise InputError(f"{' and '.join(given)}: give only one of them")
+    if not from_ and (columns or names.given()):
+        raise InputError(f"--{next(iter(names.given()), 'columns')}: only with --from, whose columns it names")
     if folder.exists():
         raise InputError(f"{folder}: exists already; choose another name")
     if process or from_:
-        contents = _program(folder.name, from_)
+        contents = _program(folder.name, _read_log(from_, columns, names) if from_ else None)
     else:
         contents = _package(folder.name, MUJOCO if mujoco or mjcf else EQUATIONS, mjcf)
     with writing(folder, "FOLDER"):
@@ -110,27 +121,21 @@ def _package(name: str, starter: Starter, model: Path | None) -> dict[str, str]:
     return {f"{name}.py": code, **filled, **extra}
 
 
-def _program(name: str, log: Path | None) -> dict[str, str]:
-    """Files of a robot that is a program."""
-    from stepgap.experiment.settings import recorded_space
+def _program(name: str, log: "StepLog | None") -> dict[str, str]:
+    """Files of a robot that is a program, with a template or with recorded steps."""
+    from stepgap.records.steps_csv import text_of
     from stepgap.robots.hopper.parameters import CommandBounds
 
-    space, extra = CommandBounds().space(), {"template.toml": _starter("template.toml.txt")}
-    values = {"name": name, "kind": "template", "file": "template.toml"}
-    if log:
-        text, space = _read_log(log / "steps.csv" if log.is_dir() else log)
-        space = recorded_space(log if log.is_dir() else log.parent) or space
-        extra, values = {"steps.csv": text}, {"name": name, "kind": "log", "file": "steps.csv"}
-    fitted = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
-    values |= {"quantities": _quantities(space), "nominal": fitted}
-    program = (
-        Template(_starter("replayed.py.txt")).substitute(units=_units(space)) if log else _starter("process.py.txt")
-    )
+    space = log.space if log else CommandBounds().space()
+    kind, file = ("log", "steps.csv") if log else ("template", "template.toml")
+    values = {"name": name, "kind": kind, "file": file, "quantities": _quantities(space)}
+    values["nominal"] = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
+    replayed = Template(_starter("replayed.py.txt"))
     return {
         "experiment.toml": Template(_starter("process.toml.txt")).substitute(values),
-        "robot.py": program,
+        "robot.py": replayed.substitute(units=_units(space)) if log else _starter("process.py.txt"),
         "README.md": Template(_starter("README_process.md.txt")).substitute(values),
-        **extra,
+        file: text_of(log) if log else _starter("template.toml.txt"),
     }
 
 
@@ -169,33 +174,64 @@ def _parts_of(model: Path) -> str:
     return "The model has the " + "; ".join(lines) + "."
 
 
-def _read_log(path: Path) -> "tuple[str, StepSpace]":
-    """Text of recorded steps, and a space with the ranges that they cover."""
+def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog":
+    """Recorded steps; their ranges are those of the run, if it is one, or those that the steps cover."""
+    from stepgap.learning.step_log import StepLog
+    from stepgap.records.columns import read_columns
+
+    meaning = read_columns(columns, names.given())
+    steps, space = _steps_of_run(path) if meaning is None else (_steps_of_others(path, meaning), None)
+    least = len(steps.space.state) + len(steps.space.command) + 2
+    if len(steps.completed()) < least:
+        raise InputError(f"--from {path}: fewer than {least} completed steps; record some more")
+    return StepLog(space or _covered_space(steps), steps)
+
+
+def _steps_of_run(path: Path) -> "tuple[StepLog, StepSpace | None]":
+    """Steps of a run or of a `steps.csv`, with the ranges of its settings if they are known."""
+    from stepgap.experiment.settings import recorded_space
+    from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header
+
+    file = path / "steps.csv" if path.is_dir() else path
+    try:
+        return read_step_log(file, space_of_header(file)), recorded_space(file.parent)
+    except (OSError, RecordError, ValueError) as error:
+        hint = "give a run or its steps.csv; for any other CSV file name its columns, see --help"
+        raise InputError(f"--from: {message_of(error)}; {hint}") from None
+
+
+def _steps_of_others(path: Path, columns: "Columns") -> "StepLog":
+    """Steps of a CSV file of any origin."""
+    from stepgap.records.foreign_log import read_foreign_logs, step_log_of
+
+    if not columns.command:
+        raise InputError("--command: no column; name the columns of the command")
+    steps = step_log_of(read_foreign_logs([path], columns))
+    for name in (*steps.space.state_names, *steps.space.command_names):
+        if not name.isidentifier():
+            rule = "a name consists of letters, digits and underscores; rename it by NAME=COLUMN"
+            raise InputError(f"--from {path}: column {name!r}: {rule}")
+    return steps
+
+
+def _covered_space(log: "StepLog") -> "StepSpace":
+    """Names and units of a log, with the ranges that its steps cover, rounded to a hundredth of their widths."""
     from dataclasses import replace
+    from math import floor, log10
 
     import numpy as np
 
-    from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header
     from stepgap.step import StepSpace
 
-    try:
-        space = space_of_header(path)
-        steps, text = read_step_log(path, space).completed(), path.read_text("utf-8")
-    except (OSError, RecordError, ValueError) as error:
-        raise InputError(f"--from: {message_of(error)}; give a run or its steps.csv") from None
-    if len(steps) < 2:
-        raise InputError(f"--from {path}: fewer than two completed steps; record some more")
-
-    commands = np.array([logged.record.requested for logged in steps])
-
-    def covered(quantities: "tuple[Quantity, ...]", values: np.ndarray) -> "tuple[Quantity, ...]":
+    def covered(quantities: "Sequence[Quantity]", values: "Array") -> "tuple[Quantity, ...]":
         low, high = values.min(axis=0), values.max(axis=0)
-        ends = zip(
-            quantities, (f"{x:.3g}" for x in low), (f"{x:.3g}" for x in high + 1e-3 * (high == low)), strict=True
-        )
-        return tuple(replace(quantity, lower=float(lower), upper=float(upper)) for quantity, lower, upper in ends)
+        high = np.where(high > low, high, low + np.maximum(np.abs(low), 1.0) * 1e-3)
+        digits = [2 - floor(log10(width)) for width in high - low]
+        ends = zip(quantities, low.tolist(), high.tolist(), digits, strict=True)
+        return tuple(replace(one, lower=round(a, k), upper=round(b, k)) for one, a, b, k in ends)
 
-    return text, StepSpace(covered(space.state, steps.state), covered(space.command, commands))
+    known = log.completed()
+    return StepSpace(covered(log.space.state, known.state), covered(log.space.command, known.requested))
 
 
 def _quantities(space: "StepSpace") -> str:

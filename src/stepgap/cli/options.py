@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from inspect import signature
 from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
@@ -47,6 +48,37 @@ Overrides = Annotated[list[tuple[str, str]] | None, Parameter(parse=False)]
 
 Program = Annotated[list[str] | None, Parameter(parse=False)]
 """A command line given after `--`."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ColumnNames:
+    """Columns of a CSV file that was not written by StepGap.
+
+    Attributes:
+        state: Columns of the state before the step, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN.
+        next: Columns of the state after the step. [default: those of the state in the following row]
+        command: Columns of the command.
+        target: Columns of the target; without --command they are used as the command.
+        predicted: Columns of the nominal next state.
+        deployment: Column that distinguishes deployments.
+        step: Column that counts the steps; rows belong together where it increases by one.
+    """
+
+    state: str | None = None
+    next: str | None = None
+    command: str | None = None
+    target: str | None = None
+    predicted: str | None = None
+    deployment: str | None = None
+    step: str | None = None
+
+    def given(self) -> dict[str, str]:
+        """The options that were given."""
+        return {name: text for name, text in asdict(self).items() if text is not None}
+
+
+NO_COLUMNS = ColumnNames()
 
 
 def add_verb(app: App, name: str, verb: Callable[..., None]) -> None:

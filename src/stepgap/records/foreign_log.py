@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.learning.step_table import Labels, StepTable, describe_left_out
 from stepgap.records.columns import LARGEST_VALUE, ROLES, Columns, column_of, unknown_column
 from stepgap.records.steps_csv import RecordError
-from stepgap.step import Array
+from stepgap.step import Array, StepRecord, StepStatus
 
 LARGEST_LOG = 64 * 2**20
 """Largest log that is read [bytes]."""
@@ -50,6 +51,27 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
         deployment=np.concatenate(deployments),
         left_out={reason: count for reason, count in left_out.items() if count},
     )
+
+
+def step_log_of(table: StepTable) -> StepLog:
+    """The steps of a table as a log, such as for a `steps.csv`; what the table does not contain is unknown.
+
+    A new deployment begins where a step does not start from the state in which the one before it ended. A target that
+    is not known is the next state; predictions are not known.
+    """
+    logged: list[LoggedStep] = []
+    nowhere, exact = np.full(len(table.space.state), np.nan), np.zeros(len(table.space.state))
+    for row, (state, command, next_state) in enumerate(zip(table.state, table.command, table.next_state, strict=True)):
+        last = logged[-1] if logged else None
+        iteration, step = (last.iteration, last.step + 1) if last else (0, 1)
+        if last and not (
+            table.deployment[row] == table.deployment[row - 1] and np.array_equal(last.record.next_state, state)
+        ):
+            iteration, step = iteration + 1, 1
+        target = next_state if table.target is None else table.target[row]
+        record = StepRecord(state, command, command, next_state, StepStatus.OK)
+        logged.append(LoggedStep(iteration, step, target, nowhere, exact, record))
+    return StepLog(table.space, logged)
 
 
 def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
