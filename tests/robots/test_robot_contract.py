@@ -246,6 +246,14 @@ def test_a_wrong_template_is_refused_with_the_rule(package: Path, tmp_path: Path
     assert WRONG_TEMPLATES[text] in str(caught.value)
 
 
+def test_a_template_without_a_derivative_by_a_command_is_warned_of(stepgap: Command) -> None:
+    Path("t.toml").write_text("[derivatives.speed]\nspeed = 0.5\nfx = 0.01\n\n[derivatives.height]\nheight = 0.6\n")
+    result = stepgap("gait", "--nominal.kind", "template", "--nominal.file", "t.toml", "--state", "height=0.6")
+    assert result.err.startswith("stepgap: t.toml: [derivatives.height] has none by a command, so no command changes ")
+    assert "give a rough derivative by fx or fy" in result.err
+    assert "[derivatives.speed]" not in result.err
+
+
 @pytest.mark.parametrize(
     ("options", "parts"),
     [

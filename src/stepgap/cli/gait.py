@@ -6,7 +6,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name, writing
 from stepgap.cli.map_table import named_values
 from stepgap.cli.options import Overrides, values_by_name
-from stepgap.cli.terminal import announces_compilation
+from stepgap.cli.terminal import announces_compilation, warn
 
 
 @announces_compilation
@@ -37,7 +37,9 @@ def gait(
     wanted = values_by_name("--state", state, space.state, space.state_centre)
     if out and out.exists():
         raise InputError(f"{out}: exists already; choose another --out")
-    nominal = load_nominal(settings).map
+    nominal, _, warnings = load_nominal(settings)
+    for sentence in warnings:
+        warn(sentence)
     try:
         point = fixed_point(nominal, wanted)
     except StepFailed as error:

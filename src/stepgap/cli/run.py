@@ -44,8 +44,8 @@ class Shorthand:
         method: Settings of learning and control before others change them: default, or paper, the method as published.
         seed: Random seed. [default: 0]
         iterations: Largest number of redeployments. [default: 4]
-        explore: Number of exploratory hops before the first deployment. [default: 0]
-        online: Learn after every hop, from the first one on.
+        explore: Number of exploratory steps before the first deployment. [default: 0]
+        online: Learn after every step, from the first one on.
         warm_start: Folder of an earlier run, whose steps are learned from before the first deployment.
     """
 
@@ -126,10 +126,11 @@ def run(
     overrides: Overrides = None,
     program: Program = None,
 ) -> None:
-    """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. On the twin, unless a plant is given.
+    """Run the whole sim-to-real experiment: deploy, learn, redeploy, report. On a simulation, unless a plant is given.
 
     Args:
-        experiment: TOML file of settings. [default: the experiment of the paper]
+        experiment: TOML file of settings. [default: the defaults of the robot; of the hopper, the experiment
+            of the paper]
         out: New folder for the results. [default: a new one in runs/]
         arm: Let the rig apply torque; `stepgap rig check` must have passed.
         resume: Resume the interrupted run in --out.
@@ -168,7 +169,7 @@ def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[
 
 
 def _load_nominal(settings: "Experiment") -> "Nominal":
-    """The nominal map; says how far the fit of a surrogate has come."""
+    """The nominal map; says how far the fit of a surrogate has come, and what may be wrong with the map."""
     from stepgap.experiment.nominal import load_nominal
 
     def on_samples(count: int, error: "Array") -> None:
@@ -178,7 +179,10 @@ def _load_nominal(settings: "Experiment") -> "Nominal":
         )
         print(f"nominal map: {count} simulated steps, error of the surrogate: {errors}", file=sys.stderr)
 
-    return load_nominal(settings, on_samples)
+    nominal = load_nominal(settings, on_samples)
+    for sentence in nominal.warnings:
+        warn(sentence)
+    return nominal
 
 
 def _watchers(ready: Prepared, display: Display) -> "tuple[TickRecorder, LiveView | None]":

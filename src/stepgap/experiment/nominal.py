@@ -14,10 +14,11 @@ from stepgap.base.errors import InputError, StepGapError, message_of
 from stepgap.base.random_streams import random_stream
 from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, Experiment
 from stepgap.records.steps_csv import RecordError, read_step_log
+from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.log_map import fit_log_map
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import MapFunction, SurrogateMap, fit_surrogate, surrogate_from_dict
-from stepgap.robots.nominal_maps.template_file import read_template
+from stepgap.robots.nominal_maps.template_file import gaps_of_template, read_template
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, Outcome, StepMap, StepSpace
 
@@ -34,10 +35,12 @@ class Nominal(NamedTuple):
     Attributes:
         map: The map.
         surrogate: Text of the file from which it can be read again, if a surrogate was fitted now; else empty.
+        warnings: Sentences on what may be wrong with it.
     """
 
     map: StepMap
     surrogate: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] = lambda count, error: None) -> Nominal:
@@ -55,7 +58,9 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
         if not file:
             example = "template.toml" if kind == FROM_TEMPLATE else "steps.csv"
             raise InputError(f"nominal.kind = {kind}: give its file by nominal.file, such as {example}")
-        return Nominal(_read_map(kind, Path(file), robot.space))
+        found = _read_map(kind, Path(file), robot.space)
+        template = kind == FROM_TEMPLATE and isinstance(found, AffineMap)
+        return Nominal(found, warnings=gaps_of_template(Path(file), found) if template else ())
     maps = robot.nominal_maps()
     if kind not in maps:
         known = ", ".join([*maps, FROM_TEMPLATE, FROM_LOG])

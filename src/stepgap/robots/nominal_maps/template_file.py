@@ -56,6 +56,17 @@ def read_template(path: Path, space: StepSpace) -> AffineMap:
     return AffineMap(space, state, command, next_state, matrix)
 
 
+def gaps_of_template(path: Path, template: AffineMap) -> tuple[str, ...]:
+    """A sentence for each state coordinate that no command of a template changes."""
+    space = template.space
+    return tuple(
+        f"{path}: [derivatives.{name}] has none by a command, so no command changes {name} on this "
+        f"map; give a rough derivative by {' or '.join(space.command_names)}"
+        for name, row in zip(space.state_names, template.matrix[:, len(space.state) :], strict=True)
+        if not row.any()
+    )
+
+
 def _numbers(table: Mapping[str, Any], key: str, names: Sequence[str], defaults: Array, where: str) -> Array:
     """Numbers of an inner table by name, in the order of the names; a missing one has its default value."""
     given = _table(table, key, where)
