@@ -42,18 +42,27 @@ class StepStatus(IntEnum):
         return self.name.lower()
 
 
+ENDINGS = {StepStatus.OK: "made all its steps", StepStatus.FELL: "fell", StepStatus.STOPPED: "was stopped"}
+"""How a deployment ended, by the status of its last step; other steps that fail have no next state."""
+
+
+def ending_of(status: StepStatus) -> str:
+    """Phrase that follows "the deployment …", such as "fell", by the status of its last step."""
+    return ENDINGS.get(status, f"ended without a next state ({status.label.replace('_', ' ')})")
+
+
 ADVICE = {
-    StepStatus.FELL: "the body came too low or the leg tilted too far; "
-    "choose a slower or higher apex, or a smaller horizontal force",
+    StepStatus.FELL: "the body came too low, or a leg tilted too far; "
+    "choose a slower or higher target, or a command nearer to the middle of its bounds",
     StepStatus.NO_TAKE_OFF: "the leg did not push the body off the ground; "
     "raise the vertical force or the leg stiffness",
     StepStatus.FULL_STRETCH: "the leg reached full stretch, where the foot force is undefined; "
     "lower the vertical force or shorten the spring's rest length",
     StepStatus.FOOT_SCUFFED: "the foot touched the ground outside stance; "
     "choose a higher apex or land with a shorter leg",
-    StepStatus.NO_APEX: "no next apex within the time limit; check gains and forces",
+    StepStatus.NO_APEX: "the step did not end within the time limit; check gains and command",
     StepStatus.INVALID: "state and command must be finite numbers",
-    StepStatus.STOPPED: "a safety limit of the joints was exceeded; check gains, forces and the limits themselves",
+    StepStatus.STOPPED: "a safety limit was exceeded, or the plant failed; check gains, command and limits",
 }
 """Advice for each `StepStatus` other than OK."""
 

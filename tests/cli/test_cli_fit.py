@@ -73,7 +73,7 @@ def test_a_run_is_judged_against_the_nominal_map(stepgap: Command) -> None:
     write_run(Path("run"), 0.01)
     result = stepgap("fit", "run")
     assert (result.code, result.err) == (0, "")
-    assert "steps       30 of 2 deployments; rows left out: 1 that ended without an apex" in result.out
+    assert "steps       30 of 2 deployments; rows left out: 1 that ended without a next state" in result.out
     assert "state       speed [m/s], height [m]" in result.out
     assert "nominal     the robot's nominal map with default settings" in result.out
     assert "held out    2 parts of whole deployments, one at a time" in result.out

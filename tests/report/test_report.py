@@ -87,7 +87,7 @@ def test_sentences_agree_with_the_summary(page: Page, summary: dict[str, Any]) -
     assert (
         f"RMSE from {decimal(before)} to {decimal(after)} m/s, {decimal(before / after, 2)} times smaller" in page.text
     )
-    assert "120 hops recorded in 3 deployments on the simulated twin, no falls." in page.text
+    assert "120 steps recorded in 3 deployments on the simulated twin, no falls." in page.text
     assert "tracked another reference than the paper's, so the paper's errors are not shown" in page.text
     assert "reference = 'a<b>.csv'" in page.text
     assert "stepgap: 0.1.0" in page.text
@@ -163,7 +163,7 @@ def test_falls(tmp_path: Path) -> None:
     check_alone(page)
     assert "It did not track to the end: deployment 1 fell at step 1." in page.text
     assert "Deployment 0 fell at step 16; its errors include only the steps before." in page.text
-    assert "17 hops recorded in 2 deployments on the simulated twin, 2 falls." in page.text
+    assert "17 steps recorded in 2 deployments on the simulated twin, 2 falls." in page.text
 
 
 def test_a_stop_is_no_fall(tmp_path: Path) -> None:
@@ -171,7 +171,9 @@ def test_a_stop_is_no_fall(tmp_path: Path) -> None:
     for name, texts in {"steps.csv": (",fell", ",stopped"), "summary.json": ("steps_sha256", "former_sha256")}.items():
         (folder / name).write_text((folder / name).read_text().replace(*texts))
     text = Page(report_of(folder)).text
-    assert "It did not track to the end: deployment 0 ended without an apex (stopped) at step 16." in text
+    assert "It did not track to the end: deployment 0 was stopped at step 16." in text
+    assert "16 steps recorded in 1 deployment on the simulated twin, 1 step stopped by the plant." in text
+    assert "fall." not in text
 
 
 def test_a_run_in_progress(tmp_path: Path) -> None:

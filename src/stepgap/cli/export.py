@@ -27,7 +27,8 @@ def export(
 
     Args:
         folder: Folder of the run.
-        to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; mjcf: the twin's model.
+        to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; mjcf: the model of the
+            hopper's twin.
         iteration: Number of the only deployment to export. [default: all of them; for mcap the last one]
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """

@@ -36,14 +36,14 @@ def map_(
     execution: Execution = THIS_MACHINE,
     overrides: Overrides = None,
 ) -> None:
-    """Evaluate the nominal map: the next apex and its derivatives, many rows of a file, or a table of commands.
+    """Evaluate the nominal map: the next state and its derivatives, many rows of a file, or a table of commands.
 
     Args:
         experiment: TOML file of settings.
         state: State in SI units, such as speed=0.2,height=0.58. [default: the middle of the ranges of use]
         command: Command in SI units, such as fx=5,fy=-5. [default: the middle of the bounds]
         csv: File with a column for each of them; all its rows are evaluated.
-        out: New file for their next apexes. [default: they are printed]
+        out: New file for their next states. [default: they are printed]
         table: New file for a table of the step controller's commands, which is computed and measured.
         points: Grid points along each axis of the table, 2 to 50. [default: 15]
         tick: Time for which torques are held, as on a robot [s], such as 0.001. [default: torques act continuously]
@@ -102,7 +102,7 @@ def _map_point(nominal: "StepMap", state: list[float], command: list[float]) -> 
         next_state = nominal(state, command)
     except StepFailed as error:
         point = f"{named_values(space.state, state)}, {named_values(space.command, command)}"
-        raise InputError(f"{point}: the step does not end at an apex ({error})") from None
+        raise InputError(f"{point}: the step has no next state ({error})") from None
     print(describe_step(space, next_state, nominal.jacobian(state, command)))
 
 

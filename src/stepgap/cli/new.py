@@ -129,6 +129,7 @@ def _program(name: str, log: "StepLog | None") -> dict[str, str]:
     space = log.space if log else CommandBounds().space()
     kind, file = ("log", "steps.csv") if log else ("template", "template.toml")
     values = {"name": name, "kind": kind, "file": file, "quantities": _quantities(space)}
+    values["function"] = "take_step" if log else "hop"
     values["nominal"] = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
     replayed = Template(_starter("replayed.py.txt"))
     return {

@@ -16,7 +16,7 @@ from stepgap.experiment.state_ranges import FIRST_STEPS, far_states
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
-from stepgap.step import StepSpace, StepStatus
+from stepgap.step import StepSpace, StepStatus, ending_of
 
 
 @contextmanager
@@ -58,6 +58,7 @@ class RunProgress:
         self._last = 0
         self._errors: list[np.ndarray] = []
         self._first: list[LoggedStep] = []
+        self._status = StepStatus.OK
 
     @property
     def observer(self) -> Observer:
@@ -78,6 +79,7 @@ class RunProgress:
             description = f"deployment {logged.iteration} of {self._iterations}"
             self._task = self._bars.add_task(description, total=self._steps, error="")
             self._errors = []
+        self._status = logged.record.status
         if logged.record.status == StepStatus.OK:
             self._errors.append(logged.record.next_state - logged.target)
         error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
@@ -100,11 +102,11 @@ class RunProgress:
             self._task = None
         self._last = deployment.iteration
         if not self._quiet:
-            fall = ", ended with a fall" if deployment.falls else ""
+            end = f", then it {ending_of(self._status)}" if deployment.falls else ""
             error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"
             self._console.print(
                 f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "
-                f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{fall}{error}",
+                f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{end}{error}",
                 soft_wrap=True,  # without a terminal, do not wrap lines
             )
 

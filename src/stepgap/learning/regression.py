@@ -174,7 +174,7 @@ class Regression(ABC):
 
     def parameters(self) -> list[Parameter]:
         """Parameters for the report."""
-        meaning = "Noise is the scatter that the model expects of a hop repeated under equal conditions."
+        meaning = "Noise is the scatter that the model expects of a step repeated under equal conditions."
         return [Parameter("noise", self.noise_std, "value", meaning)]
 
 

@@ -25,7 +25,7 @@ class StepTable:
         target: State wanted after it; None if unknown; shape (N, n).
         predicted: Next state as the nominal map predicted it; None if unknown; shape (N, n).
         deployment: Number of the deployment it belongs to; shape (N,).
-        left_out: Number of excluded rows by reason, such as "that ended without an apex"; no zeros.
+        left_out: Number of excluded rows by reason, such as "that ended without a next state"; no zeros.
     """
 
     space: StepSpace
@@ -66,7 +66,7 @@ class StepTable:
 def tabulate(log: StepLog) -> StepTable:
     """Converts the completed steps of a log; its predictions are omitted: they may be those of a corrected map."""
     known = log.completed()
-    left_out = {"that ended without an apex": log.falls} if log.falls else {}
+    left_out = {"that ended without a next state": log.falls} if log.falls else {}
     return StepTable(
         log.space, known.state, known.requested, known.next_state, known.target, None, known.deployment, left_out
     )

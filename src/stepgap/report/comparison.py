@@ -11,7 +11,7 @@ from stepgap.experiment.bands import hops_to_band, tracking_errors
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.drawing import draw_figure
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
-from stepgap.report.sentences import decimal, headline
+from stepgap.report.sentences import decimal, end_in_a_word, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
 
 MOST_RUNS: Final = 12
@@ -106,11 +106,14 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     rows = [
         [
             str(number),
-            *(f"{each[number].steps}, {each[number].falls}" if number in each else DASH for each in entries),
+            *(
+                f"{each[number].steps}, {end_in_a_word(record, each[number])}" if number in each else DASH
+                for record, each in zip(records, entries, strict=True)
+            ),
         ]
         for number in numbers
     ]
-    found.append(table("Hops and falls", ["deployment", *names], rows))
+    found.append(table("Steps, and how the deployment ended", ["deployment", *names], rows))
     if all(record.like_paper for record in records):
         found.append(
             table(
@@ -126,7 +129,7 @@ def _to_band(record: RunRecord) -> str:
     if not record.deployments:
         return DASH
     if record.deployments[-1].falls:
-        return "never: fell"
+        return f"never: {end_in_a_word(record, record.deployments[-1])}"
     errors = [tracking_errors(record.steps.of_iteration(entry.iteration)) for entry in record.deployments]
     hops = hops_to_band(np.concatenate(errors))
     return "never" if hops is None else str(hops)

@@ -9,7 +9,7 @@ from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
 from stepgap.report.html import safe, table, with_unit
-from stepgap.report.sentences import decimal
+from stepgap.report.sentences import decimal, end_in_a_word
 from stepgap.step import Array
 
 
@@ -21,7 +21,7 @@ def error_table(record: RunRecord, row: int, plant: str) -> str:
     decimals, lines = _decimals([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
     for iteration in sorted(set(entries) | set(range(paper.LAST_ITERATION + 1) if hardware else ())):
         entry = entries.get(iteration)
-        counts = [entry.residual, str(entry.steps), str(entry.falls)] if entry else ["–"] * 3
+        counts = [entry.residual, str(entry.steps), end_in_a_word(record, entry)] if entry else ["–"] * 3
         ours = [entry.errors[measure][row] if entry else None for measure in known]
         theirs = [paper.paper_error(measure, quantity.name, iteration) for measure in MEASURED] if hardware else []
         texts = "".join(f"<td>{safe(count)}</td>" for count in counts)
@@ -42,7 +42,7 @@ def _is_known(measure: str, row: int, entries: Iterable[Deployment]) -> bool:
 def _heads(plant: str, hardware: bool, known: Sequence[str]) -> str:
     """The two header rows: the source of the numbers, and the names of the columns."""
     sources = f'<th colspan="4"></th><th colspan="{len(known)}" scope="colgroup">this run: {safe(plant)}</th>'
-    heads = ("deployment", "residual", "hops", "falls", *map(_title, known))
+    heads = ("deployment", "residual", "steps", "end", *map(_title, known))
     columns = "".join(f'<th scope="col">{head}</th>' for head in heads)
     if hardware:
         sources += f'<th colspan="{len(MEASURED)}" scope="colgroup" class="paper">the paper: hardware</th>'
@@ -88,16 +88,18 @@ def band_table(record: RunRecord) -> str:
     rows, hops, all_errors = [], 0, []
     for entry in record.deployments:
         errors = tracking_errors(record.steps.of_iteration(entry.iteration))
-        rows.append([str(entry.iteration), str(entry.steps), _to_band(errors, entry.falls), *_best(errors)])
+        rows.append(
+            [str(entry.iteration), str(entry.steps), _to_band(errors, end_in_a_word(record, entry)), *_best(errors)]
+        )
         hops, all_errors = hops + entry.steps, [*all_errors, errors]
     whole = np.concatenate(all_errors)
-    rows.append(["all", str(hops), _to_band(whole, record.deployments[-1].falls), *_best(whole)])
+    rows.append(["all", str(hops), _to_band(whole, end_in_a_word(record, record.deployments[-1])), *_best(whole)])
     return table(caption, heads, rows)
 
 
-def _to_band(errors: Array, falls: int) -> str:
-    if falls:
-        return "never: fell"
+def _to_band(errors: Array, end: str) -> str:
+    if end != "complete":
+        return f"never: {end}"
     hops = hops_to_band(errors)
     return "never" if hops is None else str(hops)
 

@@ -179,7 +179,7 @@ def _pixels(steps: StepLog) -> dict[str, Any]:
 
 
 def _reached(steps: StepLog, index: int) -> Array:
-    """One coordinate of the next states, NaN where there was no apex; shape (N,)."""
+    """One coordinate of the next states, NaN where there was none; shape (N,)."""
     completed = np.array([logged.record.status == StepStatus.OK for logged in steps])
     return np.where(completed, steps.next_state[:, index], np.nan)
 
@@ -190,7 +190,7 @@ def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: di
     fell = np.isnan(reached)
     if fell.any():
         mark = {"color": style["color"], "marker": "X", "linestyle": "", "markersize": 7, "clip_on": False}
-        panel.plot(numbers[fell], steps.state[fell, index], label="no apex after this state", **mark)
+        panel.plot(numbers[fell], steps.state[fell, index], label="no next state after this one", **mark)
 
 
 def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
@@ -198,7 +198,7 @@ def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:
     mean, reached = steps.predicted[:, index], _reached(steps, index)
     mean = np.where(np.isfinite(mean), mean, np.nan)
     if np.isnan(reached).all():
-        _note(panel, "No step ended with an apex.")
+        _note(panel, "No step has a next state.")
         return
     fast = _pixels(steps)
     if std.any():

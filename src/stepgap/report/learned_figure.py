@@ -16,7 +16,7 @@ FARTHEST = 4.5
 
 
 def left_out_figure(space: StepSpace, learned: LearnedResidual) -> Figure:
-    """Draws leave-one-out predictions against the errors, and their differences in standard deviations, by hop."""
+    """Draws leave-one-out predictions against the errors, and their differences in standard deviations, by step."""
     count = len(space.state)
     figure = Figure(figsize=(WIDTH, 0.4 + 2.3 * count), layout="constrained")
     FigureCanvasAgg(figure)
@@ -37,7 +37,7 @@ def left_out_figure(space: StepSpace, learned: LearnedResidual) -> Figure:
         wide.axhspan(-INTERVAL_95, INTERVAL_95, color="0.92", zorder=0)
         wide.axhline(0, color=GREY, linewidth=0.8)
         wide.plot(np.arange(1, len(standardised) + 1), np.clip(standardised, -FARTHEST, FARTHEST), **dots, **fast)
-        wide.set(xlabel="Hop, in recorded order", ylabel="(Error − predicted) / std")
+        wide.set(xlabel="Step, in recorded order", ylabel="(Error − predicted) / std")
         wide.set_ylim(-FARTHEST - 0.3, FARTHEST + 0.3)
         for panel in (square, wide):
             panel.spines[["top", "right"]].set_visible(False)

@@ -34,7 +34,7 @@ def learned_sentences(record: RunRecord, learned: LearnedResidual | None) -> lis
     parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
     return [
         f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of the "
-        f"previous {learned.steps} hops; the yaw-dependent part of the error was removed where it was significant.",
+        f"previous {learned.steps} steps; the yaw-dependent part of the error was removed where it was significant.",
         *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]
 
@@ -97,7 +97,7 @@ def coverage_table(record: RunRecord) -> str:
     if not rows:
         return ""
     return table(
-        "Hops that ended within their 95 % prediction interval",
+        "Steps that ended within their 95 % prediction interval",
         ["deployment", *record.space.state_names],
         rows,
     )

@@ -34,7 +34,7 @@ LEFT_OUT_CAPTION: Final = (
     "Leave-one-out: each recorded error of the map, predicted by the model from all the others, with the same "
     "hyper-parameters. Left: on the line, prediction and record are equal. Right: their difference, in standard "
     "deviations of the prediction, noise included; the grey band should contain 95 % of the points, without a trend "
-    "over the hops. Points beyond ±4.5 are drawn at the edge."
+    "over the steps. Points beyond ±4.5 are drawn at the edge."
 )
 
 GAIT_CAPTION: Final = (

@@ -1,5 +1,6 @@
 """The results of a run in sentences."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,7 +9,7 @@ from stepgap.experiment.outcome import TRACKED
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import Deployment
-from stepgap.step import Array, Quantity, StepStatus
+from stepgap.step import Array, Quantity, StepStatus, ending_of
 
 MOST_NAMED = 6
 """Largest number of targets that a sentence names."""
@@ -36,7 +37,7 @@ def headline(record: RunRecord) -> str:
 
 
 def sentences(record: RunRecord, plant: str) -> list[str]:
-    """Sentences on errors, hops, falls and unfinished deployments, and the paper's result for the same reference.
+    """Sentences on errors, steps, falls and unfinished deployments, and the paper's result for the same reference.
 
     Args:
         record: The run.
@@ -54,8 +55,8 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
     found += _floor(record)
     found += _limits(record)
     found.append(
-        f"{_count(len(record.steps), 'hop')} recorded in {_count(len(record.steps.iterations), 'deployment')} "
-        f"on the {plant}, {_count(record.steps.falls, 'fall')}."
+        f"{_count(len(record.steps), 'step')} recorded in {_count(len(record.steps.iterations), 'deployment')} "
+        f"on the {plant}, {_failures(record)}."
     )
     found += [
         f"Deployment {iteration} is running or was interrupted: "
@@ -113,7 +114,7 @@ def _floor(record: RunRecord) -> list[str]:
     errors = record.deployments[-1].errors["steady_rmse"]
     ratios = ", ".join(f"{decimal(errors[row] / floor[row], 2)} times that in {state[row].name}" for row in known)
     how = (
-        f"is {values}, measured with the same command and the same motion at the apex, but at other yaw angles and "
+        f"is {values}, measured with the same command and the same motion at the start, but at other yaw angles and "
         "with other noise. A controller that knows neither noise nor yaw cannot be better on average. One that "
         "estimates the yaw-dependent disturbance (learning.drift) can, but not better than the noise alone: "
         f"{_alone(record, known)}"
@@ -186,9 +187,30 @@ def _count(number: int, noun: str) -> str:
 
 def _ended(record: RunRecord, deployment: Deployment) -> str:
     """Phrase on how a deployment was aborted."""
-    status = list(record.steps.of_iteration(deployment.iteration))[-1].record.status
-    how = "fell" if status == StepStatus.FELL else f"ended without an apex ({status.label})"
-    return f"deployment {deployment.iteration} {how} at step {deployment.steps}"
+    status = _last_status(record, deployment)
+    return f"deployment {deployment.iteration} {ending_of(status)} at step {deployment.steps}"
+
+
+def end_in_a_word(record: RunRecord, deployment: Deployment) -> str:
+    """How a deployment ended, for a table: complete, or the status of its last step."""
+    return _last_status(record, deployment).label.replace("_", " ") if deployment.falls else "complete"
+
+
+def _last_status(record: RunRecord, deployment: Deployment) -> StepStatus:
+    return list(record.steps.of_iteration(deployment.iteration))[-1].record.status
+
+
+def _failures(record: RunRecord) -> str:
+    """Numbers of the steps without a next state, by their status."""
+    found = Counter(logged.record.status for logged in record.steps)
+    falls, stops = found[StepStatus.FELL], found[StepStatus.STOPPED]
+    others = record.steps.falls - falls - stops
+    parts = [
+        *([_count(falls, "fall")] if falls or not record.steps.falls else []),
+        *([f"{_count(stops, 'step')} stopped by the plant"] if stops else []),
+        *([f"{_count(others, 'step')} without a next state for other reasons"] if others else []),
+    ]
+    return ", ".join(parts)
 
 
 def _title(text: str) -> str:

@@ -178,7 +178,7 @@ class Page:
         gui, space = self._server.gui, self._source.space
         tabs = gui.add_tab_group()
         with tabs.add_tab("Tracking"):
-            add_legend(gui, [("┅", INK, "target"), ("━", BLUE, "apex"), ("┉", VERMILLION, "apex overlaid")])
+            add_legend(gui, [("┅", INK, "target"), ("━", BLUE, "measured"), ("┉", VERMILLION, "overlaid")])
             self._tracking = [TrackingPlot(gui, quantity, index) for index, quantity in enumerate(space.state)]
         with tabs.add_tab("What was learned"):
             names = [*space.state_names, *space.command_names]
@@ -272,12 +272,12 @@ def _number(label: str) -> int:
 
 
 def _step_table(logged: LoggedStep, source: Source) -> str:
-    """Markdown table of target, prediction and apex of a step, with its command."""
+    """Markdown table of target, prediction and measured end of a step, with its command."""
     record, space = logged.record, source.space
     head = f"**Step {logged.step}**"
     if record.status != StepStatus.OK:
         head += f": {record.status.label}"
-    rows = ["| | target | predicted | apex |", "|---|---:|---:|---:|"]
+    rows = ["| | target | predicted | measured |", "|---|---:|---:|---:|"]
     for index, quantity in enumerate(space.state):
         values = (logged.target[index], logged.predicted[index], record.next_state[index])
         rows.append(f"| {named(quantity)} | {' | '.join(f'{value:z.3f}' for value in values)} |")

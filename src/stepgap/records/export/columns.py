@@ -11,7 +11,7 @@ from stepgap.records.steps_csv import column_names, values_of
 from stepgap.step import Quantity, StepSpace
 
 STATE_MEANINGS = {
-    "": "state at the apex before the step",
+    "": "state before the step",
     "target_": "target state after the step",
     "next_": "state after the step, as measured; NaN after a fall",
     "true_next_": "state after the step as it truly was, known only in a simulation; else NaN",
@@ -79,5 +79,5 @@ def _legend(space: StepSpace) -> dict[str, tuple[str, str]]:
         **of(space.state, STATE_MEANINGS),
         **of(space.command, COMMAND_MEANINGS),
         "yaw_after": ("rad", "yaw after the step; NaN where it is not measured"),
-        "status": ("", "outcome of the step: ok, or the reason why there was no next apex"),
+        "status": ("", "outcome of the step: ok, or the reason why there is no next state"),
     }
