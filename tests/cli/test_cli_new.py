@@ -53,7 +53,12 @@ def test_the_program_is_the_example() -> None:
 
 @pytest.mark.usefixtures("no_repeats", "no_report")
 def test_a_robot_with_equations_runs_and_its_tests_pass(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert stepgap("new", "juggler") == (0, "juggler/README.md\n", "")
+    made = stepgap("new", "juggler")
+    assert (made.code, made.out) == (0, "juggler/README.md\n")
+    assert made.err == "next: pip install -e juggler\nnext: stepgap run juggler/experiment.toml\n"
+    hint = "run it by: pip install -e juggler && stepgap run juggler/experiment.toml"
+    refused(stepgap("run", "--robot", "juggler"), "robot 'juggler': not installed, but there is a folder", hint)
+    refused(stepgap("run", "juggler/experiment.toml"), hint)
     assert installed(Path("juggler").resolve(), monkeypatch) == "juggler"
     result = stepgap("run", "juggler/experiment.toml", "--out", "out", "--quiet")
     assert result.code == 0, result.err
@@ -83,9 +88,26 @@ def test_a_robot_from_mujoco_has_a_step_and_one_from_a_model_has_its_parts(
     assert again([0.4, 0.62], [0.05, 0.0]).tolist() == simulator([0.4, 0.62], [0.05, 0.0]).tolist()
 
 
+def test_a_wrong_name_in_a_robot_is_one_line_with_its_place(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert stepgap("new", "misspelt", "--mujoco").code == 0
+    file = Path("misspelt/misspelt.py")
+    file.write_text(file.read_text().replace('data.joint("spring")', 'data.joint("sprig")'))
+    line = 1 + next(row for row, text in enumerate(file.read_text().splitlines()) if "sprig" in text)
+    installed(Path("misspelt").resolve(), monkeypatch)
+    result = stepgap("run", "misspelt/experiment.toml", "--out", "out")
+    refused(
+        result, f"misspelt/misspelt.py, line {line}: KeyError: Invalid name 'sprig'. Valid names: ['hip'", "--debug"
+    )
+    with pytest.raises(KeyError):
+        stepgap("run", "misspelt/experiment.toml", "--out", "out", "--debug")
+
+
 @pytest.mark.usefixtures("no_report")
 def test_a_program_runs_without_installation(stepgap: Command) -> None:
-    assert stepgap("new", "my robot", "--process").code == 0
+    made = stepgap("new", "my robot", "--process")
+    command = "stepgap run 'my robot/experiment.toml' -- python3 'my robot/robot.py'"
+    assert (made.code, made.err) == (0, f"next: {command}\n")
+    refused(stepgap("run", "--robot", "my robot"), f"run it by: {command}")
     program = [sys.executable, "my robot/robot.py"]
     result = stepgap("run", "my robot/experiment.toml", "--out", "out", "--quiet", "--", *program)
     assert result.code == 0, result.err
@@ -139,6 +161,7 @@ def test_a_log_of_another_program_is_enough(stepgap: Command) -> None:
     [
         (["there"], ["there: exists already; choose another name"]),
         (["json"], ["json: not the name of a new Python module"]),
+        (["numpy"], ["numpy: not the name of a new Python module", "no installed module or known robot has it"]),
         (["hopper"], ["hopper: not the name of a new Python module"]),
         (["my-robot"], ["my-robot: not the name of a new Python module", "letters, digits and underscores"]),
         (["x", "--mujoco", "--process"], ["--mujoco and --process: give only one of them"]),

@@ -69,8 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except Exception as error:
         if debug:
             raise
-        warn(_line_of(error))
-        sys.exit(_BAD_INPUT if _is_bad_input(error) else _FAILED)
+        line, code = _explained(error)
+        warn(line)
+        sys.exit(code)
 
 
 def _run_verb(arguments: Sequence[str], program: list[str]) -> None:
@@ -96,6 +97,17 @@ def _is_bad_input(error: Exception) -> bool:
     """Whether the user gave wrong input, or a file or folder without permission to use it."""
     forbidden = isinstance(error, PermissionError) and error.filename is not None
     return forbidden or isinstance(error, InputError | cyclopts.CycloptsError)
+
+
+def _explained(error: Exception) -> tuple[str, int]:
+    """Message of an error and exit code; an unexpected exception in a plug-in is bad input, named by file and line."""
+    if isinstance(error, StepGapError | OSError | cyclopts.CycloptsError):
+        return _line_of(error), _BAD_INPUT if _is_bad_input(error) else _FAILED
+    from stepgap.cli.plugin_errors import place_in_plugin
+
+    text = error.args[0] if isinstance(error, KeyError) and error.args else error  # str(KeyError) is in quotes
+    line, place = f"{type(error).__name__}: {text}", place_in_plugin(error)
+    return (f"{place}: {line} (--debug shows the calls that led there)", _BAD_INPUT) if place else (line, _FAILED)
 
 
 def _line_of(error: Exception) -> str:

@@ -4,6 +4,7 @@ import json
 import keyword
 import sys
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -13,6 +14,7 @@ from cyclopts import Parameter
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import writing
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
+from stepgap.cli.terminal import warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from collections.abc import Sequence
@@ -77,20 +79,25 @@ def new(
         contents = _program(folder.name, _read_log(from_, columns, names) if from_ else None)
     else:
         contents = _package(folder.name, MUJOCO if mujoco or mjcf else EQUATIONS, mjcf)
+    from stepgap.robots.entry_points import next_commands
+
     with writing(folder, "FOLDER"):
         folder.mkdir(parents=True)
         for name, text in contents.items():
             (folder / name).write_text(text, encoding="utf-8")
     print(folder / "README.md")
+    if mjcf:
+        warn(f"adapt the controller in {folder / folder.name}.py to the joints and actuators of {mjcf} first")
+    for command in next_commands(folder):
+        print(f"next: {command}", file=sys.stderr)
 
 
 def _package(name: str, starter: Starter, model: Path | None) -> dict[str, str]:
     """Files of a package with a robot in Python."""
     from stepgap.robots.entry_points import robot_names
 
-    reserved = keyword.iskeyword(name) or name in sys.stdlib_module_names or name in (*robot_names(), "stepgap")
-    if not name.isidentifier() or reserved:
-        rule = "letters, digits and underscores, and no module of Python or known robot has it"
+    if not name.isidentifier() or keyword.iskeyword(name) or name in robot_names() or find_spec(name):
+        rule = "letters, digits and underscores, and no installed module or known robot has it"
         raise InputError(f"{name}: not the name of a new Python module: {rule}; choose another")
     code = _starter(starter.file).replace(_named(starter), f'    name = "{name}"\n')
     extra: dict[str, str] = {}

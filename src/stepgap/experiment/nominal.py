@@ -59,8 +59,7 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
             example = "template.toml" if kind == FROM_TEMPLATE else "steps.csv"
             raise InputError(f"nominal.kind = {kind}: give its file by nominal.file, such as {example}")
         found = _read_map(kind, Path(file), robot.space)
-        template = kind == FROM_TEMPLATE and isinstance(found, AffineMap)
-        return Nominal(found, warnings=gaps_of_template(Path(file), found) if template else ())
+        return Nominal(found, warnings=gaps_of_template(Path(file), found) if isinstance(found, AffineMap) else ())
     maps = robot.nominal_maps()
     if kind not in maps:
         known = ", ".join([*maps, FROM_TEMPLATE, FROM_LOG])

@@ -1,6 +1,8 @@
 """Robots by name: those of this package and of others, found by their entry points."""
 
 from dataclasses import fields, is_dataclass
+from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from stepgap.base.errors import InputError
@@ -22,6 +24,8 @@ def load_robot(name: str) -> Robot:
     Raises:
         InputError: There is no such robot, a package that it needs is not installed, or it is not a robot.
     """
+    if name not in robot_names() and (hint := _hint_of_folder(name)):
+        raise InputError(f"robot '{name}': not installed, but there is a folder {name}; {hint}")
     wanted = f"a subclass of stepgap.Robot that is a dataclass and has name = '{name}'"
     kind = load_plugin(ROBOTS_GROUP, "robot", name, lambda found: _is_robot(found, name), wanted)
     try:
@@ -32,6 +36,24 @@ def load_robot(name: str) -> Robot:
         if not is_dataclass(getattr(robot, entry.name)):
             raise InputError(f"robot '{name}': its field {entry.name} is no table; it must be a frozen dataclass")
     return robot
+
+
+def next_commands(folder: Path) -> tuple[str, ...]:
+    """The commands that run the robot in a folder made by `stepgap new`; none in another folder."""
+    run = f"stepgap run {quote(str(folder / 'experiment.toml'))}"
+    if not (folder / "experiment.toml").is_file():
+        return ()
+    if (folder / "pyproject.toml").is_file():
+        return f"pip install -e {quote(str(folder))}", run
+    if (folder / "robot.py").is_file():
+        return (f"{run} -- python3 {quote(str(folder / 'robot.py'))}",)
+    return (run,)
+
+
+def _hint_of_folder(name: str) -> str:
+    """How to run the robot in a folder of this name; empty if there is none."""
+    commands = next_commands(Path(name)) if Path(name).is_dir() else ()
+    return f"run it by: {' && '.join(commands)}" if commands else ""
 
 
 def _is_robot(found: Any, name: str) -> bool:

@@ -1,0 +1,35 @@
+"""Where an exception arose in the code of a plug-in, such as a user's robot."""
+
+import traceback
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+
+from stepgap.learning.settings import RESIDUALS
+from stepgap.rigs.entry_points import GROUP
+from stepgap.robots.entry_points import ROBOTS_GROUP
+
+PLUGIN_GROUPS = (ROBOTS_GROUP, GROUP, RESIDUALS)
+"""Groups of the entry points of plug-ins."""
+
+
+def place_in_plugin(error: BaseException) -> str:
+    """File and line of the innermost call in a plug-in of another package; empty if the exception arose without one."""
+    roots = _roots()
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        file = Path(frame.filename)
+        if any(file.is_relative_to(root) for root in roots):
+            here = file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
+            return f"{here}, line {frame.lineno}"
+    return ""
+
+
+def _roots() -> list[Path]:
+    """Modules and folders of the packages of all plug-ins but StepGap's own."""
+    packages = {entry.module.partition(".")[0] for group in PLUGIN_GROUPS for entry in entry_points(group=group)}
+    roots: list[Path] = []
+    for package in sorted(packages - {"stepgap"}):
+        spec = find_spec(package)
+        places = spec and (spec.submodule_search_locations or ([spec.origin] if spec.origin else []))
+        roots += map(Path, places or [])
+    return roots
