@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepgap.step import Quantity, StepSpace
+from stepgap.step import Quantity, StepSpace, StepStatus, ending_of
 
 SPACE = StepSpace(
     state=(Quantity("speed", "m/s", 0.0, 0.4),),
@@ -32,3 +32,17 @@ def test_its_arrays_are_shared_and_read_only() -> None:
     assert SPACE.command_lower is SPACE.command_lower
     with pytest.raises(ValueError, match="read-only"):
         SPACE.state_scale[0] = 1.0
+
+
+def test_spaces_have_the_same_names_only_if_state_and_command_are_divided_alike() -> None:
+    wider = StepSpace((Quantity("speed", "", -9.0, 9.0),), (Quantity("fx", "", 0, 1), Quantity("push", "", 0, 1)))
+    divided = StepSpace((*wider.state, wider.command[0]), wider.command[1:])
+    assert SPACE.has_names_of(wider)
+    assert wider.names == divided.names == ("speed", "fx", "push")
+    assert not SPACE.has_names_of(divided)
+
+
+def test_only_a_fall_is_called_a_fall() -> None:
+    assert {status.label: ending_of(status) for status in StepStatus if "fell" in ending_of(status)} == {"fell": "fell"}
+    assert ending_of(StepStatus.STOPPED) == "was stopped"
+    assert ending_of(StepStatus.NO_TAKE_OFF) == "ended without a next state (no take off)"

@@ -20,8 +20,9 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from stepgap.control.reference import Reference
+from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.nominal import load_nominal
-from stepgap.experiment.settings import Experiment, load_reference
+from stepgap.experiment.settings import Experiment
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
 from stepgap.robots.entry_points import load_robot

@@ -126,6 +126,15 @@ class StepSpace:
         """Names of the command coordinates."""
         return tuple(quantity.name for quantity in self.command)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates of the state and then of the command."""
+        return (*self.state_names, *self.command_names)
+
+    def has_names_of(self, other: "StepSpace") -> bool:
+        """Whether state and command have the names of another space, in the same order; ranges may differ."""
+        return (self.state_names, self.command_names) == (other.state_names, other.command_names)
+
     @cached_property
     def state_centre(self) -> Array:
         """Middle of the range of use of each state coordinate; shape (n,)."""

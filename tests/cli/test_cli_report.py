@@ -71,6 +71,27 @@ def test_a_damaged_replay_is_computed_again(finished: Path, stepgap: Command, da
     assert contents(Path("run")) == contents(finished)
 
 
+@pytest.mark.parametrize("damage", [None, "[derivatives.speed]\nfx = 'x'\n"])
+def test_a_report_without_its_nominal_map_has_all_other_parts(
+    finished: Path, stepgap: Command, damage: str | None
+) -> None:
+    shutil.copytree(finished, "run")
+    settings = Path("run/experiment.toml").read_text()
+    begin, end = settings.index("[nominal]"), settings.index("[learning]")
+    nominal = '[nominal]\nkind = "template"\nfile = "nominal_map.toml"\n\n'
+    Path("run/experiment.toml").write_text(settings[:begin] + nominal + settings[end:])
+    if damage:
+        Path("run/nominal_map.toml").write_text(damage)
+    result = stepgap("report", "run")
+    assert (result.code, result.out) == (0, "run/report.html\n"), result.err
+    assert result.err.startswith("stepgap: missing in the report: gait (")
+    assert "nominal_map.toml: " in result.err
+    page = Path("run/report.html").read_text()
+    assert "Not available: " in page
+    assert '<canvas id="replay-canvas"' in page
+    assert "Error of speed [m/s]" in page
+
+
 def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

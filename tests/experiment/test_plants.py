@@ -18,7 +18,8 @@ from stepgap.base.errors import InputError
 from stepgap.cli.app import main
 from stepgap.control.reference import Reference
 from stepgap.experiment import plants as run_plants
-from stepgap.experiment.settings import Experiment, read_experiment, write_experiment
+from stepgap.experiment.inputs import write_experiment
+from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.plants.commissioning.check import Check, Timing, fingerprint, write_check
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.rig import RigFault

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
 from stepgap.control.reference import paper_reference
-from stepgap.experiment.settings import METHODS, Experiment, load_reference, read_experiment, write_experiment
+from stepgap.experiment.inputs import load_reference, write_experiment
+from stepgap.experiment.settings import METHODS, Experiment, read_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.robots.hopper.parameters import CommandBounds, Gains
 from stepgap.robots.hopper.robot import Hopper, as_hopper

@@ -13,14 +13,9 @@ import pytest
 
 import stepgap.gym
 from stepgap.base.errors import InputError
+from stepgap.experiment.inputs import load_reference, write_experiment
 from stepgap.experiment.nominal import load_nominal
-from stepgap.experiment.settings import (
-    Experiment,
-    experiment_table,
-    load_reference,
-    read_experiment,
-    write_experiment,
-)
+from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.robots.entry_points import load_robot, robot_names
 from stepgap.robots.robot import Robot, Simulation

@@ -117,7 +117,7 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
 
 def _read_run(folder: Path) -> "RunRecord":
     """Reads the record in the folder of a run."""
-    from stepgap.experiment.settings import recorded_space
+    from stepgap.experiment.inputs import recorded_space
     from stepgap.records.run_folder import read_run_folder
 
     try:

@@ -197,7 +197,7 @@ def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog"
 
 def _steps_of_run(path: Path) -> "tuple[StepLog, StepSpace | None]":
     """Steps of a run or of a `steps.csv`, with the ranges of its settings if they are known."""
-    from stepgap.experiment.settings import recorded_space
+    from stepgap.experiment.inputs import recorded_space
     from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header
 
     file = path / "steps.csv" if path.is_dir() else path
@@ -215,7 +215,7 @@ def _steps_of_others(path: Path, columns: "Columns") -> "StepLog":
     if not columns.command:
         raise InputError("--command: no column; name the columns of the command")
     steps = step_log_of(read_foreign_logs([path], columns))
-    for name in (*steps.space.state_names, *steps.space.command_names):
+    for name in steps.space.names:
         if not name.isidentifier():
             rule = "a name consists of letters, digits and underscores; rename it by NAME=COLUMN"
             raise InputError(f"--from {path}: column {name!r}: {rule}")

@@ -157,8 +157,9 @@ def run(
 
 def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]], resume: bool) -> Prepared:
     """Reads all inputs of a run and checks that the nominal map can track the reference; writes nothing."""
+    from stepgap.experiment.inputs import load_known, load_reference
     from stepgap.experiment.run_start import check_reach, dated_folder, folder_to_resume
-    from stepgap.experiment.settings import load_known, load_reference, read_experiment
+    from stepgap.experiment.settings import read_experiment
 
     folder = folder_to_resume(experiment, out, changes) if resume else out or free_name(dated_folder())
     settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)

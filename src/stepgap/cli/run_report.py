@@ -5,9 +5,10 @@ from pathlib import Path
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import check_new, writing
+from stepgap.experiment.inputs import recorded_space, space_of_steps
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.replay import find_kinematics, logged_ticks, replay
-from stepgap.experiment.settings import Experiment, experiment_table, read_experiment, recorded_space
+from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
@@ -17,6 +18,7 @@ from stepgap.report.motion import INTERVAL, Replay, kept_motion
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.hopper.robot import TWIN
 from stepgap.robots.scene import Motion
+from stepgap.step import StepMap
 
 
 def report_run(
@@ -37,8 +39,9 @@ def report_run(
         InputError: The content of a file is wrong, or the report cannot be written.
     """
     try:
-        record = read_run_folder(folder, recorded_space(folder))
-        return write_report(record, _context(record, progress, recorded or {}))
+        settings = _settings_of(folder)
+        record = read_run_folder(folder, None if isinstance(settings, Missing) else space_of_steps(folder, settings))
+        return write_report(record, _context(record, settings, progress, recorded or {}))
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
 
@@ -64,23 +67,34 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
         file.write(text)
 
 
-def _context(record: RunRecord, progress: Callable[[int, int], None], recorded: Mapping[int, TickTable]) -> RunContext:
+def _context(
+    record: RunRecord,
+    settings: Experiment | Missing,
+    progress: Callable[[int, int], None],
+    recorded: Mapping[int, TickTable],
+) -> RunContext:
     """Context of the report from the settings of a run, with the reason for each missing part."""
-    settings = _settings_of(record)
     if isinstance(settings, Missing):
         return RunContext("plant of an unknown kind", settings, settings, settings)
     plant = {TWIN: "simulated twin"}.get(settings.plant, f"plant '{settings.plant}'")
     defaults = experiment_table(Experiment(load_robot(settings.robot.name)))
-    return RunContext(plant, defaults, load_nominal(settings).map, _replay(record, settings, progress, recorded))
+    return RunContext(plant, defaults, _nominal_of(settings), _replay(record, settings, progress, recorded))
 
 
-def _settings_of(record: RunRecord) -> Experiment | Missing:
-    if record.settings is None:
+def _settings_of(folder: Path) -> Experiment | Missing:
+    if not (folder / "experiment.toml").exists():
         return Missing("the folder contains no experiment.toml")
     try:
-        return read_experiment(record.folder / "experiment.toml")
+        return read_experiment(folder / "experiment.toml")
     except InputError as error:
         return Missing(f"the settings are not valid in this version: {error}")
+
+
+def _nominal_of(settings: Experiment) -> StepMap | Missing:
+    try:
+        return load_nominal(settings).map
+    except InputError as error:
+        return Missing(str(error))
 
 
 def _replay(

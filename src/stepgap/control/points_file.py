@@ -22,7 +22,7 @@ def read_points(path: Path, space: StepSpace) -> Array:
     Raises:
         ValueError: The message names file, line and column, and states what is valid.
     """
-    names = [*space.state_names, *space.command_names]
+    names = list(space.names)
     wanted = f"it must be a CSV file with the columns {','.join(names)}"
     try:
         if path.stat().st_size > LARGEST_POINTS_FILE:
@@ -49,7 +49,7 @@ def read_points(path: Path, space: StepSpace) -> Array:
 
 def outcome_rows(space: StepSpace, points: Array, outcome: Outcome) -> str:
     """Formats points, their next states (NaN where there is none) and status as CSV; numbers are exact to the bit."""
-    names = [*space.state_names, *space.command_names, *(f"next_{name}" for name in space.state_names), "status"]
+    names = [*space.names, *(f"next_{name}" for name in space.state_names), "status"]
     numbers = np.hstack([points, outcome.next_state]).tolist()
     statuses = [StepStatus(code).label for code in outcome.status.tolist()]
     rows = [",".join([*map(repr, row), status]) for row, status in zip(numbers, statuses, strict=True)]

@@ -138,7 +138,7 @@ def _nominal_of(steps: StepTable, space: StepSpace) -> str:
     """Source of the nominal next states if none is given."""
     if steps.predicted is not None:
         return "predicted"
-    if (steps.space.state_names, steps.space.command_names) == (space.state_names, space.command_names):
+    if space.has_names_of(steps.space):
         return "map"
     raise InputError(
         "--nominal: the log contains no predicted next states; name their columns by --predicted, or choose --nominal "
@@ -148,11 +148,10 @@ def _nominal_of(steps: StepTable, space: StepSpace) -> str:
 
 def _same_names(found: StepSpace, space: StepSpace) -> StepSpace:
     """The robot's space, after a check that the columns have its names."""
-    wanted = ",".join((*space.state_names, *space.command_names))
-    names = ",".join((*found.state_names, *found.command_names))
-    if names != wanted:
-        raise InputError(f"--nominal map: state and command are {names}; it must be {wanted}; rename by NAME=COLUMN")
-    return space
+    if space.has_names_of(found):
+        return space
+    names, wanted = ",".join(found.names), ",".join(space.names)
+    raise InputError(f"--nominal map: state and command are {names}; it must be {wanted}; rename by NAME=COLUMN")
 
 
 def choose_folds(steps: StepTable, count: int | None) -> Folds:

@@ -10,7 +10,8 @@ from pathlib import Path
 from stepgap.base.errors import InputError
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
-from stepgap.experiment.settings import Experiment, write_experiment
+from stepgap.experiment.inputs import write_experiment
+from stepgap.experiment.settings import Experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.step import StepFailed, StepMap
 

@@ -62,8 +62,8 @@ def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual
     Raises:
         ValueError: The map has another state or command than the run.
     """
-    names = (nominal.space.state_names, nominal.space.command_names)
-    if names != (record.space.state_names, record.space.command_names):
+    if not nominal.space.has_names_of(record.space):
+        names = nominal.space.state_names, nominal.space.command_names
         raise ValueError(f"{record.folder}: the nominal map has {names}, which differ from the run's state and command")
     steps = record.steps.of_iteration(record.shown_iterations[-1]).tracking()
     distinct = list(dict.fromkeys(tuple(logged.target.tolist()) for logged in steps))

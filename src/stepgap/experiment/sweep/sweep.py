@@ -16,16 +16,8 @@ import tomli_w
 
 from stepgap.base.errors import InputError
 from stepgap.base.random_streams import random_stream
-from stepgap.experiment.settings import (
-    PATHS,
-    Experiment,
-    changed_experiment,
-    experiment_files,
-    load_known,
-    load_reference,
-    merged_experiment,
-    nested,
-)
+from stepgap.experiment.inputs import experiment_files, load_known, load_reference
+from stepgap.experiment.settings import PATHS, Experiment, changed_experiment, merged_experiment, nested
 from stepgap.step import StepSpace
 
 SWEEP_FILE = "sweep.toml"

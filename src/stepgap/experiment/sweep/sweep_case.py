@@ -11,11 +11,12 @@ import numpy as np
 from stepgap.experiment.bands import hops_to_band, tracking_errors
 from stepgap.experiment.cases.case_folder import checked_name
 from stepgap.experiment.cases.plan import CaseOutput
+from stepgap.experiment.inputs import load_known, load_reference
 from stepgap.experiment.loop import run_experiment
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.plants import choose_plants
 from stepgap.experiment.run_start import check_reach
-from stepgap.experiment.settings import load_known, load_reference, read_experiment
+from stepgap.experiment.settings import read_experiment
 from stepgap.records.paper import STATE_NAMES
 from stepgap.records.steps_csv import read_step_log
 from stepgap.records.summary import Deployment, deployment_entry

@@ -14,15 +14,8 @@ from stepgap.base.plugins import suggestion
 from stepgap.base.random_streams import random_stream
 from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import read_toml
-from stepgap.experiment.settings import (
-    PATHS,
-    ROBOT,
-    Experiment,
-    in_folder,
-    load_reference,
-    merged_experiment,
-    read_experiment,
-)
+from stepgap.experiment.inputs import load_reference
+from stepgap.experiment.settings import PATHS, ROBOT, Experiment, in_folder, merged_experiment, read_experiment
 from stepgap.experiment.sweep.sweep import (
     KEEP,
     POINTS_SHA256,

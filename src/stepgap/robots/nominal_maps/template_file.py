@@ -45,7 +45,7 @@ def read_template(path: Path, space: StepSpace) -> AffineMap:
     command = _numbers(step, "command", space.command_names, space.command_centre, f"{path}: [step] ")
     next_state = _numbers(step, "next_state", space.state_names, state, f"{path}: [step] ")
     _check_names(derivatives, space.state_names, f"{path}: [derivatives] ")
-    inputs = (*space.state_names, *space.command_names)
+    inputs = space.names
     rows = [
         _numbers(derivatives, name, inputs, np.zeros(len(inputs)), f"{path}: [derivatives] ")
         for name in space.state_names

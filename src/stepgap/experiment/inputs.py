@@ -1,0 +1,136 @@
+"""The files of an experiment: those that its settings name, and those of a folder with which it can be repeated."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import tomli_w
+
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.files import write_whole
+from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
+from stepgap.control.reference import Reference, read_reference, reference_text
+from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
+from stepgap.learning.step_log import StepLog, joined
+from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header, text_of
+from stepgap.step import StepSpace
+
+SURROGATE = "nominal_map.json"
+"""File in a run's folder with the surrogate of a simulator."""
+
+WARM_START = "warm_start.csv"
+"""File in a run's folder with the steps that were known before its first deployment."""
+
+
+def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
+    """Reads the reference to track.
+
+    Raises:
+        InputError: The file does not exist or is not a reference.
+    """
+    built_in = experiment.robot.references()
+    if experiment.reference in built_in:
+        return built_in[experiment.reference]()
+    names = " or ".join(f"'{name}'" for name in built_in)
+    path, wanted = Path(experiment.reference), f"reference must be {names} or a CSV file of targets"
+    try:
+        if path.stat().st_size > LARGEST_SETTINGS_FILE:
+            raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes; {wanted}")
+        return read_reference(path, space)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; {wanted}") from None
+    except csv.Error as error:
+        raise InputError(f"{path}: {error}; {wanted}") from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
+    """Reads the steps known before the first deployment: those of the run to start from, and those it started from.
+
+    Raises:
+        InputError: It is not a run, has another state or command, or has no step.
+    """
+    if not experiment.warm_start:
+        return StepLog(space)
+    path, wanted = Path(experiment.warm_start), "a warm start needs the folder of a run, or its steps.csv"
+    earlier = [path / WARM_START] if (path / WARM_START).is_file() else []
+    files = [*earlier, path / "steps.csv"] if path.is_dir() else [path]
+    try:
+        known = joined([read_step_log(file, space) for file in files])
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror}; {wanted}") from None
+    except RecordError as error:
+        raise InputError(f"{error}; {wanted}, of the same state and command") from None
+    if not len(known):
+        raise InputError(f"{files[-1]}: no step yet; {wanted} with at least one step")
+    return known
+
+
+def recorded_space(folder: Path) -> StepSpace | None:
+    """State and command of the robot of a run, with units and ranges.
+
+    None if its settings are not known, or are not those of its steps; then only the names in `steps.csv` are known.
+    """
+    try:
+        return space_of_steps(folder, read_experiment(folder / "experiment.toml"))
+    except InputError:
+        return None
+
+
+def space_of_steps(folder: Path, experiment: Experiment) -> StepSpace | None:
+    """State and command of an experiment, if they are those of the steps in this folder; else None."""
+    space = experiment.robot.space
+    try:
+        return space if space.has_names_of(space_of_header(folder / "steps.csv")) else None
+    except (ValueError, OSError):
+        return None
+
+
+def experiment_files(
+    experiment: Experiment, reference: Reference, known: StepLog | None = None, surrogate: str = ""
+) -> dict[str, str]:
+    """Texts by file name of a folder with which an experiment can be repeated: all settings are in `experiment.toml`.
+
+    A reference, a nominal map and earlier steps from files are among the files, so that the folder is complete. The
+    file of a rig is not: it belongs to the machine on which it was checked.
+
+    Args:
+        experiment: The experiment.
+        reference: Its reference.
+        known: Steps that are known before the first deployment.
+        surrogate: Text of the file of its nominal map, if that was fitted for it.
+
+    Raises:
+        InputError: The file of the nominal map cannot be read.
+    """
+    files = {}
+    if experiment.rig:
+        experiment = replace(experiment, rig=str(Path(experiment.rig).resolve()))
+    if experiment.reference not in experiment.robot.references():
+        files["reference.csv"] = reference_text(reference)
+        experiment = replace(experiment, reference="reference.csv")
+    if experiment.nominal.file or surrogate:
+        path = Path(experiment.nominal.file or SURROGATE)
+        name = f"nominal_map{path.suffix}"
+        files[name] = surrogate or _text_of(path)
+        experiment = replace(experiment, nominal=replace(experiment.nominal, file=name))
+    if known:
+        files[WARM_START] = text_of(known)
+        experiment = replace(experiment, warm_start=WARM_START)
+    return {**files, "experiment.toml": tomli_w.dumps(experiment_table(experiment))}
+
+
+def write_experiment(
+    folder: Path, experiment: Experiment, reference: Reference, known: StepLog | None = None, surrogate: str = ""
+) -> None:
+    """Writes the files of `experiment_files`."""
+    for name, text in experiment_files(experiment, reference, known, surrogate).items():
+        write_whole(folder / name, text)
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"nominal.file: {message_of(error)}") from None
