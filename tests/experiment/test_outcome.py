@@ -9,7 +9,13 @@ import pytest
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import Reference, paper_reference
 from stepgap.experiment.deployment import deploy
-from stepgap.experiment.outcome import count_cut, missed_targets, summarise, unreachable_targets
+from stepgap.experiment.outcome import (
+    count_cut,
+    estimate_noise_floor,
+    missed_targets,
+    summarise,
+    unreachable_targets,
+)
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -70,10 +76,13 @@ def test_missed_targets_are_reachable_but_have_an_error_of_more_than_three_noise
     error[80:] += [0.08, 0.0]
     steps = log_of(targets, error, error, np.zeros_like(error))
     # A constant error cannot be told from an effect of the state, so both shifted targets are missed.
-    np.testing.assert_array_equal(missed_targets(steps, reference, np.empty((0, 2))), [HIGH, FAR])
-    np.testing.assert_array_equal(missed_targets(steps, reference, np.array([FAR])), [HIGH])
+    floor = estimate_noise_floor(steps, reference)
+    np.testing.assert_array_equal(missed_targets(steps, reference, np.empty((0, 2)), floor), [HIGH, FAR])
+    np.testing.assert_array_equal(missed_targets(steps, reference, np.array([FAR]), floor), [HIGH])
+    np.testing.assert_array_equal(summarise(steps, reference, "none", MAP, floor).missed, [HIGH])
+    np.testing.assert_array_equal(summarise(steps, reference, "none", MAP).missed, [HIGH])
     few = replace(reference, targets=targets[:3])
-    assert missed_targets(StepLog(MAP.space, list(steps)[:3]), few, np.empty((0, 2))).shape == (0, 2)
+    assert missed_targets(StepLog(MAP.space, list(steps)[:3]), few, np.empty((0, 2)), floor).shape == (0, 2)
 
 
 def test_what_torque_limits_remove_is_learned() -> None:

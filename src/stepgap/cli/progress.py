@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from stepgap.cli.terminal import warn
 from stepgap.experiment.loop import Observer
-from stepgap.experiment.state_ranges import FIRST_STEPS, far_states
+from stepgap.experiment.state_ranges import COMPARED_STEPS, far_states
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.steps_csv import values_of
 from stepgap.records.summary import Deployment, deployment_entry
@@ -85,7 +85,7 @@ class RunProgress:
         error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
         self._bars.update(self._task, advance=1, error=error)
         self._first.append(logged)
-        if len(self._first) == FIRST_STEPS:
+        if len(self._first) == COMPARED_STEPS:
             self._warn_of_far_states()
 
     def _warn_of_far_states(self) -> None:
@@ -94,7 +94,7 @@ class RunProgress:
                 warn(sentence)
 
     def _on_deployment(self, deployment: Deployment) -> None:
-        if len(self._first) < FIRST_STEPS:
+        if len(self._first) < COMPARED_STEPS:
             self._warn_of_far_states()
         self._first = []
         if self._task is not None:

@@ -104,8 +104,9 @@ def run_experiment(
             execute = partial(_execute, learner, make_plant, reference, seed, observer, control)
             steps = _observed(recording.steps(iteration, execute), nominal.space, observer)
             log += steps
-            deployments.append(summarise(steps, reference, _residual_name(learner), learner.step_map()))
-            summary = _summary(deployments, log, estimate_noise_floor(steps, reference), seed, past)
+            floor = estimate_noise_floor(steps, reference)
+            deployments.append(summarise(steps, reference, _residual_name(learner), learner.step_map(), floor))
+            summary = _summary(deployments, log, floor, seed, past)
             if recording.caught_up:
                 write_summary(folder / "summary.json", summary, names)
             observer.on_deployment(deployments[-1])

@@ -16,7 +16,13 @@ TRACKED = 3.0
 """An error of at most this number of noise floors counts as tracking."""
 
 
-def summarise(steps: StepLog, reference: Reference, residual: str, step_map: StepMap | None = None) -> Deployment:
+def summarise(
+    steps: StepLog,
+    reference: Reference,
+    residual: str,
+    step_map: StepMap | None = None,
+    floor: Array | None = None,
+) -> Deployment:
     """Outcome of the steps of one deployment.
 
     Args:
@@ -24,11 +30,14 @@ def summarise(steps: StepLog, reference: Reference, residual: str, step_map: Ste
         reference: Reference that was tracked.
         residual: Name of the residual that was used.
         step_map: Map with which the deployment began. Without it, no target counts as unreachable.
+        floor: Noise floor as `estimate_noise_floor` found it in these steps; by default it is estimated here.
     """
     tracked = steps.completed().tracking()
     numbers = np.array([logged.step - 1 for logged in tracked], dtype=int)
     error, true_error = tracked.next_state - tracked.target, tracked.true_next_state - tracked.target
     unreachable = unreachable_targets(step_map, reference) if step_map else np.empty((0, error.shape[1]))
+
+    floor = estimate_noise_floor(steps, reference) if floor is None else floor
 
     def rms(rows: Array) -> Array:
         return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)
@@ -46,7 +55,7 @@ def summarise(steps: StepLog, reference: Reference, residual: str, step_map: Ste
         true_rmse=rms(true_error),
         cut=count_cut(steps),
         unreachable=unreachable,
-        missed=missed_targets(steps, reference, unreachable),
+        missed=missed_targets(steps, reference, unreachable, floor),
     )
 
 
@@ -84,14 +93,13 @@ def unreachable_targets(step_map: StepMap, reference: Reference) -> Array:
     return targets[~held]
 
 
-def missed_targets(steps: StepLog, reference: Reference, unreachable: Array) -> Array:
+def missed_targets(steps: StepLog, reference: Reference, unreachable: Array, floor: Array) -> Array:
     """Distinct targets that were missed although they are reachable; shape (k, n).
 
-    A target is missed if the RMSE of the steady steps with this target exceeds `TRACKED` estimated noise floors in some
+    A target is missed if the RMSE of the steady steps with this target exceeds `TRACKED` noise floors (n,) in some
     coordinate.
     """
-    steady, floor = _steady(steps, reference), estimate_noise_floor(steps, reference)
-    missed = []
+    steady, missed = _steady(steps, reference), []
     for target in np.unique(steady.target, axis=0):
         here = (steady.target == target).all(axis=1)
         rmse = np.sqrt(np.mean((steady.next_state[here] - target) ** 2, axis=0))

@@ -6,7 +6,7 @@ import numpy as np
 
 from stepgap.learning.step_log import StepLog
 
-FIRST_STEPS = 5
+COMPARED_STEPS = 5
 """Number of steps of a deployment, at most, whose states are compared with the ranges of use."""
 
 FAR_RANGES = 3.0
@@ -16,14 +16,14 @@ FAR_RANGES = 3.0
 def far_states(steps: StepLog) -> Iterable[str]:
     """A sentence for each state coordinate that is far outside its range of use.
 
-    A coordinate is reported if, over the first `FIRST_STEPS` steps, the median of its distance from its range of use is
-    more than `FAR_RANGES` widths of that range. A robot that works hardly ever is, but degrees, millimetres or a
+    A coordinate is reported if the median of its distance from its range of use, over the first `COMPARED_STEPS` steps,
+    is more than `FAR_RANGES` widths of that range. A robot that works hardly ever is, but degrees, millimetres or a
     coordinate in the place of another are.
 
     Args:
         steps: Steps of one deployment, in the order in which they were executed.
     """
-    states = steps.state[:FIRST_STEPS]
+    states = steps.state[:COMPARED_STEPS]
     if not len(states):
         return
     when = f"In the first {len(states)} steps" if len(states) > 1 else "In the first step"
