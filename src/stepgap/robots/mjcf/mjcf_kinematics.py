@@ -55,10 +55,11 @@ class MjcfKinematics(Kinematics):
     def __init__(self, robot: "MjcfRobot"):
         self._robot, self._model = robot, robot.mjcf_model()
         self._data = mujoco.MjData(self._model)
+        mujoco.mj_kinematics(self._model, self._data)
         drawn = [geom for geom in range(self._model.ngeom) if _is_drawn(self._model, geom)]
         self._ends = {name: end for geom in drawn for name, end in _ends(self._model, geom).items()}
         self._feet = tuple(name for name, end in self._ends.items() if _can_touch(self._model, end.geom))
-        self._links = tuple(link for geom in drawn for link in _links(self._model, geom))
+        self._links = tuple(link for geom in drawn for link in _links(self._model, geom, self._data.geom_xpos[geom, 1]))
 
     @property
     def scene(self) -> Scene:
@@ -151,14 +152,11 @@ def _ends(model: Any, geom: int) -> dict[str, _End]:
     return {f"{name}_{side}": _End(geom, centre + sign * along, radius) for side, sign in (("a", -1), ("b", 1))}
 
 
-def _links(model: Any, geom: int) -> list[Link]:
-    """The link of a geom that is not a sphere; parts of the first body have its shade, others that of their side."""
+def _links(model: Any, geom: int, y: float) -> list[Link]:
+    """The link of a geom that is not a sphere; parts of the first body have its shade, others that of their side y."""
     ends = _ends(model, geom)
     if len(ends) == 1:
         return []
     start, end = ends
-    shade: Shade = "body"
-    if model.geom_bodyid[geom] > 1:
-        y = model.body_pos[model.geom_bodyid[geom], 1] + model.geom_pos[geom, 1]
-        shade = "far" if y > 1e-6 else "near"
+    shade: Shade = "body" if model.geom_bodyid[geom] == 1 else "far" if y > 1e-6 else "near"
     return [Link(start, end, ends[start].radius, shade)]

@@ -18,7 +18,7 @@ from stepgap.robots.quadruped.pronk import PronkGains, landing_place, virtual_fo
 from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus, difference_jacobian
 
 GRAVITY = 9.81
-TIME_STEP, LONGEST_STANCE = 0.002, 0.5
+TIME_STEP, LONGEST_STANCE = 0.0005, 0.5
 """Size of an integration step, and time in which stance must end [s]."""
 
 _OK, _FELL, _NO_TAKE_OFF, _INVALID = (
