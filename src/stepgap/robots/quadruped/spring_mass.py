@@ -18,7 +18,7 @@ from stepgap.robots.quadruped.pronk import PronkGains, landing_place, virtual_fo
 from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus, difference_jacobian
 
 GRAVITY = 9.81
-TIME_STEP, LONGEST_STANCE = 0.0005, 0.5
+TIME_STEP, LONGEST_STANCE = 0.002, 0.5
 """Size of an integration step, and time in which stance must end [s]."""
 
 _OK, _FELL, _NO_TAKE_OFF, _INVALID = (
@@ -118,7 +118,7 @@ def _at_event(law, mass, before, after, thrusts, force_x, force_z):
     guard_low, guard_high = _guard(law, before, thrusts), _guard(law, after, thrusts)
     state = after
     for _ in range(50):
-        if abs(guard_high) < 1e-13 or high - low < 1e-15:
+        if abs(guard_high) < 1e-13 or abs(high - low) < 1e-15:
             break
         size = high - guard_high * (high - low) / (guard_high - guard_low)
         state = _runge_kutta(law, mass, before, thrusts, force_x, force_z, size)
