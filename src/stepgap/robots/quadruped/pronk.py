@@ -48,8 +48,8 @@ class PronkGains:
     neutral_time: float = 0.037
     speed_gain: float = 0.04
     speed_setpoint: float = 0.5
-    pitch_stiffness: float = 200.0
-    pitch_damping: float = 14.0
+    pitch_stiffness: float = 300.0
+    pitch_damping: float = 30.0
     retraction: float = 0.03
     foot_stiffness: float = 900.0
     foot_damping: float = 18.0
