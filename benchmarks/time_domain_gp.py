@@ -43,15 +43,13 @@ def record(steps: int, trajectory_hops: int, seed: int) -> tuple[Array, Array, A
     twin, controller = Twin(robot, RealityGap(), rng), StepController(nominal)
     ticks, ends, rows = [], [], []
 
-    def on_ticks(rows: Rows) -> None:
-        if started and len(ends) < trajectory_hops:
+    def on_ticks(rows: Rows, step: int) -> None:
+        if step and len(ends) < trajectory_hops:
             true = twin.true_state()
             ticks.append([true.hip[1], *true.hip_rate, *true.leg, *true.leg_rate, *Tick.of(rows[0]).applied])
 
-    started = False
     with RigPlant(twin, HopperControl(robot, gains, bounds), on_ticks, at_once=1) as plant:
         state = plant.start()
-        started = True
         for _ in range(steps):
             command = controller(state, rng.uniform([0.0, 0.53], [0.4, 0.64])).command
             step = plant.take_step(command)

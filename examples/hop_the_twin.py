@@ -7,9 +7,8 @@ from stepgap.robots.hopper.tick import Tick
 
 robot, rows = RobotParameters(), []
 twin = Twin(robot, RealityGap(), np.random.default_rng(0))
-with RigPlant(
-    twin, HopperControl(robot, Gains(), CommandBounds()), on_ticks=lambda ticks, step: rows.extend(ticks)
-) as plant:
+control = HopperControl(robot, Gains(), CommandBounds())
+with RigPlant(twin, control, on_ticks=lambda ticks, step: rows.extend(ticks)) as plant:
     state = plant.start()
     print("first apex: {:.3f} m/s, {:.3f} m".format(*state))
     for _ in range(3):

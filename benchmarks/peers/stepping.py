@@ -32,7 +32,7 @@ def measure_twin(nominal: StepMap, robot: RobotParameters, gains: Gains, hops: i
     ticks, errors, rng = [0], [], np.random.default_rng(1)
     twin, bounds = Twin(robot, RealityGap.none(), rng, tick=STEP), CommandBounds()
 
-    def count(rows: Rows) -> None:
+    def count(rows: Rows, _step: int) -> None:
         ticks[-1] += len(rows)
 
     with RigPlant(twin, HopperControl(robot, gains, bounds), on_ticks=count) as plant:

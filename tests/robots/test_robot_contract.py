@@ -1,4 +1,4 @@
-"""Every robot has every verb: the hopper, and the ball of docs/own_robot.md, which is in another package."""
+"""Every robot has every verb: the two that are built in, and the ball of docs/own_robot.md, in another package."""
 
 import json
 import shutil
@@ -25,7 +25,7 @@ from tests.cli.command_line import Command, refused
 from tests.quick_runs import leave_out_sweep_report
 from tests.robots.plug_in import CUSTOM_TOML, TEMPLATE_TOML
 
-ROBOTS = ("hopper", "ball")
+ROBOTS = ("hopper", "quadruped", "ball")
 SHORT = ("--learning.iterations", "1", "--learning.early_stop", "false", "--quiet")
 
 

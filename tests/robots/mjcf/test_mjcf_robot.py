@@ -156,6 +156,30 @@ def test_a_fall_and_a_wrong_command_are_statuses() -> None:
     assert MjcfSimulator(Floating())(np.array([0.3]), np.zeros(1)) == StepStatus.NO_APEX
 
 
+@pytest.mark.parametrize("solref", ["-2000 -100", "0.03 1"])
+def test_a_softer_ground_sinks_in_proportion(solref: str) -> None:
+    contact = f'size="0.1" solref="{solref}" solimp="0.99 0.99 0.001" mass'  # an impedance that does not vary
+    text = BALL.replace("-2000 -10", solref).replace('size="0.1" mass', contact)
+    sunk = []
+    for softness in (1.0, 2.0):
+        model = replace(EXACT, ground_softness=softness).of(mujoco.MjModel.from_xml_string(text))
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 6000)
+        assert abs(data.qvel[0]) < 1e-6
+        sunk.append(-data.qpos[0])
+    assert sunk[1] / sunk[0] == pytest.approx(2, rel=0.02)
+
+
+def test_a_lagging_motor_follows_a_step_exponentially() -> None:
+    ticks: list[np.ndarray] = []
+    robot = Ball(gap=replace(EXACT, motor_lag=0.02))
+    plant = MjcfPlant(robot, np.random.default_rng(0), lambda rows, step: ticks.extend(map(np.array, rows)))
+    plant.start()
+    plant.take_step(np.array([3.0]))
+    rows = np.array(ticks[1:])  # time, z, x, force
+    np.testing.assert_allclose(rows[:, 3], 1 - np.exp(-rows[:, 0] / 0.02), atol=0.02)
+
+
 def test_a_random_gap_is_valid_and_different(package: Path) -> None:
     robot = load_robot("spring_hopper")
     first, second = (robot.randomised(np.random.default_rng(seed)) for seed in (1, 2))

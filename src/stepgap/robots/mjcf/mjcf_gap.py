@@ -27,7 +27,8 @@ class MjcfGap:
         gear_scale: Factor on the forces of all actuators.
         slope: Slope of the ground in the direction of x, uphill positive [rad].
         delay: Time by which control signals come later [s]; rounded to ticks.
-        ground_softness: Factor on the static sinkage of all contacts; the contact's damping ratio stays.
+        ground_softness: Factor on the static sinkage of all contacts, as far as their impedance (solimp) does not vary
+            with it; their damping ratio stays.
         motor_lag: Time constant of the first-order lag of all control signals [s].
         state_noise: Standard deviation of the noise of measured states, in half ranges of use.
         force_noise: Standard deviation of the noise of each control signal, relative to the signal.

@@ -1,9 +1,9 @@
 """MuJoCo model of the quadruped: a machine of the class of Unitree's Go2 that moves in the sagittal plane.
 
-Masses, moments of inertia, lengths and torque limits are those of MuJoCo Menagerie (unitree_go2/go2.xml), which has most
-of them from the manufacturer's URDF (repository unitree_ros). The URDF has lighter calves, 0.154 kg and 0.04 kg for the
-foot, and in an older version 35.55 N·m for them. The abduction joints are locked, so the robot stays in the sagittal
-plane, and products of inertia are left out.
+Masses, moments of inertia, lengths and torque limits are those of MuJoCo Menagerie (unitree_go2/go2.xml), most of which
+are also in the manufacturer's URDF (repository unitree_ros). The URDF has lighter calves, 0.154 kg and 0.04 kg for the
+foot, and in an older version 35.55 N·m for their motors. The abduction joints are locked, so the robot stays in the
+sagittal plane, and products of inertia are left out.
 """
 
 from typing import NamedTuple
