@@ -171,7 +171,7 @@ def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[
 
 def _load_nominal(settings: "Experiment") -> "Nominal":
     """The nominal map; says how far the fit of a surrogate has come, and what may be wrong with the map."""
-    from stepgap.experiment.nominal import load_nominal
+    from stepgap.experiment.nominal import load_nominal, slowness
 
     def on_samples(count: int, error: "Array") -> None:
         errors = ", ".join(
@@ -181,8 +181,9 @@ def _load_nominal(settings: "Experiment") -> "Nominal":
         print(f"nominal map: {count} simulated steps, error of the surrogate: {errors}", file=sys.stderr)
 
     nominal = load_nominal(settings, on_samples)
-    for sentence in nominal.warnings:
-        warn(sentence)
+    for sentence in (*nominal.warnings, slowness(settings.nominal.kind, nominal.map)):
+        if sentence:
+            warn(sentence)
     return nominal
 
 

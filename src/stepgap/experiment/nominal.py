@@ -15,6 +15,7 @@ from stepgap.base.random_streams import random_stream
 from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, Experiment
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.robots.nominal_maps.differenced_map import has_no_formula, with_suitable_step
 from stepgap.robots.nominal_maps.log_map import fit_log_map
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import MapFunction, SurrogateMap, fit_surrogate, surrogate_from_dict
@@ -24,6 +25,13 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace
 
 WORTH_PROCESSES = 0.02
 """Duration of a simulated step [s] from which several processes sample a simulator; they start in seconds."""
+
+SLOW = 0.02
+"""Duration of a step [s] from which on a map is too slow for the choice of commands."""
+
+EVALUATIONS_PER_COMMAND = 15, 500
+"""Number of steps that the choice of a command evaluates on a map without formula for its derivatives: on a smooth map
+that reaches the target, and where the target is out of reach or the map is rough."""
 
 TIMED_STEPS = 3
 """Number of steps whose duration is measured."""
@@ -68,7 +76,7 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
     if not isinstance(nominal, SimulatorMap):
         if file:
             raise InputError(f"nominal.file = {file}: nominal map '{kind}' needs no file")
-        return Nominal(nominal)
+        return _differenced(kind, nominal) if has_no_formula(nominal) else Nominal(nominal)
     if file:
         return Nominal(_read_map(kind, Path(file), robot.space))
     rng = random_stream(settings.seed, 0, 2)
@@ -77,13 +85,45 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
     return Nominal(surrogate, json.dumps(surrogate.to_dict()) + "\n")
 
 
+def _differenced(kind: str, nominal: StepMap) -> Nominal:
+    """A map whose derivatives are differences, with a step that suits it, whatever the seed of the experiment."""
+    chosen, rough = with_suitable_step(nominal, random_stream(0, 0, 2))
+    advice = "locate its events exactly, or use a SimulatorMap, to which a smooth surrogate is fitted"
+    return Nominal(chosen, warnings=(f"nominal map '{kind}' {rough}; {advice}",) if rough else ())
+
+
+def slowness(kind: str, nominal: StepMap) -> str:
+    """A sentence on a map that is so slow that commands take seconds; empty for others.
+
+    Args:
+        kind: Its name.
+        nominal: The map.
+    """
+    seconds = _seconds_per_step(nominal)
+    if seconds <= SLOW:
+        return ""
+    few, many = EVALUATIONS_PER_COMMAND
+    return (
+        f"nominal map '{kind}' takes {1e3 * seconds:.0f} ms for a step, and the choice of a command evaluates {few} to "
+        f"{many} steps, so it takes {few * seconds:.1f} to {many * seconds:.0f} s; make it a SimulatorMap: then a fast "
+        "surrogate is fitted to it"
+    )
+
+
+def _seconds_per_step(nominal: StepMap) -> float:
+    """Shortest of some durations of a step [s]."""
+    centre, durations = (nominal.space.state_centre, nominal.space.command_centre), []
+    for _ in range(TIMED_STEPS):
+        begin = perf_counter()
+        nominal.evaluate(*centre)
+        durations.append(perf_counter() - begin)
+    return min(durations)
+
+
 @contextmanager
 def _on_all_cores(robot: Robot, kind: str, nominal: StepMap) -> Iterator[MapFunction]:
     """The function with which samples are computed: by processes that each make the map, if one step takes long."""
-    centre, begin = (nominal.space.state_centre, nominal.space.command_centre), perf_counter()
-    for _ in range(TIMED_STEPS):
-        nominal.evaluate(*centre)
-    if (perf_counter() - begin) / TIMED_STEPS < WORTH_PROCESSES:
+    if _seconds_per_step(nominal) < WORTH_PROCESSES:
         yield map
         return
     with ProcessPoolExecutor(initializer=_keep_map, initargs=(robot, kind), mp_context=get_context("spawn")) as pool:
