@@ -12,7 +12,7 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace, difference_jacobian
 MOST_EVALUATIONS = 400
 """Number of evaluations for the choice of a step, unless the coordinates are so many that it takes more."""
 
-FEWEST_POINTS, MOST_POINTS = 3, 12
+COMPARED_POINTS = 3, 12
 """Smallest and largest number of points at which slopes are compared."""
 
 
@@ -60,7 +60,7 @@ def with_suitable_step(step_map: StepMap, rng: np.random.Generator) -> tuple[Ste
         it is smooth.
     """
     inputs = len(step_map.space.state) + len(step_map.space.command)
-    count = int(np.clip(MOST_EVALUATIONS // (2 * inputs * len(STEPS)), FEWEST_POINTS, MOST_POINTS))
+    count = int(np.clip(MOST_EVALUATIONS // (2 * inputs * len(STEPS)), *COMPARED_POINTS))
     step = suitable_step(step_map, rng, count)
     if step is None:
         why = "is not smooth, or most of its steps fail: its differences with two sizes of step disagree for all sizes"
