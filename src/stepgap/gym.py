@@ -45,13 +45,13 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
 
     - Action: the step command, scaled so that its bounds are −1 and 1 (`space.point_of`, `space.command_at`); shape
       (m,). Larger values are clipped.
-    - Observation: state at this apex and target of the next step, SI units; shape (2 n,); clipped at
+    - Observation: state before the step and target of the next step, SI units; shape (2 n,); clipped at
       `OBSERVATION_LIMIT`. After a fall the state is the one before it; after the last step the target is the last one.
     - Reward: minus the squared distance from the target, in half ranges of the state, at most `LARGEST_COST`; a fall
       costs `LARGEST_COST` for its own and each remaining step.
     - Terminated by a fall, truncated at the reference's end.
-    - Info of a step: `command` and `applied` [command units]; `status`, `ok` or the reason why there was no apex;
-      `predicted`, the nominal map's next state for the applied command, if there is one; `yaw` at the next apex
+    - Info of a step: `command` and `applied` [command units]; `status`, `ok` or the reason why there is no next state;
+      `predicted`, the nominal map's next state for the applied command, if there is one; `yaw` after the step
       [rad], if the plant measures it; `fault`, the plant's message about a fault, if there is one.
 
     Args:

@@ -1,7 +1,7 @@
 """The basic types of a step: its coordinates, the map that predicts it, and the record of an executed one.
 
-A *step* runs from one apex to the next. All other modules describe steps by `StepSpace` (names, units, ranges),
-`StepMap` (prediction) and `StepRecord` (what happened).
+A *step* runs from one section to the next: that of a hopper from apex to apex. All other modules describe steps by
+`StepSpace` (names, units, ranges), `StepMap` (prediction) and `StepRecord` (what happened).
 """
 
 from abc import ABC, abstractmethod
@@ -68,7 +68,7 @@ ADVICE = {
 
 
 class StepFailed(StepGapError):
-    """A single step has no next apex.
+    """A single step has no next state.
 
     Attributes:
         status: How the step ended.
@@ -109,7 +109,7 @@ class StepSpace:
     """Names, units and ranges of the state and the command of a step; its arrays are computed once and read-only.
 
     Attributes:
-        state: The n coordinates of the apex state.
+        state: The n coordinates of the state at the section.
         command: The m coordinates of the step command.
     """
 
@@ -195,7 +195,7 @@ class Outcome(NamedTuple):
     """Prediction of a `StepMap` for one or many steps.
 
     Attributes:
-        next_state: State at the next apex, NaN where the step fails; shape (…, n).
+        next_state: State after the step, NaN where it fails; shape (…, n).
         status: `StepStatus` value of each step; shape (…).
     """
 
@@ -204,7 +204,7 @@ class Outcome(NamedTuple):
 
 
 class StepMap(ABC):
-    """Predicts the next apex state from the state and the command (Eq. 9).
+    """Predicts the next state from the state and the command (Eq. 9).
 
     A subclass defines `space`, `evaluate` and `jacobian`; state (…, n) and command (…, m) broadcast
     over their leading axes.
@@ -282,17 +282,17 @@ class StepRecord:
     """Record of one executed step.
 
     Attributes:
-        state: State at the apex it started from, as measured; shape (n,).
+        state: State from which it started, as measured; shape (n,).
         command: Command given by the controller; shape (m,).
         applied: The part of the command that the joints received, after all limits; shape (m,).
-        next_state: State at the next apex, as measured; NaN if there was none; shape (n,).
+        next_state: State in which it ended, as measured; NaN if it failed; shape (n,).
         status: How it ended.
-        yaw_after: Yaw at the next apex [rad], such as that of a boom; NaN if the plant does not measure it, or if there
-            was no apex. It is not part of the state, and its zero is arbitrary.
+        yaw_after: Yaw after the step [rad], such as that of a boom; NaN if the plant does not measure it, or if
+            the step failed. It is not part of the state, and its zero is arbitrary.
         requested: Command that was requested of the joints, within its bounds; by default `command`. It is another one
             where `command` came too late to act. Learning uses this one: then the effect of limits on a command
             is part of the learned map, and the controller plans with it. Shape (m,).
-        true_next_state: State at the next apex as it truly was, known only for simulated plants, NaN elsewhere. It is
+        true_next_state: State in which it ended as it truly was, known only for simulated plants, NaN elsewhere. It is
             for reports; nothing that controls or learns may read it. Shape (n,).
 
     Raises:
