@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from stepgap.control.reference import paper_reference as paper_reference
     from stepgap.control.step_controller import StepController as StepController
     from stepgap.control.step_controller import StepPlan as StepPlan
+    from stepgap.experiment.deployment import DeploymentController as DeploymentController
+    from stepgap.experiment.loaded_run import LoadedRun as LoadedRun
+    from stepgap.experiment.loaded_run import load_run as load_run
     from stepgap.experiment.loop import Observer as Observer
     from stepgap.experiment.loop import run_experiment as run_experiment
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
@@ -91,6 +94,7 @@ _MODULES = {
     "CommandTable": "control.command_table",
     "CorrectedMap": "learning.corrected_map",
     "Deployment": "records.summary",
+    "DeploymentController": "experiment.deployment",
     "FixedPoint": "control.limit_cycle",
     "Gains": "robots.hopper.parameters",
     "Hopper": "robots.hopper.robot",
@@ -101,6 +105,7 @@ _MODULES = {
     "Kinematics": "robots.scene",
     "LearningSettings": "learning.settings",
     "Link": "robots.scene",
+    "LoadedRun": "experiment.loaded_run",
     "LoggedStep": "learning.step_log",
     "MapSimulation": "robots.map_simulation",
     "MjcfGap": "robots.mjcf.mjcf_gap",
@@ -146,6 +151,7 @@ _MODULES = {
     "difference_jacobian": "step",
     "fit_residual": "learning.residual_fit",
     "fixed_point": "control.limit_cycle",
+    "load_run": "experiment.loaded_run",
     "paper_reference": "control.reference",
     "reachable_set": "control.limit_cycle",
     "require": "base.ranges",

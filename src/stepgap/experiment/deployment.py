@@ -1,12 +1,13 @@
 """One deployment: tracking a reference step by step with the map as known so far."""
 
 from collections.abc import Generator
-from typing import Protocol, Self
+from dataclasses import dataclass, replace
+from typing import Protocol, Self, final
 
 import numpy as np
 
 from stepgap.control.cautious_controller import CautiousController, CautiousPlan
-from stepgap.control.command_table import build_table
+from stepgap.control.command_table import CommandTable, build_table
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.exploration import exploration_plan, goals_of
@@ -52,6 +53,54 @@ class AdaptiveMap(Protocol):
         ...
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class DeploymentController:
+    """The controller of a deployment between two steps; `start` makes the first one, `after` the next one.
+
+    Attributes:
+        learner: State of knowledge.
+        settings: Settings of step control.
+        table: Table of the commands of the first map, if the settings want one.
+        command: Command of the step before, from which the search for the next one starts; None before the first.
+    """
+
+    learner: AdaptiveMap
+    settings: ControlSettings = ALL_RULES
+    table: CommandTable | None = None
+    command: Array | None = None
+
+    @classmethod
+    def start(cls, learner: AdaptiveMap, settings: ControlSettings = ALL_RULES) -> Self:
+        """Returns the controller before the first step.
+
+        Args:
+            learner: State of knowledge before the deployment.
+            settings: Settings of step control.
+        """
+        table = build_table(learner.step_map(), settings.table) if settings.table else None
+        return cls(learner, settings, table)
+
+    @property
+    def present(self) -> CautiousController:
+        """Controller of the next step."""
+        learner = self.learner
+        return CautiousController(learner.step_map(), learner.nominal, learner.failures, self.settings, self.table)
+
+    def plan(self, state: Array, target: Array) -> CautiousPlan:
+        """Plans the next step; the middle of the bounds where the map has no command that makes a step.
+
+        Args:
+            state: Measured state; shape (n,).
+            target: State wanted after the step; shape (n,).
+        """
+        return tracking_plan(self.present, state, target, self.command)
+
+    def after(self, logged: LoggedStep) -> Self:
+        """Returns the controller after a step that was executed."""
+        return replace(self, learner=self.learner.after(logged), command=logged.record.command)
+
+
 def deploy(
     learner: AdaptiveMap,
     plant: Plant,
@@ -70,25 +119,24 @@ def deploy(
         exploration: Number of exploratory steps before step 1, which are numbered up to 0.
         control: Settings of step control.
     """
-    command, table = None, build_table(learner.step_map(), control.table) if control.table else None
+    controller = DeploymentController.start(learner, control)
     with BackgroundThread() as background, plant:
         state = plant.start()
         for number in range(1 - exploration, len(reference) + 1):
-            controller = CautiousController(learner.step_map(), learner.nominal, learner.failures, control, table)
             if number < 1:
-                goals = goals_of(reference, controller.step_map)
-                plan = exploration_plan(controller, learner.residual, state, goals)
+                present = controller.present
+                goals = goals_of(reference, present.step_map)
+                plan = exploration_plan(present, controller.learner.residual, state, goals)
             else:
-                plan = tracking_plan(controller, state, reference.targets[number - 1], command)
-            background.compute(learner.pending)  # after the command, so that it causes no delay
+                plan = controller.plan(state, reference.targets[number - 1])
+            background.compute(controller.learner.pending)  # after the command, so that it causes no delay
             record = plant.take_step(plan.command)
             target = reference.targets[number - 1] if number > 0 else plan.predicted
             logged = LoggedStep(iteration, number, target, plan.predicted, plan.std, record)
             yield logged
             if record.status != StepStatus.OK:
                 return
-            learner = learner.after(logged)
-            state, command = record.next_state, plan.command
+            controller, state = controller.after(logged), record.next_state
 
 
 def tracking_plan(controller: CautiousController, state: Array, target: Array, guess: Array | None) -> CautiousPlan:

@@ -18,6 +18,7 @@ from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.deployment import Steps, deploy
+from stepgap.experiment.inputs import as_past
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
@@ -93,14 +94,14 @@ def run_experiment(
     """
     reference.check(nominal.space)
     log, deployments = StepLog(nominal.space), list[Deployment]()
-    past, names, scale = _as_past(known or log), nominal.space.state_names, nominal.space.state_scale
+    past, names, scale = as_past(known or log), nominal.space.state_names, nominal.space.state_scale
     one_thread = threadpool_limits(limits=1, user_api="blas")  # same bytes on any machine
     with one_thread, Recording(folder, nominal.space, seed, past, replays) as recording:
         while True:
             iteration = len(deployments)
             learner = Learner.start(nominal, past + log, learning, iteration)
             if iteration > 0 or len(past):
-                write_model(folder, learner.iteration, learner.residual)
+                write_model(folder, learner.iteration, learner.residual, nominal)
             execute = partial(_execute, learner, make_plant, reference, seed, observer, control)
             steps = _observed(recording.steps(iteration, execute), nominal.space, observer)
             log += steps
@@ -167,12 +168,6 @@ def _summary(deployments: Sequence[Deployment], log: StepLog, noise_floor: Array
         steps_sha256=digest(log),
         warm_start=warm_start_of(past),
     )
-
-
-def _as_past(known: StepLog) -> StepLog:
-    """Steps renumbered as deployments before number 0."""
-    count = max(known.iterations, default=-1) + 1
-    return StepLog(known.space, (replace(logged, iteration=logged.iteration - count) for logged in known))
 
 
 def _goes_on(deployments: Sequence[Deployment], scale: Array, learning: LearningSettings) -> bool:

@@ -105,7 +105,14 @@ class Learner:
     refit_from: float
 
     @classmethod
-    def start(cls, nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int) -> Self:
+    def start(
+        cls,
+        nominal: StepMap,
+        log: StepLog,
+        settings: LearningSettings,
+        iteration: int,
+        model: Residual | None = None,
+    ) -> Self:
         """Returns the learner before a deployment.
 
         Args:
@@ -113,6 +120,7 @@ class Learner:
             log: Steps known before the deployment.
             settings: Which residual model is used, and whether steps of this deployment are learned from.
             iteration: Number of the deployment.
+            model: The residual that was fitted to these steps; None to fit it.
         """
         space = log.space
         failures = [_point_of(step.record) for step in log if step.record.status != StepStatus.OK]
@@ -121,7 +129,7 @@ class Learner:
             settings=settings,
             iteration=iteration,
             log=log,
-            model=_fitted(nominal, log, settings, iteration, None),
+            model=_fitted(nominal, log, settings, iteration, None) if model is None else model,
             history=next_history(log, nominal, iteration),
             failures=np.array(failures).reshape(len(failures), len(space.state) + len(space.command)),
             steps_to_learn=settings.steps_to_learn(iteration),
