@@ -3,6 +3,7 @@
 import ast
 import pydoc
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,11 @@ def test_a_public_name_is_defined_where_it_says_and_documented(name: str) -> Non
     assert value.__name__ == name
     assert value.__module__ == f"stepgap.{stepgap._MODULES[name]}"
     assert value.__doc__
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    project = tomllib.loads((PAGE.parents[1] / "pyproject.toml").read_text("utf-8"))["project"]
+    assert stepgap.__version__ == project["version"]
 
 
 def test_another_name_is_refused_with_the_public_ones() -> None:

@@ -12,6 +12,7 @@ The flow, from the model to a robot that tracks:
 """
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -164,7 +165,9 @@ __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """A public name; its module is imported when it is first used."""
+    """A public name; its module is imported when it is first used. `__version__` is the installed version."""
+    if name == "__version__":
+        return version("stepgap")
     if name not in _MODULES:
         raise AttributeError(f"stepgap has no {name!r}; its public names are {', '.join(__all__)}")
     value = globals()[name] = getattr(import_module(f"stepgap.{_MODULES[name]}"), name)

@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 from scipy.io import loadmat
 
 from stepgap.cli.app import main
-from stepgap.cli.doctor import doctor
+from stepgap.cli.doctor import _packages_of, doctor
 from stepgap.experiment.replay import replay
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLog, read_ticks
@@ -328,6 +328,14 @@ def test_doctor_lists_the_components(stepgap: Command) -> None:
     assert {"numpy", "mujoco", "cores", "display", "OpenGL", "raw", "real", "cache"} <= set(table)
     for extra in metadata("stepgap").get_all("Provides-Extra") or []:
         assert f"extra {extra} " in result.out, "doctor.PURPOSES names its purpose"
+
+
+def test_doctor_looks_for_the_packages_of_an_extra_within_an_extra() -> None:
+    first, *further = _packages_of("mujoco[sysid]; extra == 'sysid'")
+    assert first == "mujoco"
+    assert "plotly" in further
+    assert list(_packages_of("pyarrow>=18; extra == 'parquet'")) == ["pyarrow"]
+    assert list(_packages_of("no-such-package[inner]")) == ["no-such-package"]
 
 
 def test_doctor_knows_a_machine_that_has_nothing(

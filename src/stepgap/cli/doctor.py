@@ -5,6 +5,7 @@ import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from pathlib import Path
 
 from stepgap.cli.execution import usable_cores
 
@@ -26,6 +27,9 @@ REALTIME_TRIAL = "from stepgap.plants.realtime.pace import ask_for_realtime; pri
 
 TRIAL_TIMEOUT = 30.0
 """Longest time of a trial in another process [s]."""
+
+_INSTALL = "./go uv pip install" if (Path(__file__).parents[3] / "go").is_file() else "pip install"
+"""Command that installs an extra: in a clone of the repository, or elsewhere."""
 
 NEEDS_GL = "needed only for MuJoCo's own pictures, not for runs, reports and their figures"
 
@@ -101,15 +105,36 @@ def _extras() -> Iterator[_Row]:
 
     wanted: dict[str, list[str]] = defaultdict(list)
     for requirement in requires("stepgap") or []:
-        name, extra = re.match(r"[\w.-]+", requirement), re.search(r"extra == ['\"](.+?)['\"]", requirement)
-        if name and extra:
-            wanted[extra[1]].append(name[0])
+        extra = re.search(r"extra == ['\"](.+?)['\"]", requirement)
+        if extra:
+            wanted[extra[1]].extend(_packages_of(requirement))
     for extra, packages in sorted(wanted.items()):
-        found = [_version(package) for package in packages]
-        missing = None in found
-        there = ", ".join(f"{package} {number or '-'}" for package, number in zip(packages, found, strict=True))
-        advice = f"; to install it: ./go uv pip install 'stepgap[{extra}]'" if missing else ""
-        yield f"extra {extra}", f"{'missing' if missing else 'installed'} ({there}), for {PURPOSES[extra]}{advice}"
+        found = {package: _version(package) for package in packages}
+        if missing := [package for package, number in found.items() if number is None]:
+            advice = f"to install it: {_INSTALL} 'stepgap[{extra}]'"
+            yield f"extra {extra}", f"missing ({', '.join(missing)}), for {PURPOSES[extra]}; {advice}"
+        else:
+            there = ", ".join(f"{package} {number}" for package, number in found.items())
+            yield f"extra {extra}", f"installed ({there}), for {PURPOSES[extra]}"
+
+
+def _packages_of(requirement: str) -> Iterator[str]:
+    """Name of a required package, and those of its own extra, such as `sysid` of `mujoco[sysid]`."""
+    from importlib.metadata import PackageNotFoundError, requires
+
+    found = re.match(r"([\w.-]+)(?:\[([\w.-]+)\])?", requirement)
+    if found is None:
+        return
+    package, inner = found.groups()
+    yield package
+    try:
+        further = (requires(package) or []) if inner else []
+    except PackageNotFoundError:
+        return
+    for requirement in further:
+        name = re.match(r"[\w.-]+", requirement)
+        if name and re.search(rf"extra == ['\"]{inner}['\"]", requirement):
+            yield name[0]
 
 
 def _version(package: str) -> str | None:

@@ -14,7 +14,7 @@ from stepgap.robots.entry_points import load_robot
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.mjcf.mjcf_step import MjcfPlant
 from stepgap.robots.quadruped.landing import landing_velocity
-from stepgap.robots.quadruped.model import FOOT_RADIUS, LEGS, TOTAL_MASS, quadruped_xml
+from stepgap.robots.quadruped.model import LEGS, TOE_RADIUS, TOTAL_MASS, quadruped_xml
 from stepgap.robots.quadruped.pronk import COMPRESSION, FLIGHT, THRUST, PronkGains, landing_place, pronk
 from stepgap.robots.quadruped.robot import SPACE, Quadruped
 from stepgap.robots.quadruped.spring_mass import GRAVITY, SpringMassMap
@@ -104,7 +104,7 @@ def test_the_template_equals_an_independent_integration(point: Array) -> None:
     speed, height, fx, fz = point
     template = spring_mass()
     ahead, below = landing_place(GAINS.law, speed)
-    fall = np.sqrt(2 * GRAVITY * (height - FOOT_RADIUS + below))
+    fall = np.sqrt(2 * GRAVITY * (height - TOE_RADIUS + below))
     start = np.array([-ahead, -below, *(template.landing @ [speed, -fall])])
 
     def rates(_: float, y: Array, thrust: float) -> list[float]:
@@ -122,7 +122,7 @@ def test_the_template_equals_an_independent_integration(point: Array) -> None:
         start = phase.y[:, -1]
     outcome = template.evaluate(point[:2], point[2:])
     assert outcome.status == StepStatus.OK
-    apex = [start[2], start[1] + FOOT_RADIUS + start[3] ** 2 / (2 * GRAVITY)]
+    apex = [start[2], start[1] + TOE_RADIUS + start[3] ** 2 / (2 * GRAVITY)]
     np.testing.assert_allclose(outcome.next_state, apex, rtol=1e-7)
 
 

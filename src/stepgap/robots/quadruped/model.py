@@ -30,8 +30,8 @@ LEGS = tuple(
     for end in "FR"
     for side in "LR"
 )
-LINK, FOOT_RADIUS = 0.213, 0.022
-"""Length of thigh and calf, and radius of a foot [m]."""
+LINK, TOE_RADIUS = 0.213, 0.022
+"""Length of thigh and calf, and radius of the round foot [m]."""
 THIGH_TORQUE, CALF_TORQUE = 23.7, 45.43
 """Largest torques of the motors of thigh and calf [N·m]."""
 TRUNK_MASS, HIP_MASS, THIGH_MASS, CALF_MASS = 6.921, 0.678, 1.152, 0.241352
@@ -85,7 +85,7 @@ def _leg(name: str, x: float, y: float) -> str:
             <joint name="{name}_calf" class="motor"/>
             <inertial pos="0.00629595 0 -0.141417" mass="{CALF_MASS}" diaginertia="0.0014901 0.00146356 0.0000531"/>
             <geom name="{name}_calf" type="capsule" fromto="0 0 0 0 0 -{LINK}" size="0.012"/>
-            <geom name="{name}_foot" type="sphere" pos="0 0 -{LINK}" size="{FOOT_RADIUS}" contype="1" conaffinity="1"
+            <geom name="{name}_foot" type="sphere" pos="0 0 -{LINK}" size="{TOE_RADIUS}" contype="1" conaffinity="1"
               friction="0.8" condim="3"/>
           </body>
         </body>

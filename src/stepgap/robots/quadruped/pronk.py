@@ -144,7 +144,7 @@ def leg_pose(pitch, pitch_rate, thigh, calf, thigh_rate, calf_rate):
 
 
 @compiled
-def next_phase(law, phase, length, length_rate, rises, contact):
+def pronk_phase(law, phase, length, length_rate, rises, contact):
     """Phase of this tick, from that of the tick before and the virtual leg's length [m] and its rate [m/s]."""
     if phase == FLIGHT and contact and not rises:
         phase = COMPRESSION
@@ -176,7 +176,7 @@ def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
         x, z, x_rate, z_rate = x + pose.x / 4, z + pose.z / 4, x_rate + pose.x_rate / 4, z_rate + pose.z_rate / 4
     length = np.sqrt(x * x + z * z)
     length_rate = (x * x_rate + z * z_rate) / length
-    phase = next_phase(law, phase, length, length_rate, velocity[1] >= 0.0, contact)
+    phase = pronk_phase(law, phase, length, length_rate, velocity[1] >= 0.0, contact)
     place_x, place_z = landing_place(law, velocity[0])
     place_z += law.retraction if velocity[1] > 0.0 else 0.0  # so that no foot touches the ground on its way
     body_x, body_z = virtual_force(law, x, z, length_rate, phase == THRUST, force_x, force_z)

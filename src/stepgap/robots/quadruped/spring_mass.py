@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.compiled import compiled
 from stepgap.learning.residual import join_points
-from stepgap.robots.quadruped.model import FOOT_RADIUS, TOTAL_MASS
+from stepgap.robots.quadruped.model import TOE_RADIUS, TOTAL_MASS
 from stepgap.robots.quadruped.pronk import PronkGains, landing_place, virtual_force
 from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus, difference_jacobian
 
@@ -76,7 +76,7 @@ def _step_all(law, landing, mass, points, next_state, status):
 def spring_mass_step(law, landing, mass, speed, height, force_x, force_z):
     """(status code, speed, height) at the next apex; NaN for a step that fails."""
     ahead, below = landing_place(law, speed)
-    drop = height - FOOT_RADIUS + below
+    drop = height - TOE_RADIUS + below
     if drop <= 0.0:
         return _FELL, np.nan, np.nan
     fall = -np.sqrt(2.0 * GRAVITY * drop)
@@ -88,7 +88,7 @@ def spring_mass_step(law, landing, mass, speed, height, force_x, force_z):
             return _FELL, np.nan, np.nan
     if state[3] <= 0.0:
         return _NO_TAKE_OFF, np.nan, np.nan
-    return _OK, state[2], state[1] + FOOT_RADIUS + state[3] ** 2 / (2.0 * GRAVITY)
+    return _OK, state[2], state[1] + TOE_RADIUS + state[3] ** 2 / (2.0 * GRAVITY)
 
 
 @compiled
