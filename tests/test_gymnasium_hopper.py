@@ -11,8 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from stepgap.experiment.deployment import deploy
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import StepLog
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
-from stepgap.robots.mjcf.mjcf_step import MjcfStepper
+from stepgap.robots.mjcf.mjcf_step import MjcfPlant, MjcfStepper
+from stepgap.robots.nominal_maps.surrogate_map import fit_surrogate
+from stepgap.robots.robot import stairs
 from stepgap.step import StepStatus
 
 pytest.importorskip("gymnasium")
@@ -56,3 +62,18 @@ def test_it_hops_thirty_times_from_a_random_state_with_random_commands(robot: An
         stepper.place(space.state_centre + space.state_scale * rng.uniform(-1, 1, len(space.state)))
         for _ in range(30):
             assert stepper.step(space.command_at(rng.uniform(-1, 1, len(space.command)))) == StepStatus.OK
+
+
+def test_it_learns_in_a_few_steps(robot: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    for limit in ("FIRST_SAMPLES", "MOST_SAMPLES"):
+        monkeypatch.setattr(f"stepgap.robots.nominal_maps.surrogate_map.{limit}", 64)
+    nominal = fit_surrogate(robot.nominal_maps()["simulator"](), np.random.default_rng(0))
+    reference, log, errors = stairs(robot.space, steps=3), StepLog(robot.space), []
+    for iteration in range(2):
+        learner = Learner.start(nominal, log, LearningSettings(), iteration)
+        steps = list(deploy(learner, MjcfPlant(robot, np.random.default_rng(iteration)), reference, iteration))
+        assert [logged.record.status for logged in steps] == [StepStatus.OK] * len(reference)
+        log += steps
+        missed = np.array([logged.record.next_state - logged.predicted for logged in steps]) / robot.space.state_scale
+        errors.append(np.sqrt(np.mean(missed**2)))
+    assert errors[1] < 0.6 * errors[0]

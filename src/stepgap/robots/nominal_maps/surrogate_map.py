@@ -104,8 +104,9 @@ class SurrogateMap(StepMap):
         points = self._scaled(state, command)
         status = self._status(points)
         inside = np.clip(points, -1, 1)
-        beyond = (self._slopes(inside) @ (points - inside)[..., None])[..., 0]
-        next_state = products(inside, self.degree) @ self.weights + beyond
+        next_state = products(inside, self.degree) @ self.weights
+        if (points != inside).any():  # the slopes take longer than all the rest
+            next_state = next_state + (self._slopes(inside) @ (points - inside)[..., None])[..., 0]
         return Outcome(np.where((status == StepStatus.OK)[..., None], next_state, np.nan), status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
