@@ -26,6 +26,7 @@ from stepgap.cli.recover import recover
 from stepgap.cli.report import report
 from stepgap.cli.rig import rig
 from stepgap.cli.run import run
+from stepgap.cli.settings import settings
 from stepgap.cli.sweep import sweep
 from stepgap.cli.terminal import warn
 from stepgap.cli.view import view
@@ -43,6 +44,7 @@ app = App(
     default_parameter=Parameter(negative=()),
 )
 add_verb(app, "run", run)
+add_verb(app, "settings", settings)
 add_verb(app, "new", new)
 add_verb(app, "sweep", sweep)
 add_verb(app, "report", report)

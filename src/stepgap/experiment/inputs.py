@@ -4,13 +4,12 @@ import csv
 from dataclasses import replace
 from pathlib import Path
 
-import tomli_w
-
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import write_whole
 from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
 from stepgap.control.reference import Reference, read_reference, reference_text
-from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
+from stepgap.experiment.settings import Experiment, read_experiment
+from stepgap.experiment.settings_text import experiment_toml
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header, text_of
 from stepgap.step import StepSpace
@@ -124,7 +123,7 @@ def experiment_files(
     if known:
         files[WARM_START] = text_of(known)
         experiment = replace(experiment, warm_start=WARM_START)
-    return {**files, "experiment.toml": tomli_w.dumps(experiment_table(experiment))}
+    return {**files, "experiment.toml": experiment_toml(experiment)}
 
 
 def write_experiment(

@@ -133,6 +133,12 @@ class CommandBounds:
     """Bounds of the step command: forces added after mid-stance (Sec. 4.2), [N].
 
     With these bounds the robot can hop at every apex of the reference (0–0.4 m/s, 0.52–0.64 m).
+
+    Attributes:
+        fx_lower: Smallest horizontal force [N].
+        fx_upper: Largest horizontal force [N].
+        fy_lower: Smallest vertical force [N].
+        fy_upper: Largest vertical force [N].
     """
 
     fx_lower: float = -30.0

@@ -1,0 +1,118 @@
+"""Every setting with its meaning: the docstrings of the settings classes as comments in TOML, and as a page."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from textwrap import wrap
+from typing import Any, get_type_hints
+
+import tomli_w
+from docstring_parser import DocstringStyle, parse
+
+from stepgap.base.settings_file import IS_KEY
+from stepgap.experiment.settings import METHODS, Experiment, experiment_table
+from stepgap.robots.entry_points import load_robot
+
+COMMENT_WIDTH = 100
+"""Longest line of a comment."""
+
+_KEY = re.compile(r"(\w+) = ")
+_HEADER = re.compile(r"\[+([\w.]+)\]+")
+
+
+@cache
+def meanings(settings: type) -> Mapping[str, str]:
+    """Text on each attribute in the docstring of a class and of those that it extends, in one line each."""
+    found: dict[str, str] = {}
+    for kind in reversed(settings.__mro__):
+        described = parse(kind.__doc__ or "", DocstringStyle.GOOGLE).params
+        found |= {entry.arg_name: " ".join((entry.description or "").split()) for entry in described}
+    return found
+
+
+def experiment_toml(experiment: Experiment) -> str:
+    """The TOML file of an experiment, with the meaning of every setting as a comment."""
+    known = {name: text for name, text, _ in described_settings(experiment)}
+    lines, table = [], ""
+    for line in tomli_w.dumps(experiment_table(experiment)).splitlines():
+        key, header = _KEY.match(line), _HEADER.match(line)
+        if header:
+            table = f"{header[1]}."
+        name = table[:-1] if header else table + key[1] if key else ""
+        lines += [*_comment(known.get(name, "")), line]
+    return "\n".join([*lines, ""])
+
+
+def described_settings(experiment: Experiment) -> Iterator[tuple[str, str, Any]]:
+    """Yields dotted name, meaning and value of every setting and table, in the order of the file; None for a table."""
+    yield "robot", "Name of the robot.", experiment.robot.name
+    methods = " or ".join(METHODS)
+    yield "method", f"{methods}: sets the tables learning and control, before their keys. It is not in the file.", None
+    for owner in (experiment, experiment.robot):
+        yield from _described(owner, "")
+    for name, presets in experiment.robot.presets.items():
+        text = f"{', '.join(presets)}: sets all keys of this table, before the others. It is not in the file."
+        yield f"{name}.preset", text, None
+
+
+def settings_page(robots: tuple[str, ...]) -> str:
+    """Page with the settings of an experiment with each of these robots, in Markdown."""
+    experiments = [Experiment(load_robot(name)) for name in robots]
+    common = {"robot", "method", *(name for name, _, _ in _described(experiments[0], ""))}
+    parts = [_PAGE_HEAD, *_tables(experiments[0], common)]
+    for experiment in experiments:
+        named = {name for name, _, _ in described_settings(experiment)} - common
+        parts += [f"## Robot {experiment.robot.name}\n", *_tables(experiment, named)]
+    return "\n".join(parts)
+
+
+_PAGE_HEAD = """# Settings
+
+All settings of an experiment, with their default values. They are in `experiment.toml` of every run, with the same
+texts, and `stepgap settings` prints them. On the command line, a setting has the name of its table and its own:
+`stepgap run --learning.residual linear --gap.ground_slope 0.002`. Units are in brackets.
+
+This page is written by `./go python docs/settings_page.py`.
+
+## Every robot
+"""
+
+
+def _tables(experiment: Experiment, wanted: set[str]) -> list[str]:
+    """The wanted settings as tables in Markdown, one for each table of the file."""
+    tables: dict[str, list[str]] = {}
+    heads: dict[str, str] = {}
+    for name, text, value in described_settings(experiment):
+        if name not in wanted:
+            continue
+        table, _, key = name.rpartition(".")
+        if value is None and key != "preset" and name != "method":
+            heads[name] = text
+        else:
+            shown = "" if value is None else f"`{tomli_w.dumps({'x': value})[4:].strip()}`"
+            tables.setdefault(table, []).append(f"| `{key}` | {shown} | {text.replace('|', chr(92) + '|')} |")
+    lines = []
+    for table, rows in tables.items():
+        lines += [f"### `[{table}]`\n\n{heads.get(table, '')}\n"] if table else []
+        lines += ["| setting | default | meaning |\n|---|---|---|", *rows, ""]
+    return lines
+
+
+def _described(settings: Any, prefix: str) -> Iterator[tuple[str, str, Any]]:
+    """Yields dotted name, meaning and value of every setting of a dataclass and of the tables in it."""
+    texts, types = meanings(type(settings)), get_type_hints(type(settings))
+    entries = [entry for entry in fields(settings) if entry.metadata.get(IS_KEY, True)]
+    tables = [entry for entry in entries if is_dataclass(getattr(settings, entry.name))]
+    for entry in (*(entry for entry in entries if entry not in tables), *tables):
+        name, value = prefix + entry.name, getattr(settings, entry.name)
+        if entry in tables:
+            yield name, texts.get(entry.name, ""), None
+            yield from _described(value, f"{name}.")
+        else:
+            shown = float(value) if types[entry.name] is float else value
+            yield name, texts.get(entry.name, ""), list(shown) if isinstance(shown, tuple) else shown
+
+
+def _comment(text: str) -> list[str]:
+    return [f"# {line}" for line in wrap(text, COMMENT_WIDTH)]
