@@ -102,7 +102,7 @@ def test_only_the_paper_has_hardware(page: Page, like_paper: Page) -> None:
 
 def test_pictures_are_pictures(written: Path) -> None:
     names = sorted(path.name for path in (written / "figures").iterdir())
-    kinds = ["errors", "left_out", "map_height", "map_speed", "tracking"]
+    kinds = ["commands", "errors", "left_out", "map_height", "map_speed", "tracking"]
     assert names == [f"{kind}.{form}" for kind in kinds for form in ("pdf", "png")]
     for name in names[1::2]:
         assert (written / "figures" / name).with_suffix(".pdf").read_bytes().startswith(b"%PDF")
@@ -123,8 +123,8 @@ def test_curves_are_the_steps(written: Path) -> None:
     curves = {line.get_label(): np.asarray(line.get_ydata()) for line in tracking_figure(record).axes[1].lines}
     last = record.steps.of_iteration(2)
     np.testing.assert_array_equal(curves["reference"], last.target[:, 1])
-    np.testing.assert_array_equal(curves["deployment 2, with GP"], last.next_state[:, 1])
-    np.testing.assert_array_equal(curves["deployment 0, without GP"], record.steps.of_iteration(0).next_state[:, 1])
+    np.testing.assert_array_equal(curves["deployment 2, corrected by gp"], last.next_state[:, 1])
+    np.testing.assert_array_equal(curves["deployment 0, nominal map"], record.steps.of_iteration(0).next_state[:, 1])
     inside, known = (counts[0] for counts in interval_coverage(last))
     assert known == 40
     assert 30 <= inside <= 40

@@ -74,10 +74,14 @@ def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
     return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / degrees_of_freedom)
 
 
+def cut_commands(steps: StepLog) -> np.ndarray:
+    """Whether limits removed more than `CUT` of each requested command; shape (N, m)."""
+    return np.abs(steps.requested - steps.applied) / steps.space.command_scale > CUT
+
+
 def count_cut(steps: StepLog) -> int:
     """Number of steps of whose requested command the limits removed more than `CUT`."""
-    removed = np.abs(steps.requested - steps.applied) / steps.space.command_scale
-    return int((removed > CUT).any(axis=1).sum())
+    return int(cut_commands(steps).any(axis=1).sum())
 
 
 def unreachable_targets(step_map: StepMap, reference: Reference) -> Array:

@@ -22,6 +22,7 @@ from stepgap.report.missing_parts import missing_parts
 from stepgap.report.page import report_html
 from stepgap.report.reference_gait import ReferenceGait, reference_gait
 from stepgap.report.run_context import NO_CONTEXT, RunContext
+from stepgap.step import StepSpace
 
 __all__ = [
     "NO_CONTEXT",
@@ -61,7 +62,8 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
     """
     learned = read_learned_residual(record.folder, record.shown_iterations[-1], record.space)
     gait = _gait(record, context, learned)
-    drawings = _drawings(record, learned, gait)
+    bounds = None if isinstance(context.nominal, Missing) else context.nominal.space
+    drawings = _drawings(record, learned, gait, bounds)
     wanted = {f"map_{index}": f"map_{name}" for index, name in enumerate(record.space.state_names)}
     write_figures(record.folder, {wanted.get(name, name): drawing for name, drawing in drawings.items()})
     path = record.folder / "report.html"
@@ -79,7 +81,7 @@ def _gait(record: RunRecord, context: RunContext, learned: LearnedResidual | Non
 
 
 def _drawings(
-    record: RunRecord, learned: LearnedResidual | None, gait: ReferenceGait | Missing
+    record: RunRecord, learned: LearnedResidual | None, gait: ReferenceGait | Missing, bounds: StepSpace | None
 ) -> dict[str, Drawing | Missing]:
     """All figures of a run by their names in `report_html`."""
 
@@ -87,6 +89,11 @@ def _drawings(
         from stepgap.report.figures import tracking_figure
 
         return tracking_figure(record)
+
+    def commands() -> object:
+        from stepgap.report.figures import command_figure
+
+        return command_figure(record, bounds)
 
     def errors() -> object:
         from stepgap.report.figures import error_figure
@@ -98,7 +105,11 @@ def _drawings(
 
         return map_figure(record, index)
 
-    drawings = {"tracking": draw_figure(tracking, "the tracking"), "errors": draw_figure(errors, "the errors")}
+    drawings = {
+        "tracking": draw_figure(tracking, "the tracking"),
+        "commands": draw_figure(commands, "the commands"),
+        "errors": draw_figure(errors, "the errors"),
+    }
     for index, name in enumerate(record.space.state_names):
         drawings[f"map_{index}"] = draw_figure(lambda index=index: map_of(index), f"the map of {name}")
     if learned is not None and learned.steps:

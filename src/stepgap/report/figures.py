@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from stepgap.base.normal import INTERVAL_95
+from stepgap.experiment.outcome import cut_commands
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
-from stepgap.step import Array, Quantity, StepStatus
+from stepgap.step import Array, Quantity, StepSpace, StepStatus
 
 WIDTH: Final = 7.16
 """Width of every figure [inches]: both columns of a journal's page, so that fonts are printed in their size."""
@@ -55,6 +56,32 @@ def tracking_figure(record: RunRecord) -> Figure:
         if last != first:
             steps = record.steps.of_iteration(last)
             _draw_tracking(panel, steps, index, _name(record, last), {**LAST_LOOK, **_pixels(steps)})
+        panel.set_ylabel(axis_label(quantity))
+    _finish(figure, panels, "Step")
+    return figure
+
+
+def command_figure(record: RunRecord, bounds: StepSpace | None) -> Figure:
+    """Commands against the step number, in the first and last deployment, with their bounds.
+
+    Args:
+        record: The run.
+        bounds: Its state and command with their bounds; None if these are not known.
+    """
+    first, last = record.shown_iterations[0], record.shown_iterations[-1]
+    figure, panels = _panels(len(record.space.command))
+    for index, (panel, quantity) in enumerate(zip(panels, record.space.command, strict=True)):
+        for number, look in {first: FIRST_LOOK, last: LAST_LOOK}.items():
+            steps = record.steps.of_iteration(number)
+            numbers, requested = _numbers(steps), steps.requested[:, index]
+            panel.plot(numbers, requested, label=_name(record, number), **{**look, **_pixels(steps)})
+            cut = cut_commands(steps)[:, index]
+            if bounds is not None and cut.any():
+                mark = {"color": look["color"], "marker": "v", "linestyle": "", "markersize": 5, "fillstyle": "none"}
+                panel.plot(numbers[cut], requested[cut], label="cut by limits", **mark)
+        if bounds is not None:
+            for row, bound in enumerate((bounds.command[index].lower, bounds.command[index].upper)):
+                panel.axhline(bound, color=GREY, linestyle=(0, (1, 2)), label="" if row else "bounds")
         panel.set_ylabel(axis_label(quantity))
     _finish(figure, panels, "Step")
     return figure
@@ -160,8 +187,8 @@ def _name(record: RunRecord, iteration: int) -> str:
     """Name of a deployment in legends."""
     kind = next((entry.residual for entry in record.deployments if entry.iteration == iteration), None)
     kind = "none" if iteration == 0 and kind is None else kind
-    labels = {"none": "without GP", "gp": "with GP", "gp_on_linear": "with GP", "fitrgp": "with GP", None: "unfinished"}
-    return f"deployment {iteration}, {labels.get(kind) or 'residual: ' + plain(str(kind))}"
+    labels = {"none": "nominal map", None: "unfinished"}
+    return f"deployment {iteration}, {labels.get(kind) or 'corrected by ' + plain(str(kind))}"
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:

@@ -56,7 +56,8 @@ def report_html(
 
     Args:
         record: The run.
-        drawings: Figures by name (`tracking`, `errors`, `map_K`, `left_out`, `gait`), or reasons why there are none.
+        drawings: Figures by name (`tracking`, `commands`, `errors`, `map_K`, `left_out`, `gait`), or the reasons why
+            there are none.
         context: Information that is not in the files of the run.
         learned: The last residual, if there is one.
         gait: Limit cycles at the targets, or the reason why they are not known.
@@ -102,6 +103,7 @@ def captions(record: RunRecord) -> dict[str, str]:
     found = {
         "tracking": f"Tracking {how}, drawn like the paper's Fig. 4: the state at the end of each step {which}, and "
         "the reference.",
+        "commands": f"Requested commands {which}. Dotted: their bounds. Triangles: limits of the robot removed a part.",
         "errors": "Tracking error by deployment, drawn like the paper's Fig. 5, on logarithmic axes.",
     }
     if like_paper:
