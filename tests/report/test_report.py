@@ -210,7 +210,7 @@ def test_hostile_text_stays_text(tmp_path: Path) -> None:
 def test_equal_file_names_are_kept_apart(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("a b", "A_b"), steps=2, iterations=1)
     report_of(folder)
-    assert len(list((folder / "figures").glob("*.png"))) == 4
+    assert len(list((folder / "figures").glob("*.png"))) == 5
 
 
 def test_units_of_a_given_space(tmp_path: Path) -> None:

@@ -51,8 +51,8 @@ is the common joint of the bottom links, and the foot the end of the rear knee's
 """
 
 LINKS = (
-    Link("base", "pivot", 0.03),
-    Link("pivot", "hip", 0.014),
+    Link("base", "pivot", 0.02),
+    Link("pivot", "hip", 0.010),
     Link("hip", "front_knee", 0.008, "near"),
     Link("front_knee", "ankle", 0.006, "near"),
     Link("hip", "rear_knee", 0.008, "far"),
