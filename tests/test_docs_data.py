@@ -20,10 +20,11 @@ SHORT = ["--reference", "short.csv"]
 def test_the_page_of_data_runs(stepgap: Command, capfd: pytest.CaptureFixture[str]) -> None:
     Path("short.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
     assert stepgap("run", *SHORT, "--out", "runs/latest", "--iterations", 1, "--quiet").code == 0
+    printed = ""
     for language, block in BLOCKS:
         if language == "python":
             exec(compile(block, "data.md", "exec"), {})  # noqa: S102  (our own page)
-            assert "of the time on the ground" in capfd.readouterr().out
+            printed += capfd.readouterr().out
         elif language == "matlab":
             assert_octave_runs(block)
         else:
@@ -36,6 +37,8 @@ def test_the_page_of_data_runs(stepgap: Command, capfd: pytest.CaptureFixture[st
     for name in ("run.mat", "steps.csv", "steps_columns.csv", "ticks_1.mcap", "mjcf/scene.xml"):
         assert Path("runs/latest/export", name).is_file()
     assert Path("warm/warm_start.csv").is_file()
+    assert "of the time on the ground" in printed
+    assert re.search(r"^\[0\.\d+ +0\.\d+\]$", printed, re.MULTILINE), "the corrected next state"
 
 
 def assert_octave_runs(block: str) -> None:

@@ -305,7 +305,7 @@ def test_a_measured_noise_floor_is_recorded_and_measured_once(tmp_path: Path) ->
     assert isinstance(step_map, CorrectedMap)
     assert drawn == random_stream(3, 2, 1).random()
     learned = json.loads((tmp_path / "models" / "iteration_2.json").read_text())
-    assert step_map.residual.to_dict() == learned
+    assert learned.items() >= step_map.residual.to_dict().items()
 
 
 def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tmp_path: Path) -> None:

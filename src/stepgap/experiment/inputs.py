@@ -66,12 +66,6 @@ def load_known(experiment: Experiment, space: StepSpace) -> StepLog:
     return known
 
 
-def as_past(known: StepLog) -> StepLog:
-    """Steps renumbered as deployments before number 0."""
-    count = max(known.iterations, default=-1) + 1
-    return StepLog(known.space, (replace(logged, iteration=logged.iteration - count) for logged in known))
-
-
 def recorded_space(folder: Path) -> StepSpace | None:
     """State and command of the robot of a run, with units and ranges.
 

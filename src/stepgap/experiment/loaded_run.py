@@ -6,12 +6,12 @@ from typing import final
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.experiment.deployment import DeploymentController
-from stepgap.experiment.inputs import as_past, load_known
+from stepgap.experiment.inputs import load_known
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.learner import Learner
-from stepgap.learning.step_log import StepLog
+from stepgap.learning.step_log import StepLog, as_past
 from stepgap.records.model_files import read_model
 from stepgap.records.steps_csv import read_step_log
 from stepgap.step import StepMap

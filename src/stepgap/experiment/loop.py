@@ -18,12 +18,11 @@ from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.deployment import Steps, deploy
-from stepgap.experiment.inputs import as_past
 from stepgap.experiment.outcome import estimate_noise_floor, summarise
 from stepgap.experiment.resume import Recording, warm_start_of
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.step_log import LoggedStep, StepLog, as_past
 from stepgap.plants.plant import Plant
 from stepgap.records.model_files import write_model
 from stepgap.records.steps_csv import digest

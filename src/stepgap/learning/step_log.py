@@ -150,3 +150,9 @@ def joined(logs: Sequence[StepLog]) -> StepLog:
         first = max(merged.iterations, default=-1) + 1
         merged += [replace(logged, iteration=logged.iteration + first) for logged in log]
     return merged
+
+
+def as_past(known: StepLog) -> StepLog:
+    """Steps renumbered as deployments before number 0."""
+    count = max(known.iterations, default=-1) + 1
+    return StepLog(known.space, (replace(logged, iteration=logged.iteration - count) for logged in known))

@@ -82,7 +82,9 @@ def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap 
 def _steps_of(nominal: StepMap) -> list[list[float | None]]:
     """Next states of the nominal map at the middle of the ranges and half-way to the bounds; None for a failed step."""
     outcome = nominal.evaluate(*_points(nominal.space))
-    return [[value if isfinite(value) else None for value in row] for row in outcome.next_state.tolist()]
+    return [
+        [float(f"{value:.9g}") if isfinite(value) else None for value in row] for row in outcome.next_state.tolist()
+    ]
 
 
 def _points(space: StepSpace) -> tuple[Array, Array]:
