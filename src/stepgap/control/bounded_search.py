@@ -1,7 +1,6 @@
 """Bounded least squares without a good start: Gauss–Newton steps first, then a search for better starts on a grid."""
 
 import numpy as np
-from scipy.ndimage import minimum_filter
 
 from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, minimise, norms
 from stepgap.step import Array, box_grid
@@ -41,6 +40,8 @@ def _sample(function: Function, k: int) -> tuple[Array, Array]:
 
 def _basins(distance: Array) -> list[tuple[int, ...]]:
     """Grid points with no closer neighbour, the closest first."""
+    from scipy.ndimage import minimum_filter  # the import takes long, and most commands are found without a search
+
     lowest = (distance == minimum_filter(distance, size=3, mode="nearest")) & np.isfinite(distance)
     return sorted((tuple(index) for index in np.argwhere(lowest)), key=lambda index: distance[index])
 

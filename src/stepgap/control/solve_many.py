@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import minimum_filter
 
 from stepgap.control.bounded_search import BASINS
 from stepgap.control.gauss_newton import REACHED, minimise_many, norms
@@ -120,6 +119,8 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
 
 def _basins(length: Array, m: int) -> Nodes:
     """Samples with no closer neighbour, the closest first, -1 where there are no more; (P, s, …, s) to (P, BASINS)."""
+    from scipy.ndimage import minimum_filter  # the import takes long
+
     lowest = (length == minimum_filter(length, size=(1,) + (3,) * m, mode="nearest")) & np.isfinite(length)
     length = np.where(lowest, length, np.inf).reshape(len(length), -1)
     order = np.argsort(length, axis=1, kind="stable")[:, :BASINS]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.special import chdtrc, fdtrc  # the tails of scipy.stats, without its long import
 
 from stepgap.learning.linear_regression import LinearFit, fit_linear
 from stepgap.learning.observations import Observations
@@ -124,10 +124,10 @@ def _gains(plain: LinearFit, more: LinearFit) -> Array:
     added, free = more.rank - plain.rank, len(plain.residual) - more.rank
     if added == 0:
         return np.zeros(len(before))
-    statistic = (before - after) / added / np.maximum(after / free, 1e-300)
+    statistic = np.maximum(before - after, 0) / added / np.maximum(after / free, 1e-300)
     errors = np.sqrt(np.mean(more.left_out**2, axis=0)), np.sqrt(np.mean(plain.left_out**2, axis=0))
     reduced = 1 - np.divide(*errors, out=np.ones(len(before)), where=errors[1] > 0)
-    return np.where(f.sf(statistic, added, free) > CONFIDENT, 0.0, np.maximum(reduced, 0.0))
+    return np.where(fdtrc(added, free, statistic) > CONFIDENT, 0.0, np.maximum(reduced, 0.0))
 
 
 def _noise_ratio(points: Array, residual: Array) -> float:
@@ -139,7 +139,7 @@ def _noise_ratio(points: Array, residual: Array) -> float:
     found = fit_linear(monomials(points, 1), squares[:, None])
     unexplained = found.residual[:, 0]
     statistic = len(squares) * (1 - unexplained @ unexplained / total)
-    if chi2.sf(statistic, found.rank - 1) > CONFIDENT:
+    if chdtrc(found.rank - 1, statistic) > CONFIDENT:
         return 1.0
     predicted = squares - unexplained
     low, high = np.quantile(predicted, [1 / 3, 2 / 3])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtr, stdtrit
 
 from stepgap.step import Array
 
@@ -50,10 +50,10 @@ def paired_difference(errors: Errors, others: Errors) -> PairedDifference:
     if count < 2:
         return PairedDifference(float(np.exp(mean)), np.nan, np.nan, np.nan)
     standard_error = float(means.std(ddof=1)) / np.sqrt(count)
-    reach = standard_error * student.ppf(0.5 + CONFIDENCE / 2, count - 1)
+    reach = standard_error * stdtrit(count - 1, 0.5 + CONFIDENCE / 2)
     far = abs(mean) / standard_error if standard_error > 0 else np.inf if mean else 0.0
     low, ratio, high = np.exp([mean - reach, mean, mean + reach]).tolist()
-    return PairedDifference(ratio, low, high, float(2 * student.sf(far, count - 1)))
+    return PairedDifference(ratio, low, high, float(2 * stdtr(count - 1, -far)))
 
 
 def log_ratio(error: float, other: float) -> float:

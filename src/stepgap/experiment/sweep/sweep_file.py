@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from stepgap.base.errors import InputError
 from stepgap.base.plugins import suggestion
@@ -150,6 +149,8 @@ def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
     ranges = dict(_flat(_table(sobol, "ranges", f"{place} ")))
     if not ranges:
         raise InputError(f'{place} ranges: missing; give some, such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]')
+    from scipy.stats import qmc  # the import takes long
+
     fractions = qmc.Sobol(len(ranges), rng=random_stream(seed)).random(points)
     columns = [
         _range(value, f"{path}: [sobol.ranges] {name}").at(fractions[:, column])

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
-from scipy.stats import qmc
 
 from stepgap.base.errors import StepGapError
 from stepgap.learning.linear_regression import fit_linear
@@ -180,6 +179,8 @@ def fit_surrogate(
     Raises:
         StepGapError: Nearly all sampled steps fail.
     """
+    from scipy.stats import qmc  # the import takes long, and few robots have a surrogate
+
     space = step_map.space
     centre = np.concatenate([space.state_centre, space.command_centre])
     scale = np.concatenate([WIDENED * space.state_scale, space.command_scale])
