@@ -58,8 +58,7 @@ def draw_figure(make: Callable[[], Any], subject: str) -> Drawing | Missing:
 
         with rc_context(LOOK):
             figure = make()
-            figure.draw_without_rendering()
-            figure.set_layout_engine(None)  # found once and the same in all formats; with one, savefig draws twice
+            _lay_out(figure)
             return Drawing(_saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf"))
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         short = " ".join(str(error).split())[:LONGEST_ERROR]
@@ -86,6 +85,14 @@ def _file_name(wanted: str, taken: Container[str]) -> str:
     while name in taken:
         name += "_"
     return name
+
+
+def _lay_out(figure: Any) -> None:
+    """Places the axes, once and the same in all formats; with its layout engine, savefig would do it each time."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def _saved(figure: Any, file_format: str) -> bytes:
