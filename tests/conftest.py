@@ -21,7 +21,7 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParamete
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult
-from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats, leave_out_report
+from tests.quick_runs import leave_out_drawing, leave_out_files_of_figures, leave_out_repeats, leave_out_report
 from tests.robots.plug_in import install
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
@@ -84,13 +84,23 @@ def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def every_format() -> None:
-    """Reports write the files of their figures too, which takes three times as long as the figures of the page."""
+    """Reports draw the files of their figures too, which takes three times as long as the figures of the page."""
+
+
+@pytest.fixture
+def drawn_page() -> None:
+    """Reports draw the figures of their page, which takes ten times as long as to make them."""
 
 
 @pytest.fixture(autouse=True)
-def _page_only(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if "every_format" not in request.fixturenames:
+def _figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests that ask for neither have figures that are made from their data but not drawn."""
+    if "every_format" in request.fixturenames:
+        return
+    if "drawn_page" in request.fixturenames:
         leave_out_files_of_figures(monkeypatch)
+    else:
+        leave_out_drawing(monkeypatch)
 
 
 @pytest.fixture

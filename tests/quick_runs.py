@@ -9,6 +9,9 @@ from stepgap.plants.plant import Plant
 from stepgap.records.summary import NoiseFloor
 from stepgap.report import WrittenReport, drawing
 
+EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
+"""A figure that was not drawn."""
+
 
 def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
     """Replaces the measurement of the noise floor, which takes as long as a deployment."""
@@ -38,6 +41,12 @@ def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:
         return WrittenReport(folder / "report.html", ())
 
     patch.setattr("stepgap.cli.sweep_report.report_sweep", report_sweep)
+
+
+def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:
+    """Figures are made from their data but not drawn: those of the page are empty, and so are their files."""
+    patch.setattr(drawing, "_lay_out", lambda figure: None)
+    patch.setattr(drawing, "_saved", lambda figure, form: EMPTY_SVG if form == "svg" else b"")
 
 
 def leave_out_files_of_figures(patch: pytest.MonkeyPatch) -> None:

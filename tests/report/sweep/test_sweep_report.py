@@ -191,6 +191,7 @@ def test_names_are_short_where_they_stay_different() -> None:
     assert list(short_names(names).values()) == ["gap.torque_limit", "robot.torque_limit", "delay", "twin"]
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
     settings = {name: texts[:100] for name, texts in combinations_of(AXES).items()}
     folder = write_results_table(tmp_path, settings, errors_of(settings, np.random.default_rng(0)))
@@ -204,6 +205,7 @@ def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
     assert written.missing == ("settings (the folder contains no experiment.toml)",)
 
 
+@pytest.mark.usefixtures("drawn_page")
 @pytest.mark.parametrize("count", [1, 2, 9])
 def test_few_cases_have_a_page(tmp_path: Path, count: int) -> None:
     settings = {"a": [str(row % 2) for row in range(count)], "seed": list(map(str, range(count)))}
@@ -225,6 +227,7 @@ def test_all_cases_failed(tmp_path: Path) -> None:
     assert "reason 20" not in page.text
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_all_cases_fell(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
     folder = write_results_table(tmp_path, settings, np.ones((30, 2, 2)), fell=dict.fromkeys(range(30), 1))
@@ -235,6 +238,7 @@ def test_all_cases_fell(tmp_path: Path) -> None:
     assert "Cases with a fall in the last deployment (the first 10 of 30)" in page.text
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_deployment_0_alone(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
     errors = np.random.default_rng(0).uniform(1, 2, (30, 1, 1))
@@ -256,6 +260,7 @@ def test_only_the_most_important_settings_are_drawn(tmp_path: Path) -> None:
     assert "speed error: s14 (" in page.text
 
 
+@pytest.mark.usefixtures("drawn_page")
 def test_hostile_text_stays_text(tmp_path: Path) -> None:
     text = HOSTILE.replace("\n", "")
     axes = {text: [f"{text}{row}" for row in range(3)], "名\u202e": ["\x1b[31m", "$x"], "seed": range(6)}
