@@ -4,7 +4,6 @@ import re
 import signal
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from hypothesis import settings
 
 from stepgap.base.compiled import cache_folder
 from stepgap.cli.app import main
-from stepgap.experiment.cases import processes
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -21,7 +19,13 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParamete
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult
-from tests.quick_runs import leave_out_drawing, leave_out_files_of_figures, leave_out_repeats, leave_out_report
+from tests.quick_runs import (
+    compute_in_a_thread,
+    leave_out_drawing,
+    leave_out_files_of_figures,
+    leave_out_repeats,
+    leave_out_report,
+)
 from tests.robots.plug_in import install
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
@@ -68,8 +72,7 @@ def compile_hops() -> None:
 
 @pytest.fixture
 def in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Computes cases in a thread of this process, which starts at once, instead of other processes."""
-    monkeypatch.setattr(processes, "Processes", lambda count: ThreadPoolExecutor(1))
+    compute_in_a_thread(monkeypatch)
 
 
 @pytest.fixture

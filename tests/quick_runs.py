@@ -1,10 +1,12 @@
 """Parts of `stepgap run` that take long and have tests of their own, left out for tests of other parts."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from stepgap.experiment.cases import processes
 from stepgap.plants.plant import Plant
 from stepgap.records.summary import NoiseFloor
 from stepgap.report import WrittenReport, drawing
@@ -41,6 +43,11 @@ def leave_out_sweep_report(patch: pytest.MonkeyPatch) -> None:
         return WrittenReport(folder / "report.html", ())
 
     patch.setattr("stepgap.cli.sweep_report.report_sweep", report_sweep)
+
+
+def compute_in_a_thread(patch: pytest.MonkeyPatch) -> None:
+    """Cases are computed in a thread of this process, which starts at once, instead of other processes."""
+    patch.setattr(processes, "Processes", lambda count: ThreadPoolExecutor(1))
 
 
 def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:

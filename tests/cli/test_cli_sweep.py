@@ -1,6 +1,7 @@
 """`stepgap sweep`: the same table by all ways of execution, after any process was killed, and clear errors."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,10 +11,13 @@ from time import sleep
 
 import pytest
 
+from stepgap.cli.app import main
+from stepgap.experiment.cases import processes
+from stepgap.experiment.cases.processes import Processes
 from stepgap.records.results_table import read_results
 from tests.cli.command_line import Command, refused
 from tests.full_disk import FILE_TOO_LARGE, largest_file
-from tests.quick_runs import leave_out_sweep_report
+from tests.quick_runs import compute_in_a_thread, leave_out_sweep_report
 
 SWEEP = """
 base = "short.toml"
@@ -27,32 +31,53 @@ keep = "runs"
 PROGRAM = [sys.executable, "-c", "from stepgap.cli.app import main; main()"]
 
 
+ARRAYS = ("SLURM_ARRAY_TASK_ID", "LSB_JOBINDEX", "SGE_TASK_ID", "PBS_ARRAY_INDEX", "PBS_ARRAYID")
+"""Variables of the environment by which a job array names its shard."""
+
+
+def write_inputs(folder: Path) -> None:
+    """Writes a sweep of four short experiments."""
+    targets = "".join(f"{target}\n" for target in ["0,0.55"] * 2 + ["0.17,0.58"] * 4)
+    (folder / "short.csv").write_text(f"speed,height\n{targets}")
+    (folder / "short.toml").write_text('reference = "short.csv"\n[learning]\niterations = 1\n')
+    (folder / "s.toml").write_text(SWEEP)
+
+
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a sweep of four short experiments."""
     monkeypatch.chdir(tmp_path)
-    for name in ("SLURM_ARRAY_TASK_ID", "LSB_JOBINDEX", "SGE_TASK_ID", "PBS_ARRAY_INDEX", "PBS_ARRAYID"):
+    for name in ARRAYS:
         monkeypatch.delenv(name, raising=False)
-    targets = "".join(f"{target}\n" for target in ["0,0.55"] * 2 + ["0.17,0.58"] * 4)
-    Path("short.csv").write_text(f"speed,height\n{targets}")
-    Path("short.toml").write_text('reference = "short.csv"\n[learning]\niterations = 1\n')
-    Path("s.toml").write_text(SWEEP)
+    write_inputs(tmp_path)
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the sweep, computed by this process."""
+    folder = tmp_path_factory.mktemp("one")
+    write_inputs(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        compute_in_a_thread(patch)
+        leave_out_sweep_report(patch)
+        for name in ARRAYS:
+            patch.delenv(name, raising=False)
+        main(["sweep", str(folder / "s.toml"), "--out", str(folder / "one"), "--processes", "1", "--quiet"])
+    return folder / "one"
+
+
 @pytest.fixture
-def table(here: Path, stepgap: Command, in_a_thread: None, monkeypatch: pytest.MonkeyPatch) -> bytes:
-    """The table of the sweep, computed by this process into the folder `one`."""
+def table(here: Path, one: Path, in_a_thread: None, monkeypatch: pytest.MonkeyPatch) -> bytes:
+    """The table of the sweep, whose folder is `one`; further sweeps are computed by this process."""
     leave_out_sweep_report(monkeypatch)
-    result = stepgap("sweep", "s.toml", "--out", "one", "--processes", 1)
-    assert result.code == 0, result.err
-    assert result.out.splitlines()[0] == "one/results.csv"
+    shutil.copytree(one, "one")
     return Path("one/results.csv").read_bytes()
 
 
 @pytest.fixture
 def dask(here: Path) -> Iterator[str]:
-    """Address of a dask scheduler with two workers, each a process that is reached over TCP."""
+    """Address of a dask scheduler with a worker, each a process that is reached over TCP."""
     start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
     worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard"]
     processes = []
@@ -64,7 +89,7 @@ def dask(here: Path) -> Iterator[str]:
                 assert processes[0].poll() is None, Path("dask.log").read_text()
                 sleep(0.05)
             reach = ["--scheduler-file", "dask.json", "--host", "127.0.0.1", "--local-directory", str(here)]
-            processes += [subprocess.Popen([*worker, *reach], stdout=log, stderr=log) for _ in range(2)]
+            processes.append(subprocess.Popen([*worker, *reach], stdout=log, stderr=log))
         yield "dask.json"
     finally:
         for process in processes:
@@ -73,8 +98,13 @@ def dask(here: Path) -> Iterator[str]:
             process.wait()
 
 
-def test_all_ways_give_the_same_table(table: bytes, dask: str, stepgap: Command) -> None:
-    subprocess.run([*PROGRAM, "sweep", "s.toml", "--out", "two", "--processes", "2", "--quiet"], check=True)
+def test_all_ways_give_the_same_table(
+    table: bytes, dask: str, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(processes, "Processes", Processes)
+        result = stepgap("sweep", "s.toml", "--out", "two", "--processes", 2)
+    assert (result.code, result.out.splitlines()[0]) == (0, "two/results.csv"), result.err
     assert Path("two/results.csv").read_bytes() == table
     for shard in (1, 2, 3):
         result = stepgap("sweep", "s.toml", "--out", f"shard{shard}", "--shard", f"{shard}/3", "--processes", 1)
@@ -83,10 +113,8 @@ def test_all_ways_give_the_same_table(table: bytes, dask: str, stepgap: Command)
     assert merged.code == 0, merged.err
     assert Path("three/results.csv").read_bytes() == table
     assert Path("three/runs/00000003/steps.csv").read_bytes() == Path("one/runs/00000003/steps.csv").read_bytes()
-    outcome = subprocess.run(
-        [*PROGRAM, "sweep", "s.toml", "--out", "four", "--dask", dask], capture_output=True, text=True, check=False
-    )
-    assert outcome.returncode == 0, outcome.stderr
+    result = stepgap("sweep", "s.toml", "--out", "four", "--dask", dask)
+    assert result.code == 0, result.err
     assert Path("four/results.csv").read_bytes() == table
 
 
