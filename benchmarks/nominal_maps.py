@@ -2,7 +2,7 @@
 
 Three nominal maps: the equations; a template with a limit cycle that is none of the robot's and four derivatives, each
 0.7 of the true one with one digit; and a map fitted to the steps of another twin, the preset `paper`, which learned
-online after 60 exploratory hops. For each there is a sweep over twins and seeds with two deployments; both learn online.
+online after 60 exploratory hops. Each is used in a sweep over twins and seeds with two deployments that learn online.
 
     ./go python benchmarks/nominal_maps.py FOLDER
 """
