@@ -12,6 +12,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import t as student
 
 from stepgap.records.results_table import ResultsTable, as_numbers, read_results
 from stepgap.step import Array
@@ -52,8 +53,22 @@ def of_iteration(results: ResultsTable, name: str, iteration: int) -> Array:
     return as_numbers(results.columns[name])[results.columns["iteration"] == iteration]
 
 
+def by_twin(results: ResultsTable, name: str, iteration: int) -> Array:
+    """Mean logarithm of an error in one deployment over the seeds of each twin; shape (twins,)."""
+    twins, errors = of_iteration(results, "twin", iteration), of_iteration(results, name, iteration)
+    return np.array([np.mean(np.log(errors[twins == twin])) for twin in np.unique(twins)])
+
+
+def ratio(results: ResultsTable, exact: ResultsTable, name: str, iteration: int) -> str:
+    """Geometric mean of an error relative to that with the equations, with its 95 % interval over the twins."""
+    change = by_twin(results, name, iteration) - by_twin(exact, name, iteration)
+    half = student.ppf(0.975, len(change) - 1) * np.std(change, ddof=1) / np.sqrt(len(change))
+    mean, low, high = np.exp(np.mean(change) + half * np.array([0, -1, 1]))
+    return f"{mean:.2f} ({low:.2f} to {high:.2f})"
+
+
 def main() -> None:
-    """Runs what is missing and prints the table."""
+    """Runs what is missing and prints the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="folder of the sweeps")
     parser.add_argument("--twins", type=int, default=20)
@@ -62,12 +77,13 @@ def main() -> None:
     if not (folder / "sweep_log.toml").exists():
         prepare(folder, arguments.twins)
     print("nominal map: hops to the band, median (quartiles), cases that reach it; RMSE online and redeployed; falls")
+    found: dict[str, ResultsTable] = {}
     for kind in FILES:
         out = folder / f"out_{kind}"
         if not (out / "results.csv").exists():
             words = ["sweep", str(folder / f"sweep_{kind}.toml"), "--out", str(out), "--quiet"]
             subprocess.run(["stepgap", *words, *(["--resume"] if out.exists() else [])], check=True)
-        results = read_results(out / "results.csv")
+        results = found[kind] = read_results(out / "results.csv")
         last = of_iteration(results, "hops_to_band", 1)
         hops = np.where(np.isnan(last), np.inf, last)
         low, middle, high = np.quantile(hops, [0.25, 0.5, 0.75], method="inverted_cdf")
@@ -77,6 +93,11 @@ def main() -> None:
             errors = [1e3 * np.median(of_iteration(results, f"rmse_{name}", iteration)) for name in ("speed", "height")]
             print(f" {errors[0]:.1f} mm/s, {errors[1]:.2f} mm;", end="")
         print(f" falls {falls[0]}, {falls[1]}")
+    print("error relative to that with the equations, with its 95 % interval: speed, height")
+    for kind, results in found.items():
+        for iteration in (0, 1) if kind != "equations" else ():
+            ratios = [ratio(results, found["equations"], f"rmse_{name}", iteration) for name in ("speed", "height")]
+            print(f"{kind}, deployment {iteration}: {', '.join(ratios)}")
 
 
 if __name__ == "__main__":
