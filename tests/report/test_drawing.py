@@ -34,5 +34,5 @@ def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(builtins, "__import__", without)
     page = Page(report_of(folder))
     check_alone(page, 0)
-    assert page.text.count("could be drawn (ImportError: libfreetype.so.6") == 3
+    assert page.text.count("could be drawn (ImportError: libfreetype.so.6") == 4
     assert not (folder / "figures").exists()
