@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import settings
+from threadpoolctl import threadpool_limits
 
 from stepgap.base.compiled import cache_folder
 from stepgap.cli.app import main
@@ -48,6 +49,12 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     names_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
     return 0 if cores == 1 or names_files else min(cores + 1, MOST_WORKERS)
+
+
+def pytest_configure() -> None:
+    """Matrices of tests are small, and tests fill the cores already: further threads of BLAS would only wait."""
+    threadpool_limits(limits=1, user_api="blas")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -21,11 +21,14 @@ from tests.view.conftest import TARGETS
 SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
 """Code that enables Ctrl-C, which is ignored where the tests run in the background."""
 
-PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; from stepgap.cli.app import main; main()"]
+UNDRAWN = "from stepgap import report; report.draw_figure = lambda *_: report.Missing('left out')"
+"""Code that leaves out the figures of a report."""
+
+PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; {UNDRAWN}; from stepgap.cli.app import main; main()"]
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
-    """Starts a command in a new process that reacts to Ctrl-C."""
+    """Starts a command in a new process that reacts to Ctrl-C and draws no figures."""
     return subprocess.Popen(
         [*PROGRAM, *map(str, arguments)],
         stdout=subprocess.PIPE,

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any
 
 from stepgap.base.settings_file import InputError
@@ -12,13 +12,13 @@ from stepgap.base.settings_file import InputError
 
 def plugin_names(group: str) -> tuple[str, ...]:
     """Names of all installed plug-ins of a group, in alphabetical order; imports none of them."""
-    return _plugin_names(group, tuple(sys.path))
+    return tuple(sorted(_entries(group, tuple(sys.path)).names))
 
 
 @cache
-def _plugin_names(group: str, path: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the plug-ins on a search path; to find them takes milliseconds, and all settings need them."""
-    return tuple(sorted(entry_points(group=group).names))
+def _entries(group: str, path: tuple[str, ...]) -> EntryPoints:
+    """The plug-ins of a group on a search path; to find them takes 10 ms, and settings and models need them often."""
+    return entry_points(group=group)
 
 
 def load_plugin(group: str, kind: str, name: str, accepts: Callable[[Any], bool], wanted: str) -> Any:
@@ -36,7 +36,7 @@ def load_plugin(group: str, kind: str, name: str, accepts: Callable[[Any], bool]
     Raises:
         InputError: The name is unknown, or offered by two packages; or the object cannot be imported or is not valid.
     """
-    found = entry_points(group=group, name=name)
+    found = _entries(group, tuple(sys.path)).select(name=name)
     if not found:
         names = plugin_names(group)
         meant = suggestion(name, names)
