@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from stepgap.base.compiled import implements
+from stepgap.base.compiled import compiled, implements
 from stepgap.hybrid.integrator import (
     BROKEN,
     TIME_OUT,
@@ -21,6 +21,12 @@ from stepgap.hybrid.motion import rate, rate_and_guards, rate_jacobian
 FINE, COARSE = Tolerance(1e-13, 1e-14), Tolerance(1e-6, 1e-6)
 FREE_FALL, OSCILLATOR, BLOW_UP, ROOT = range(4)
 NEVER = -1e9
+
+
+@compiled
+def integrated(system, time, state, time_limit, tolerance, h, trace):
+    """`integrate`, which is compiled anew in each process, with a cache."""
+    return integrate(system, time, state, time_limit, tolerance, h, trace)
 
 
 class Motion(NamedTuple):
@@ -89,7 +95,7 @@ def _servo_slopes(system, state, here):
 def run(motion, position, speed=0.0, limit=100.0, tolerance=FINE, first_step=1e-4, trace=None):
     """(time, event, position, speed) of one piece."""
     trace = make_trace() if trace is None else trace
-    time, state, event, _ = integrate(motion, 0.0, (position, 0.0, speed, 0.0), limit, tolerance, first_step, trace)
+    time, state, event, _ = integrated(motion, 0.0, (position, 0.0, speed, 0.0), limit, tolerance, first_step, trace)
     return time, event, state[0], state[2]
 
 
@@ -223,7 +229,7 @@ def test_a_retraced_motion_is_itself_and_its_neighbour_differs_by_the_derivative
     """Time to a level of a linear motion from `position` at rest: a function of level/position alone."""
     trace, nudge = make_trace(), 1e-7
     start = (1.0, 0.0, 0.0, 0.0)
-    time, state, _, _ = integrate(motion, 0.0, start, 100.0, FINE, 1e-4, trace)
+    time, state, _, _ = integrated(motion, 0.0, start, 100.0, FINE, 1e-4, trace)
     rewind(trace)
     again, same, event = retrace(motion, 0.0, start, trace)
     assert (again, same, event) == (pytest.approx(time, rel=1e-13), pytest.approx(state, abs=1e-13), 0)
@@ -245,7 +251,7 @@ def test_retracing_a_sequence_of_pieces_has_the_same_events() -> None:
             if again:
                 time, state, event = retrace(motion, time, state, trace)
             else:
-                time, state, event, _ = integrate(motion, time, state, 100.0, COARSE, 1e-3, trace)
+                time, state, event, _ = integrated(motion, time, state, 100.0, COARSE, 1e-3, trace)
             assert event == 0
             state = (0.0, 0.0, -restitution * state[2], 0.0)
         return time

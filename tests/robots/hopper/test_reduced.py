@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from stepgap.base.compiled import compiled
 from stepgap.hybrid.integrator import TIME_OUT, Tolerance, integrate, make_trace
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.dynamics import energy, impact, masses_of, terms
@@ -23,6 +24,12 @@ from tests.robots.hopper.reference_hop import Hopper
 UNEQUAL = RobotParameters(boom_inertia_vertical=3.0, top_mass=0.2, torque_limit=1e9)
 ROBOTS = [RobotParameters(torque_limit=1e9), UNEQUAL]
 FINE = Tolerance(1e-13, 1e-14)
+
+
+@compiled
+def integrated(system, time, state, time_limit, tolerance, h, trace):
+    """`integrate`, which is compiled anew in each process, with a cache."""
+    return integrate(system, time, state, time_limit, tolerance, h, trace)
 
 
 def random_motions(seed: int, count: int):
@@ -118,7 +125,7 @@ def test_without_torque_flight_keeps_energy(seed) -> None:
         hip = flight_motion(flight, time, leg)[1]
         return energy(masses, np.array([0, hip.height, *leg[:2]]), np.array([hip.speed_x, hip.speed_y, *leg[2:]]))
 
-    time, end, event, _ = integrate(flight, 0.0, leg, 0.1, FINE, 1e-4, make_trace())
+    time, end, event, _ = integrated(flight, 0.0, leg, 0.1, FINE, 1e-4, make_trace())
     assert event == TIME_OUT
     assert kept(time, end) == pytest.approx(kept(0.0, leg), rel=1e-11)
 
@@ -142,7 +149,7 @@ def test_in_stance_energy_with_the_spring_is_kept_until_the_command() -> None:
         q, qd = [0, hip.height, *state[:2]], [hip.speed_x, hip.speed_y, *state[2:]]
         return energy(masses, np.array(q), np.array(qd)) + spring
 
-    _, end, event, _ = integrate(stance, 0.0, start, 1.0, FINE, 1e-4, make_trace())
+    _, end, event, _ = integrated(stance, 0.0, start, 1.0, FINE, 1e-4, make_trace())
     assert event == 1  # mid-stance
     assert stance_motion(stance, end)[1].speed_y == pytest.approx(0, abs=1e-12)
     assert kept(end) == pytest.approx(kept(start), abs=1e-10)
