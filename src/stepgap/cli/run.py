@@ -181,7 +181,7 @@ def _load_nominal(settings: "Experiment") -> "Nominal":
         print(f"nominal map: {count} simulated steps, error of the surrogate: {errors}", file=sys.stderr)
 
     nominal = load_nominal(settings, on_samples)
-    for sentence in (*nominal.warnings, slowness(settings.nominal.kind, nominal.map)):
+    for sentence in (*nominal.warnings, slowness(settings.nominal.kind, nominal.map, settings.control.evaluations)):
         if sentence:
             warn(sentence)
     return nominal

@@ -1,6 +1,8 @@
 """Bounded least squares without a good start: Gauss–Newton steps first, then a search for better starts on a grid."""
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from stepgap.control.gauss_newton import REACHED, Function, Jacobian, Solution, minimise, norms
 from stepgap.step import Array, box_grid
@@ -40,10 +42,20 @@ def _sample(function: Function, k: int) -> tuple[Array, Array]:
 
 def _basins(distance: Array) -> list[tuple[int, ...]]:
     """Grid points with no closer neighbour, the closest first."""
-    from scipy.ndimage import minimum_filter  # the import takes long, and most commands are found without a search
+    lowest = np.argwhere(local_minima(distance, distance.ndim))
+    return sorted((tuple(index) for index in lowest), key=lambda index: distance[index])
 
-    lowest = (distance == minimum_filter(distance, size=3, mode="nearest")) & np.isfinite(distance)
-    return sorted((tuple(index) for index in np.argwhere(lowest)), key=lambda index: distance[index])
+
+def local_minima(values: Array, k: int) -> NDArray[np.bool_]:
+    """Which finite values on a grid of k axes have no smaller neighbour; (…, s, …, s) to the same shape.
+
+    `scipy.ndimage` has this filter, too, but its import takes ten times as long as the choice of a command, in which it
+    would be made.
+    """
+    grid = tuple(range(values.ndim - k, values.ndim))
+    padded = np.pad(values, [(0, 0)] * (values.ndim - k) + [(1, 1)] * k, mode="edge")
+    neighbours = sliding_window_view(padded, (3,) * k, axis=grid)
+    return (values == neighbours.min(axis=tuple(range(values.ndim, values.ndim + k)))) & np.isfinite(values)
 
 
 def _zoom(function: Function, best: Solution, width: float, bound: float) -> Solution:

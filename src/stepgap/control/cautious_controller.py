@@ -10,12 +10,13 @@ A state is *viable* here if some command makes a step from it (compare Wieber, O
 systems, 2002).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.control.command_table import CommandTable
+from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.gauss_newton import minimise
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.control.step_controller import StepController, as_vector
@@ -26,7 +27,11 @@ RISK = 2.0
 FAILURE_RADIUS = 0.2
 """A step closer than this to one that failed, in every coordinate, is not taken [half ranges]."""
 SEARCH_POINTS = 9
-"""Commands along each axis of the grid that is searched if no better command is safe."""
+"""Commands along each axis of the grid that is searched if no better command is safe; fewer if their evaluation takes
+more than `SEARCH_SHARE` of the budget."""
+SEARCH_SHARE = 0.25
+IMPROVEMENT = 1e-6
+"""The search for the least expected squared distance ends where that can fall by no more than this fraction."""
 VIABILITY_POINTS = 3
 """Commands along each axis of the grid that is searched for a command that makes a step from the next state."""
 
@@ -76,26 +81,36 @@ class CautiousController:
             StepFailed: No command that was searched makes a step.
             ValueError: State, target or guess has the wrong size, or the target or guess is not finite.
         """
-        exact = (self.table or StepController(self.step_map))(state, target, guess)
+        searching, checking = self._with_half_the_budget(), self._with_half_the_budget()
+        exact = (self.table or StepController(searching.step_map))(state, target, guess)
         map_std, noise_std = self.step_map.std(state, exact.command), self.step_map.noise_std
         step_std = np.hypot(map_std, noise_std)
         # Where the map's error is smaller than the scatter of a measured step, all commands have the same variance.
         certain = not self.settings.cautious or (map_std <= noise_std).all()
-        if certain and self._is_viable(state, exact.command, exact.predicted, step_std):
+        if certain and checking._is_viable(state, exact.command, exact.predicted, step_std):
             return CautiousPlan(exact.command, exact.predicted, step_std)
         state, target = np.asarray(state, float), as_vector("target", target, len(self.step_map.space.state))
-        commands = np.array([exact.command, *self._cautious_commands(state, target, exact.command)])
-        best = self._best(state, target, commands)
+        commands = np.array([exact.command, *searching._cautious_commands(state, target, exact.command)])
+        best = checking._best(state, target, commands)
         if best is None:
-            best = self._best(
-                state, target, self.step_map.space.command_grid(SEARCH_POINTS).reshape(-1, commands.shape[1])
-            )
+            best = checking._best(state, target, self._grid())
         command = exact.command if best is None else best
         return CautiousPlan(command, self.step_map(state, command), self.step_std(state, command))
 
     def step_std(self, state: ArrayLike, command: ArrayLike) -> Array:
         """Standard deviation of the measured next state; shape (…, n)."""
         return np.hypot(self.step_map.std(state, command), self.step_map.noise_std)
+
+    def _with_half_the_budget(self) -> "CautiousController":
+        """This controller, whose maps evaluate half of the permitted steps: for the search, or for its checks."""
+        budget = EvaluationBudget(self.settings.evaluations // 2)
+        return replace(self, step_map=BudgetedMap(self.step_map, budget), nominal=BudgetedMap(self.nominal, budget))
+
+    def _grid(self) -> Array:
+        """Even grid over the command bounds; shape (k, m)."""
+        m = len(self.step_map.space.command)
+        affordable = int((SEARCH_SHARE * self.settings.evaluations) ** (1 / m))
+        return self.step_map.space.command_grid(min(SEARCH_POINTS, max(2, affordable))).reshape(-1, m)
 
     def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
         """The nominal command, and the local minima of the expected squared distance found from it and from `start`."""
@@ -122,7 +137,9 @@ class CautiousController:
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
             return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
 
-        return space.command_at(minimise(deviations, jacobian, space.point_of(start), bound=1.0).point)
+        return space.command_at(
+            minimise(deviations, jacobian, space.point_of(start), bound=1.0, improvement=IMPROVEMENT).point
+        )
 
     def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
         """The safe command of least expected squared distance among commands (k, m); None if none is safe."""

@@ -30,7 +30,7 @@ REACHED = 1e-6
 CLOSE_ENOUGH = REACHED / 10
 """Norm at which one of many solutions is not improved further."""
 FLAT = 1e-10
-"""A point is stationary when the squared norm can fall by no more than this fraction."""
+"""A point is stationary when the squared norm can fall by no more than this fraction, unless another one is given."""
 NEARBY = 1e-3
 """A Jacobian with Broyden's updates counts as exact up to this distance from the point of its evaluation."""
 MOST_TRIALS = 40
@@ -65,8 +65,16 @@ class Solution:
     converged: bool
 
 
-def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float) -> Solution:
-    """Searches a local minimum of the norm within |point| ≤ bound; the result is never worse than the start."""
+def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float, improvement: float = FLAT) -> Solution:
+    """Searches a local minimum of the norm within |point| ≤ bound; the result is never worse than the start.
+
+    Args:
+        function: Of a point.
+        jacobian: Of the function.
+        start: Shape (k,).
+        bound: Half the width of the box.
+        improvement: The search ends where the squared norm can fall by no more than this fraction.
+    """
     point = np.clip(start, -bound, bound)
     value, matrix, origin, damping = function(point), jacobian(point), point, 0.0
     if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
@@ -79,7 +87,7 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float)
         step = box_step(matrix, value, -bound - point, bound - point, weight)
         linear = value + matrix @ step
         expected = cost - linear @ linear
-        if expected <= FLAT * cost:
+        if expected <= improvement * cost:
             if _is_near(point, origin):
                 return Solution(point, float(norms(value)), converged=True)
             matrix, origin, damping = _renewed(jacobian, point, matrix), point, 0.0

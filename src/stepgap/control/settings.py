@@ -14,6 +14,9 @@ class ControlSettings:
             uncertain; otherwise its prediction is the target, however uncertain it is.
         viability: Whether the next state must permit a further step, also if it is off by two standard deviations.
         avoid_failures: Whether steps that resemble a failed one are not taken.
+        evaluations: Largest number of steps that the maps evaluate for the choice of one command, half of them in the
+            search, which then ends with the best command so far, and half in the checks of its commands. A lower number
+            bounds the time that a command takes on a slow nominal map. A Jacobian counts as its central differences.
         table: Points along each axis of a look-up table of commands that is computed before every deployment and used
             in place of solving (the paper, Sec. 6); 0 for none. Its prediction is interpolated, too. It covers the
             range of use of state and target: for a state outside, the command is that of the nearest state inside.
@@ -22,9 +25,11 @@ class ControlSettings:
     cautious: bool = True
     viability: bool = True
     avoid_failures: bool = True
+    evaluations: int = 1000
     table: int = 0
 
     def __post_init__(self) -> None:
+        require(self.evaluations >= 20, "evaluations", self.evaluations, "be at least 20")
         require(self.table == 0 or 2 <= self.table <= 41, "table", self.table, "be 0, or lie between 2 and 41")
 
 

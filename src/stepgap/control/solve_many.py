@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepgap.control.bounded_search import BASINS
+from stepgap.control.bounded_search import BASINS, local_minima
 from stepgap.control.gauss_newton import REACHED, minimise_many, norms
 from stepgap.control.step_controller import StepController
 from stepgap.step import Array, Codes, StepFailed, StepMap, StepSpace, StepStatus, box_grid
@@ -119,10 +119,7 @@ def _solve(problem: _Problem, states: Array, count: int) -> tuple[Array, Array, 
 
 def _basins(length: Array, m: int) -> Nodes:
     """Samples with no closer neighbour, the closest first, -1 where there are no more; (P, s, …, s) to (P, BASINS)."""
-    from scipy.ndimage import minimum_filter  # the import takes long
-
-    lowest = (length == minimum_filter(length, size=(1,) + (3,) * m, mode="nearest")) & np.isfinite(length)
-    length = np.where(lowest, length, np.inf).reshape(len(length), -1)
+    length = np.where(local_minima(length, m), length, np.inf).reshape(len(length), -1)
     order = np.argsort(length, axis=1, kind="stable")[:, :BASINS]
     return np.where(np.isfinite(np.take_along_axis(length, order, axis=1)), order, -1)
 

@@ -72,8 +72,8 @@ class StepController:
 
         def error(point: Array) -> Array:
             next_state = self.step_map.evaluate(state, command_at(point)).next_state
-            if point.ndim == 1:
-                next_states[point.tobytes()] = next_state
+            known = zip(point.reshape(-1, m), next_state.reshape(-1, n), strict=True)
+            next_states.update((at.tobytes(), reached) for at, reached in known if np.isfinite(reached).all())
             return (next_state - target) / state_scale
 
         def jacobian(point: Array) -> Array:
@@ -83,7 +83,7 @@ class StepController:
         solution = solve(error, jacobian, space.point_of(start), bound=1.0)
         command = command_at(solution.point)
         predicted = next_states.get(solution.point.tobytes())
-        if predicted is None or not np.isfinite(predicted).all():
+        if predicted is None:
             predicted = self.step_map(state, command)
         distance = float(np.linalg.norm((predicted - target) / state_scale))
         return StepPlan(command, predicted, distance <= REACHED, distance)

@@ -29,9 +29,8 @@ WORTH_PROCESSES = 0.02
 SLOW = 0.02
 """Duration of a step [s] from which on a map is too slow for the choice of commands."""
 
-EVALUATIONS_PER_COMMAND = 15, 500
-"""Number of steps that the choice of a command evaluates on a map without formula for its derivatives: on a smooth map
-that reaches the target, and where the target is out of reach or the map is rough."""
+FEW_EVALUATIONS = 15
+"""Number of steps that the choice of a command evaluates on a smooth map that reaches the target."""
 
 TIMED_STEPS = 3
 """Number of steps whose duration is measured."""
@@ -92,21 +91,22 @@ def _differenced(kind: str, nominal: StepMap) -> Nominal:
     return Nominal(chosen, warnings=(f"nominal map '{kind}' {rough}; {advice}",) if rough else ())
 
 
-def slowness(kind: str, nominal: StepMap) -> str:
+def slowness(kind: str, nominal: StepMap, evaluations: int) -> str:
     """A sentence on a map that is so slow that commands take seconds; empty for others.
 
     Args:
         kind: Its name.
         nominal: The map.
+        evaluations: Largest number of steps that the choice of a command evaluates (`ControlSettings.evaluations`).
     """
     seconds = _seconds_per_step(nominal)
     if seconds <= SLOW:
         return ""
-    few, many = EVALUATIONS_PER_COMMAND
+    few = min(FEW_EVALUATIONS, evaluations)
     return (
         f"nominal map '{kind}' takes {1e3 * seconds:.0f} ms for a step, and the choice of a command evaluates {few} to "
-        f"{many} steps, so it takes {few * seconds:.1f} to {many * seconds:.0f} s; make it a SimulatorMap: then a fast "
-        "surrogate is fitted to it"
+        f"{evaluations} steps (control.evaluations), so it takes {few * seconds:.1f} to {evaluations * seconds:.0f} s; "
+        "lower control.evaluations, or make the map a SimulatorMap: then a fast surrogate is fitted to it"
     )
 
 

@@ -95,10 +95,10 @@ def test_a_slow_map_is_warned_of_with_its_time(monkeypatch: pytest.MonkeyPatch) 
         return lambda: float(next(times))
 
     monkeypatch.setattr(module, "perf_counter", clock(0.015))
-    assert slowness("equations", LossyHopper()) == ""
+    assert slowness("equations", LossyHopper(), 500) == ""
     monkeypatch.setattr(module, "perf_counter", clock(0.25))
-    found = slowness("equations", LossyHopper())
+    found = slowness("equations", LossyHopper(), 500)
     assert found.startswith(
         "nominal map 'equations' takes 250 ms for a step, and the choice of a command evaluates 15 to"
     )
-    assert "so it takes 3.8 to 125 s; make it a SimulatorMap" in found
+    assert "so it takes 3.8 to 125 s; lower control.evaluations, or make the map a SimulatorMap" in found
