@@ -291,7 +291,7 @@ def test_same_seed_same_bytes_other_seed_others(unbroken: Path, tmp_path: Path) 
 def test_a_measured_noise_floor_is_recorded_and_measured_once(tmp_path: Path) -> None:
     calls: list[tuple[StepMap, float]] = []
 
-    def measure(step_map: StepMap, rng: np.random.Generator) -> NoiseFloor:
+    def measure(step_map: StepMap, rng: np.random.Generator, progress: Callable[[int, int], None]) -> NoiseFloor:
         calls.append((step_map, rng.random()))
         return NoiseFloor(np.array([0.003, np.nan]), np.array([0.002, 0.001]))
 
@@ -312,7 +312,7 @@ def test_the_noise_floor_is_measured_under_the_same_map_after_an_interruption(tm
     """The map is that at the end of the last deployment, with the disturbance estimated so far, also after a resume."""
     maps: list[CorrectedMap] = []
 
-    def measure(step_map: StepMap, rng: np.random.Generator) -> NoiseFloor:
+    def measure(step_map: StepMap, rng: np.random.Generator, progress: Callable[[int, int], None]) -> NoiseFloor:
         assert isinstance(step_map, CorrectedMap)
         maps.append(step_map)
         if len(maps) == 1:

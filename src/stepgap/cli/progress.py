@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -55,15 +56,16 @@ class RunProgress:
             transient=True,
         )
         self._task: TaskID | None = None
+        self._description = ""
         self._last = 0
         self._errors: list[np.ndarray] = []
-        self._first: list[LoggedStep] = []
+        self._executed: list[LoggedStep] = []
         self._status = StepStatus.OK
 
     @property
     def observer(self) -> Observer:
         """Observer whose callbacks update the display."""
-        return Observer(self._on_step, self._on_deployment, self._on_fault)
+        return Observer(self._on_step, self._on_deployment, self._on_fault, self._show)
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -75,31 +77,27 @@ class RunProgress:
             self._console.print("stopped: the error no longer decreases (learning.tolerance)", soft_wrap=True)
 
     def _on_step(self, logged: LoggedStep) -> None:
-        if self._task is None:
-            description = f"deployment {logged.iteration} of {self._iterations}"
-            self._task = self._bars.add_task(description, total=self._steps, error="")
+        if not self._executed:
             self._errors = []
         self._status = logged.record.status
         if logged.record.status == StepStatus.OK:
             self._errors.append(logged.record.next_state - logged.target)
         error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
-        self._bars.update(self._task, advance=1, error=error)
-        self._first.append(logged)
-        if len(self._first) == COMPARED_STEPS:
+        self._executed.append(logged)
+        description = f"deployment {logged.iteration} of {self._iterations}"
+        self._show(description, len(self._executed), self._steps, error)
+        if len(self._executed) == COMPARED_STEPS:
             self._warn_of_far_states()
 
     def _warn_of_far_states(self) -> None:
         if not self._quiet:
-            for sentence in far_states(StepLog(self._space, self._first)):
+            for sentence in far_states(StepLog(self._space, self._executed)):
                 warn(sentence)
 
     def _on_deployment(self, deployment: Deployment) -> None:
-        if len(self._first) < COMPARED_STEPS:
+        if len(self._executed) < COMPARED_STEPS:
             self._warn_of_far_states()
-        self._first = []
-        if self._task is not None:
-            self._bars.remove_task(self._task)
-            self._task = None
+        self._executed = []
         self._last = deployment.iteration
         if not self._quiet:
             end = f", then it {ending_of(self._status)}" if deployment.falls else ""
@@ -113,6 +111,14 @@ class RunProgress:
     def _on_fault(self, message: str) -> None:
         if not self._quiet:
             self._console.print(f"deployment aborted: {message}", soft_wrap=True, style="bold")
+
+    def _show(self, description: str, done: int, total: int, error: str = "") -> None:
+        """Shows one bar, of a deployment or of what is done between two."""
+        if self._task is None or description != self._description:
+            if self._task is not None:
+                self._bars.remove_task(self._task)
+            self._task, self._description = self._bars.add_task(description, total=None, error=""), description
+        self._bars.update(self._task, completed=done, total=total or None, error=error)
 
     def _describe(self, rmse: np.ndarray) -> str:
         return ", ".join(
@@ -144,4 +150,4 @@ def printing_events(observer: Observer, space: StepSpace) -> Observer:
         print_event("fault", message=message)
         observer.on_fault(message)
 
-    return Observer(on_step, on_deployment, on_fault)
+    return replace(observer, on_step=on_step, on_deployment=on_deployment, on_fault=on_fault)

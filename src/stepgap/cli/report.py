@@ -27,7 +27,7 @@ def report(folders: list[Path], /, *, out: Path | None = None) -> None:
     elif out:
         raise InputError("--out: valid only with several runs; the report of one run is written into its folder")
     else:
-        with progress_bar("replay") as progress:
+        with progress_bar("report") as progress:
             page, left_out = report_sweep(sweep) if sweep else report_run(folders[0], progress)
         if left_out:
             warn(f"missing in the report: {'; '.join(left_out)}")

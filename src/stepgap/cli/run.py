@@ -258,7 +258,7 @@ def _report(folder: Path, recorder: "TickRecorder", display: Display) -> "Writte
     from stepgap.cli.progress import progress_bar
     from stepgap.cli.run_report import report_run
 
-    with progress_bar("replay", display.quiet) as progress:
+    with progress_bar("report", display.quiet) as progress:
         return report_run(folder, progress, recorder.kept)
 
 

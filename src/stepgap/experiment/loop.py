@@ -29,8 +29,8 @@ from stepgap.records.steps_csv import digest
 from stepgap.records.summary import Deployment, NoiseFloor, Summary, write_summary
 from stepgap.step import Array, StepMap, StepSpace
 
-MeasureNoiseFloor = Callable[[StepMap, np.random.Generator], NoiseFloor]
-"""Measures the noise floor of a plant under the step controller of a map."""
+MeasureNoiseFloor = Callable[[StepMap, np.random.Generator, Callable[[int, int], None]], NoiseFloor]
+"""Measures the noise floor of a plant under the step controller of a map, and reports its progress (done, total)."""
 
 
 def deployment_generator(seed: int, iteration: int) -> np.random.Generator:
@@ -46,11 +46,14 @@ class Observer:
         on_step: Called with every executed step, after it is on disk.
         on_deployment: Called with every finished deployment.
         on_fault: Called with the plant's message about a deployment that was aborted.
+        on_phase: Called with the name of what is done between deployments, and its progress (done, total); the total is
+            0 where it is not known.
     """
 
     on_step: Callable[[LoggedStep], None] = lambda logged: None
     on_deployment: Callable[[Deployment], None] = lambda deployment: None
     on_fault: Callable[[str], None] = lambda message: None
+    on_phase: Callable[[str, int, int], None] = lambda name, done, total: None
 
 
 def run_experiment(
@@ -98,6 +101,7 @@ def run_experiment(
     with one_thread, Recording(folder, nominal.space, seed, past, replays) as recording:
         while True:
             iteration = len(deployments)
+            observer.on_phase("learning", 0, 0)
             learner = Learner.start(nominal, past + log, learning, iteration)
             if iteration > 0 or len(past):
                 write_model(folder, learner.iteration, learner.residual, nominal)
@@ -117,7 +121,8 @@ def run_experiment(
             noise_floor = recording.measured_noise_floor(len(deployments))
             if noise_floor is None:
                 last_map = reduce(Learner.after, steps.completed(), learner).step_map()
-                noise_floor = measure_noise_floor(last_map, random_stream(seed, iteration, 1))
+                progress = partial(observer.on_phase, "measuring the noise floor")
+                noise_floor = measure_noise_floor(last_map, random_stream(seed, iteration, 1), progress)
             summary = replace(summary, noise_floor=noise_floor, noise_floor_measured=True)
             write_summary(folder / "summary.json", summary, names)
     return deployments

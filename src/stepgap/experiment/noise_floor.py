@@ -4,7 +4,7 @@ A controller that knows neither the noise nor the yaw cannot track better on ave
 disturbance (`learning.disturbance`) can, but not better than the standard deviation at one yaw.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import tau
 
 import numpy as np
@@ -29,7 +29,11 @@ REPEATS = 2
 
 
 def measure_noise_floor(
-    plant: RepeatablePlant, step_map: StepMap, reference: Reference, rng: np.random.Generator
+    plant: RepeatablePlant,
+    step_map: StepMap,
+    reference: Reference,
+    rng: np.random.Generator,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NoiseFloor:
     """Pooled standard deviations of the next state when a plant repeats a step [state units].
 
@@ -44,6 +48,7 @@ def measure_noise_floor(
         step_map: Map whose step controller leads to the targets.
         reference: Reference whose targets are held.
         rng: Draws noise and yaw of the repeated steps.
+        progress: Called with the numbers of finished and of all targets.
 
     Returns:
         NaN where no step could be repeated at two yaw angles.
@@ -53,7 +58,8 @@ def measure_noise_floor(
     controller, groups = StepController(step_map), list[Array]()
     with plant:
         state = plant.start()
-        for target in reference.targets[chosen]:
+        for number, target in enumerate(reference.targets[chosen]):
+            progress(number, len(chosen))
             for _ in range(SETTLING):
                 record = plant.take_step(_command(controller, state, target))
                 state = record.next_state

@@ -74,10 +74,10 @@ def choose_plants(
         return _of_rig(settings, arm, folder / "ticks")
     simulation = simulation_of(settings)
 
-    def measure(step_map: StepMap, rng: np.random.Generator) -> NoiseFloor:
+    def measure(step_map: StepMap, rng: np.random.Generator, progress: Callable[[int, int], None]) -> NoiseFloor:
         plant = simulation.repeatable_plant(rng)
         unknown = NoiseFloor.unknown(len(step_map.space.state))
-        return measure_noise_floor(plant, step_map, reference, rng) if plant else unknown
+        return measure_noise_floor(plant, step_map, reference, rng, progress) if plant else unknown
 
     return Plants(lambda rng: simulation.plant(rng, on_ticks), True, measure)
 

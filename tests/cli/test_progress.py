@@ -1,0 +1,64 @@
+"""The progress display of a run on a terminal: always one line that says what is being done."""
+
+import io
+import re
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from stepgap.cli import progress as module
+from stepgap.cli.progress import RunProgress
+from stepgap.learning.step_log import LoggedStep
+from stepgap.records.summary import Deployment
+from stepgap.step import StepRecord, StepStatus
+from tests.control.maps import LossyHopper
+
+SPACE = LossyHopper().space
+
+
+def logged(iteration: int, step: int) -> LoggedStep:
+    state, command = SPACE.state_centre, SPACE.command_centre
+    record = StepRecord(state, command, command, state + 0.01, StepStatus.OK)
+    return LoggedStep(iteration, step, state, state, np.zeros(2), record)
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """What a terminal of 120 columns receives."""
+    text = io.StringIO()
+    monkeypatch.setattr(module, "Console", lambda **_: Console(file=text, force_terminal=True, width=120))
+    return text
+
+
+def shown(progress: RunProgress, terminal: io.StringIO) -> str:
+    """The line that is displayed now."""
+    terminal.truncate(0)
+    progress._bars.refresh()
+    lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.getvalue()).split("\n")
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_deployments_and_what_is_between_them_have_a_line(terminal: io.StringIO) -> None:
+    with RunProgress(SPACE, steps=4, iterations=1) as progress:
+        observer = progress.observer
+        observer.on_phase("learning", 0, 0)
+        assert "learning" in shown(progress, terminal)
+        for step in (1, 2, 3):
+            observer.on_step(logged(0, step))
+        line = shown(progress, terminal)
+        assert "deployment 0 of 1" in line
+        assert "3/4" in line
+        assert "speed 0.0100 m/s" in line
+        observer.on_deployment(
+            Deployment(0, "none", 4, 0, *[np.full(2, 0.01)] * 6, 0, np.empty((0, 2)), np.empty((0, 2)))
+        )
+        observer.on_phase("learning", 0, 0)
+        assert "learning" in shown(progress, terminal)
+        observer.on_step(logged(1, 1))
+        assert "deployment 1 of 1" in (line := shown(progress, terminal))
+        assert "1/4" in line
+        observer.on_phase("measuring the noise floor", 5, 20)
+        assert "measuring the noise floor" in (line := shown(progress, terminal))
+        assert "5/20" in line
