@@ -25,7 +25,7 @@ class ControlSettings:
     cautious: bool = True
     viability: bool = True
     avoid_failures: bool = True
-    evaluations: int = 1000
+    evaluations: int = 2000
     table: int = 0
 
     def __post_init__(self) -> None:
