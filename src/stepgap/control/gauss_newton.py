@@ -85,18 +85,24 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float,
             break
         weight = damping * np.sum(matrix**2) if damping else 0.0
         step = box_step(matrix, value, -bound - point, bound - point, weight)
-        linear = value + matrix @ step
-        expected = cost - linear @ linear
+        change = matrix @ step
+        expected = cost - _square(value + change)
         if expected <= improvement * cost:
             if _is_near(point, origin):
                 return Solution(point, float(norms(value)), converged=True)
             matrix, origin, damping = _renewed(jacobian, point, matrix), point, 0.0
             continue
         trial = function(point + step)
+        if cost - _square(trial) <= ACCEPTED * expected and cost > REACHED**2:
+            fraction = _least_on_parabola(cost, 2 * float(value @ change), _square(trial))
+            shorter = function(point + fraction * step)
+            if _square(shorter) < cost:
+                step, change, trial = fraction * step, fraction * change, shorter
+                expected = cost - _square(value + change)
         failed = not np.isfinite(trial).all()
         gain = -np.inf if failed else cost - trial @ trial
         if not failed:
-            matrix = matrix + (trial - linear)[:, None] * (step / (step @ step))
+            matrix = matrix + (trial - value - change)[:, None] * (step / (step @ step))
         before = point
         if gain > ACCEPTED * expected:
             point, value = point + step, trial
@@ -231,6 +237,20 @@ def _on_face(
         right_side = gradient[:, free] + np.einsum("pij,pj->pi", hessian[:, free][:, :, fixed], step[:, fixed])
         step[:, free] = np.linalg.solve(hessian[:, free][:, :, free], -right_side[..., None])[..., 0]
     return step, np.all((step >= lower) & (step <= upper), axis=1)
+
+
+def _square(value: Array) -> float:
+    """Squared norm; not finite where the function has no value."""
+    return float(value @ value)
+
+
+def _least_on_parabola(cost: float, slope: float, trial: float) -> float:
+    """Where the parabola with a value and slope at 0 and another value at 1 is least, within 0.1 … 0.5.
+
+    A step that is too long because of curvature is shortened to this fraction (Nocedal and Wright, Numerical
+    Optimization, Sec. 3.5).
+    """
+    return float(np.clip(-slope / (2 * (trial - cost - slope)), 0.1, 0.5))
 
 
 def _is_near(point: Array, origin: Array) -> bool:
