@@ -17,6 +17,9 @@ from tests.control.maps import LossyHopper
 SPACE = LossyHopper().space
 
 
+ERR, NONE = np.full(2, 0.01), np.empty((0, 2))
+
+
 def logged(iteration: int, step: int) -> LoggedStep:
     state, command = SPACE.state_centre, SPACE.command_centre
     record = StepRecord(state, command, command, state + 0.01, StepStatus.OK)
@@ -51,9 +54,7 @@ def test_deployments_and_what_is_between_them_have_a_line(terminal: io.StringIO)
         assert "deployment 0 of 1" in line
         assert "3/4" in line
         assert "speed 0.0100 m/s" in line
-        observer.on_deployment(
-            Deployment(0, "none", 4, 0, *[np.full(2, 0.01)] * 6, 0, np.empty((0, 2)), np.empty((0, 2)))
-        )
+        observer.on_deployment(Deployment(0, "none", 4, 0, ERR, ERR, ERR, ERR, ERR, ERR, 0, NONE, NONE))
         observer.on_phase("learning", 0, 0)
         assert "learning" in shown(progress, terminal)
         observer.on_step(logged(1, 1))

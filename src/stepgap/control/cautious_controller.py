@@ -113,9 +113,10 @@ class CautiousController:
         return self.step_map.space.command_grid(min(SEARCH_POINTS, max(2, affordable))).reshape(-1, m)
 
     def _cautious_commands(self, state: Array, target: Array, start: Array) -> list[Array]:
-        """The nominal command, and the local minimum of the expected squared distance from the better of it and `start`.
+        """The nominal command, and the local minimum of the expected squared distance from the better start.
 
-        From the other one the same minimum was found, in all of some hundred plans of three robots.
+        The starts are `start` and the nominal command. From the other one the same minimum was found, in all of some
+        hundred plans of three robots.
         """
         try:
             commands = [StepController(self.nominal)(state, target, start).command]

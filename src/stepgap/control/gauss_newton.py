@@ -80,7 +80,7 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float,
     if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
         return Solution(point, float(norms(value)), converged=False)
     for _ in range(MOST_TRIALS):
-        cost = value @ value
+        cost = _square(value)
         if cost <= TOLERANCE**2 or damping > MOST_DAMPING:
             break
         weight = damping * np.sum(matrix**2) if damping else 0.0
