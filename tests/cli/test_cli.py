@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.compiled import generic
 from stepgap.cli.app import main
-from stepgap.experiment.settings import Experiment
+from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.records.steps_csv import StepWriter
 from stepgap.report import drawing
@@ -112,6 +112,29 @@ def test_an_interrupted_run_is_resumed(finished: Path, stepgap: Command, rows: i
     assert record(folder) == record(finished / "run")
 
 
+@pytest.mark.usefixtures("no_report")
+def test_an_extended_run_is_the_longer_run(finished: Path, stepgap: Command) -> None:
+    folder = copied(finished / "run", Path("run"))
+    done = len(json.loads((folder / "summary.json").read_text())["iterations"])
+    assert stepgap("run", "--out", folder, "--extend", "1", "--quiet") == CommandResult(0, "run/report.html\n", "")
+    settings = read_experiment(folder / "experiment.toml")
+    assert settings.learning.iterations == done
+    assert stepgap("run", folder / "experiment.toml", "--out", "whole", "--quiet").code == 0
+    assert record(folder) == record(Path("whole"))
+
+
+def test_only_a_finished_run_is_extended(finished: Path, stepgap: Command) -> None:
+    folder = copied(finished / "run", Path("run"))
+    refused(
+        stepgap("run", "--out", folder, "--extend", "0"), "--extend: 0 redeployments; give a whole number from 1 on"
+    )
+    (folder / "summary.json").unlink()
+    message = "run: the run was interrupted in deployment 0; finish it by: stepgap run --out run --resume"
+    refused(stepgap("run", "--out", folder, "--extend", "1"), message)
+    before = (finished / "run" / "experiment.toml").read_bytes()
+    assert (folder / "experiment.toml").read_bytes() == before
+
+
 @pytest.mark.usefixtures("drawn_page")
 def test_the_report_is_regenerated(finished: Path, stepgap: Command) -> None:
     folder = copied(finished / "run", Path("run"))
@@ -180,8 +203,10 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --arm", ["plant 'twin' takes neither"]),
         ("run --plant emulated-ring --gap.preset none", ["gap.motor_counts must be finite"]),
         ("run --resume", ["--resume: give the run by --out RUN"]),
-        ("run --resume --out none", ["none: contains no experiment.toml, so there is no run to resume"]),
+        ("run --resume --out none", ["none: contains no experiment.toml, so there is no run to continue"]),
         ("run --resume --out folder", ["folder: contains no experiment.toml"]),
+        ("run --extend 2", ["--extend: give the run by --out RUN"]),
+        ("run --extend 2 --out none", ["none: contains no experiment.toml, so there is no run to continue"]),
         ("run --resume --out folder --seed 3", ["--resume: the run continues with its own settings"]),
         ("run --resume --out folder a.toml", ["--resume: the run continues with its own settings"]),
         ("report", ["FOLDER"]),

@@ -122,6 +122,7 @@ def run(
     shorthand: Shorthand = NO_SHORTHAND,
     arm: Flag = False,
     resume: Flag = False,
+    extend: Integer | None = None,
     display: Display = NORMAL,
     overrides: Overrides = None,
     program: Program = None,
@@ -134,17 +135,22 @@ def run(
         out: New folder for the results. [default: a new one in runs/]
         arm: Let the rig apply torque; `stepgap rig check` must have passed.
         resume: Resume the interrupted run in --out.
+        extend: Make this many more redeployments of the finished run in --out.
     """
     from stepgap.base.signals import terminated_as_interrupted
+    from stepgap.experiment.inputs import write_experiment
     from stepgap.experiment.run_start import start_folder
 
     if not display.view and (display.host or display.port):
         raise InputError("--host, --port: valid only with --view, whose page they belong to")
-    ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume)
+    ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume, extend)
     recorder, live = _watchers(ready, display)
     plants = _choose_plants(ready, arm, recorder, live, program or [])
-    if not resume:
-        start_folder(ready.folder, ready.settings, ready.reference, ready.known, ready.nominal.surrogate)
+    files = (ready.folder, ready.settings, ready.reference, ready.known, ready.nominal.surrogate)
+    if extend is not None:
+        write_experiment(*files)
+    elif not resume:
+        start_folder(*files)
     try:
         with terminated_as_interrupted(), live or nullcontext():
             _execute(ready, plants, recorder, live, display)
@@ -155,14 +161,21 @@ def run(
         raise KeyboardInterrupt(f"; resume with: {command}") from None
 
 
-def _prepare(experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]], resume: bool) -> Prepared:
+def _prepare(
+    experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]], resume: bool, extend: int | None
+) -> Prepared:
     """Reads all inputs of a run and checks that the nominal map can track the reference; writes nothing."""
     from stepgap.experiment.inputs import load_known, load_reference
-    from stepgap.experiment.run_start import check_reach, dated_folder, folder_to_resume
+    from stepgap.experiment.run_start import check_reach, dated_folder, extended, folder_to_continue
     from stepgap.experiment.settings import read_experiment
 
-    folder = folder_to_resume(experiment, out, changes) if resume else out or free_name(dated_folder())
-    settings = read_experiment(folder / "experiment.toml" if resume else experiment, changes)
+    if resume or extend is not None:
+        folder = folder_to_continue("--resume" if resume else "--extend", experiment, out, changes)
+        settings = read_experiment(folder / "experiment.toml")
+        settings = settings if extend is None else extended(folder, settings, extend)
+    else:
+        folder = out or free_name(dated_folder())
+        settings = read_experiment(experiment, changes)
     reference = load_reference(settings, settings.robot.space)
     nominal = _load_nominal(settings)
     check_reach(nominal.map, reference, settings.reference)

@@ -4,15 +4,18 @@ import fcntl
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, message_of
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import write_experiment
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.step_log import StepLog
+from stepgap.records.steps_csv import read_step_log
+from stepgap.records.summary import read_summary
 from stepgap.step import StepFailed, StepMap
 
 ALSO_WRITTEN = (
@@ -67,17 +70,44 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def folder_to_resume(experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]]) -> Path:
-    """Folder of an interrupted run, after a check of the other arguments."""
+def folder_to_continue(
+    option: str, experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]]
+) -> Path:
+    """Folder of an earlier run that `option`, --resume or --extend, continues, after a check of the other arguments."""
     if out is None:
-        raise InputError("--resume: give the run by --out RUN")
+        raise InputError(f"{option}: give the run by --out RUN")
     if experiment or changes:
-        raise InputError("--resume: the run continues with its own settings; give no others")
+        raise InputError(f"{option}: the run continues with its own settings; give no others")
     if not (out / "experiment.toml").is_file():
         raise InputError(
-            f"{out}: contains no experiment.toml, so there is no run to resume; omit --resume to start one"
+            f"{out}: contains no experiment.toml, so there is no run to continue; omit {option} to start one"
         )
     return out
+
+
+def extended(folder: Path, settings: Experiment, redeployments: int) -> Experiment:
+    """Settings with which a finished run continues for a number of redeployments, whether the error still falls or not.
+
+    Args:
+        folder: The run folder.
+        settings: The settings of the run.
+        redeployments: At least 1.
+
+    Raises:
+        InputError: The run is not finished, or its record cannot be read.
+    """
+    if redeployments < 1:
+        raise InputError(f"--extend: {redeployments} redeployments; give a whole number from 1 on")
+    space, remedy = settings.robot.space, f"finish it by: stepgap run --out {folder} --resume"
+    try:
+        done = len(read_summary(folder / "summary.json", space.state_names).deployments)
+        begun = len(read_step_log(folder / "steps.csv", space).iterations)
+    except (OSError, ValueError) as error:
+        raise InputError(message_of(error)) from None
+    if begun > done:
+        raise InputError(f"{folder}: the run was interrupted in deployment {done}; {remedy}")
+    learning = replace(settings.learning, iterations=done - 1 + redeployments, early_stop=False)
+    return replace(settings, learning=learning)
 
 
 def check_reach(nominal: StepMap, reference: Reference, name: str) -> None:
