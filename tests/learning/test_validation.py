@@ -6,24 +6,30 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import norm
+from scipy.stats import norm, t
 
-from stepgap.learning.step_table import StepTable
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.learning.step_table import StepTable, tabulate
 from stepgap.learning.validation import (
     FOLDS,
     HeldOut,
     Reduction,
+    Validation,
     contiguous_folds,
     deployment_folds,
     reduction,
     validate,
 )
-from stepgap.step import Array, Quantity, StepSpace
+from stepgap.step import Array, Quantity, StepRecord, StepSpace, StepStatus
+from tests.control.maps import LossyHopper
 
 SPACE = StepSpace(
     (Quantity("speed", "m/s", -1, 1), Quantity("height", "m", -1, 1)),
     (Quantity("fx", "N", -1, 1), Quantity("fy", "N", -1, 1)),
 )
+STATIC = LearningSettings(drift=False, remove_yaw_dependence=False)
 SIMPLE: tuple[str, ...] = ("none", "constant", "gp")
 
 
@@ -85,11 +91,71 @@ def test_predictions_do_not_depend_on_the_held_out_steps() -> None:
     held = folds.fold == 2
     spoilt = replace(steps, next_state=np.where(held[:, None], 1e3, steps.next_state))
     for kind in SIMPLE:
-        before, after = (validate([kind], each, folds).held_out[kind] for each in (steps, spoilt))
+        before, after = (validate([kind], each, folds, STATIC).held_out[kind] for each in (steps, spoilt))
         np.testing.assert_array_equal(before.mean[held], after.mean[held])
         np.testing.assert_array_equal(before.std[held], after.std[held])
         if kind != "none":
             assert (before.mean[~held] != after.mean[~held]).all()
+
+
+def with_yaw(steps: StepTable, shift: Array, laps: float = 2.0) -> StepTable:
+    """The same steps in three deployments, of which each turns round twice, with errors that depend on the yaw."""
+    count = len(steps) // 3
+    yaw, deployment = np.tile(np.linspace(0, laps * 2 * np.pi, count), 3), np.repeat(np.arange(3), count)
+    turned = yaw + np.array([0.0, 1.0, 4.0])[deployment]  # each deployment begins elsewhere
+    after = steps.next_state + np.outer(np.sin(turned), shift)
+    return replace(steps, next_state=after, yaw=yaw, deployment=deployment)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_prediction_depends_on_earlier_held_out_steps_only(number: int) -> None:
+    steps = with_yaw(steps_with(bent, 90, 2), np.array([0.4, 0.04]))
+    folds = deployment_folds(steps.deployment)
+    first = int(np.flatnonzero(folds.fold == number)[0])
+    later = np.arange(len(steps)) > first + 20
+    spoilt = replace(steps, next_state=steps.next_state + 0.5 * (later & (folds.fold == number))[:, None])
+    for kind in ("constant", "quadratic"):
+        before, after = (validate([kind], each, folds).held_out[kind] for each in (steps, spoilt))
+        known = slice(first, first + 22)
+        np.testing.assert_array_equal(before.mean[known], after.mean[known])
+        np.testing.assert_array_equal(before.std[known], after.std[known])
+        assert (before.mean[first + 22 : first + 30] != after.mean[first + 22 : first + 30]).any()
+
+
+@pytest.mark.parametrize("kind", ["constant", "gp_on_linear"])
+def test_a_deployment_is_predicted_as_the_learner_of_a_run_predicts_it(kind: str) -> None:
+    nominal, reality = LossyHopper(), LossyHopper(loss=0.45, keep=0.6, drift=0.09)
+    rng, log = np.random.default_rng(3), list[LoggedStep]()
+    for iteration in range(3):
+        state, yaw = np.array([0.2, 0.58]), 0.0
+        for number in range(1, 31):
+            command = rng.uniform(-4, 4, 2)
+            after = reality(state, command) + 0.03 * np.sin(yaw + iteration) + rng.normal(0, [4e-3, 1e-3])
+            yaw += 0.3
+            record = StepRecord(state, command, command, after, StepStatus.OK, yaw_after=yaw)
+            log.append(LoggedStep(iteration, number, after, after, np.zeros(2), record))
+            state = after
+    settings_of_run = LearningSettings(residual=kind, monitor=False)
+    learner = Learner.start(nominal, StepLog(nominal.space, log[:60]), settings_of_run, iteration=2)
+    expected = []
+    for logged in log[60:]:
+        expected.append(learner.step_map()(logged.record.state, logged.record.requested))
+        learner = learner.after(logged)
+    table = tabulate(StepLog(nominal.space, log))
+    predicted = nominal.evaluate(table.state, table.command).next_state
+    table = table.with_predictions(predicted, "")
+    held = validate([kind], table, deployment_folds(table.deployment)).held_out[kind]
+    np.testing.assert_allclose((predicted + held.mean)[60:], expected, rtol=0, atol=1e-12)
+
+
+def test_errors_that_depend_on_the_yaw_do_not_hide_what_can_be_learned() -> None:
+    truth = lambda state, command: np.stack([0.5 * state[:, 0], 0.05 * command[:, 1]], axis=-1)  # noqa: E731
+    steps = with_yaw(steps_with(truth, 180, 5), np.array([0.5, 0.05]))
+    folds = deployment_folds(steps.deployment)
+    as_run, as_noise = (validate(("none", "linear"), steps, folds, each) for each in (LearningSettings(), STATIC))
+    assert (as_noise.held_out["linear"].rmse > [0.3, 0.03]).all(), "the amplitude 0.5 is an RMSE of 0.35"
+    assert (as_run.held_out["linear"].rmse < [0.2, 0.02]).all(), "the noise is 0.1"
+    np.testing.assert_array_equal(as_run.held_out["none"].mean, 0)
 
 
 # Scores
@@ -150,6 +216,21 @@ def test_few_blocks_need_a_larger_advantage() -> None:
     assert Reduction(0.201, 0.1, 10**6).certain
 
 
+def test_the_interval_is_that_of_student() -> None:
+    low, high = Reduction(0.22, 0.1, 10).interval
+    half_width = t.ppf(0.975, 9) * 0.1
+    assert (low, high) == pytest.approx((0.22 - half_width, 0.22 + half_width))
+
+
+def test_no_difference_is_shown_where_the_interval_contains_zero() -> None:
+    rng = np.random.default_rng(4)
+    good, noise = rng.normal(size=(2, 200, 1))
+    remaining = {"none": 3 * good, "constant": good, "linear": good + 0.02 * noise, "gp": 2 * good}
+    validation = Validation(contiguous_folds(200), {kind: held_out(each) for kind, each in remaining.items()})
+    assert validation.best([0]) == "constant"
+    assert validation.indistinct("constant", [0]) == ["linear"]
+
+
 def test_an_error_of_zero_cannot_be_reduced() -> None:
     nothing, something = held_out(np.zeros((20, 1))), held_out(np.ones((20, 1)))
     block = contiguous_folds(20).block
@@ -201,5 +282,5 @@ def test_each_coordinate_is_judged_separately() -> None:
 def test_progress_is_reported_fit_by_fit() -> None:
     calls = []
     steps = steps_with(lambda state, command: state, 20, 0)
-    validate(("none", "constant"), steps, contiguous_folds(20, 3), lambda *done: calls.append(done))
+    validate(("none", "constant"), steps, contiguous_folds(20, 3), on_fit=lambda *done: calls.append(done))
     assert calls == [(done, 6) for done in range(1, 7)]

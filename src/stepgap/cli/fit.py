@@ -62,14 +62,15 @@ def fit(
         log: Folders of runs or their steps.csv; or CSV files of any origin, if their columns are named.
         columns: TOML file that names columns; its keys are the options from here to --step, and units and factors.
         nominal: Source of the nominal next state: the robot's map, the predictions, the target, or the state.
-        experiment: TOML file of settings of the robot's map. [default: the settings of the runs]
+        experiment: TOML file of settings of the robot's map and of learning. [default: the settings of the runs]
         folds: Number of contiguous blocks that are held out in turn. [default: whole deployments, or 10 blocks of a
             single one]
     """
     from threadpoolctl import threadpool_limits
 
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.fit import choose_folds, describe_fit_data, read_fit_data, show_validation, verdicts
+    from stepgap.experiment.fit import choose_folds, read_fit_data
+    from stepgap.experiment.fit_results import describe_fit_data, show_validation, verdicts
     from stepgap.learning.residual_fit import names_without_lagged_inputs
     from stepgap.learning.validation import validate
     from stepgap.records.columns import read_columns
@@ -81,15 +82,16 @@ def fit(
     parts = choose_folds(data.steps, folds)
     print(describe_fit_data(data, parts), flush=True)
     with threadpool_limits(limits=1, user_api="blas"), progress_bar("fits") as progress:
-        validation = validate(names_without_lagged_inputs(), data.steps, parts, progress)
-    show_validation(data.steps.space.state, validation, sys.stdout)
+        validation = validate(names_without_lagged_inputs(), data.steps, parts, data.learning, progress)
+    show_validation(data, validation, sys.stdout)
     print(verdicts(data.steps.space.state, validation))
     _write(results, log, data, validation)
 
 
 def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation: "Validation") -> None:
     """Writes the requested files."""
-    from stepgap.experiment.fit import best_residual, fit_report
+    from stepgap.experiment.fit import best_residual
+    from stepgap.experiment.fit_results import fit_report
     from stepgap.report.fit import fit_picture
 
     if results.out:
@@ -98,7 +100,7 @@ def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation:
         picture = fit_picture(data.steps.space.state, validation, _format_of(results.plot))
         write_new(results.plot, "--plot", picture)
     if results.save:
-        write_new(results.save, "--save", json.dumps(best_residual(data.steps, validation).to_dict()))
+        write_new(results.save, "--save", json.dumps(best_residual(data, validation).to_dict()))
 
 
 def _format_of(picture: Path) -> str:

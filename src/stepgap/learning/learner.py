@@ -8,10 +8,10 @@ import numpy as np
 
 from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.disturbance import DisturbanceFilter, without_yaw_dependence
+from stepgap.learning.disturbance import DisturbanceFilter
 from stepgap.learning.observations import error_of, history_after, next_history, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
-from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, StepMap, StepRecord, StepStatus
@@ -221,15 +221,7 @@ def _fitted(
     nominal: StepMap, log: StepLog, settings: LearningSettings, iteration: int, start: Residual | None
 ) -> Residual:
     """Fits the residual to all known steps; the search for hyper-parameters starts at those of `start`."""
-    errors = observe(log, nominal)
-    kind = settings.residual if len(errors) else "none"
-    if settings.remove_yaw_dependence and kind != "none":
-        cleaned = without_yaw_dependence(errors, iteration)
-        residual = fit_residual(kind, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
-        if residual.kind != "none":
-            return residual
-        kind = "none"  # without a correction no disturbance is estimated: it counts as noise
-    return fit_residual(kind, errors, settings.lagged_inputs, settings.forgetting_time, start)
+    return learned_residual(observe(log, nominal), settings, iteration, start)
 
 
 def _point_of(record: StepRecord) -> Array:

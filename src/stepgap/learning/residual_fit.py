@@ -9,11 +9,12 @@ import numpy as np
 
 from stepgap.base.json_data import integer, number
 from stepgap.base.normal import log_density
+from stepgap.learning.disturbance import without_yaw_dependence
 from stepgap.learning.entry_points import load_residual_model, residual_models
 from stepgap.learning.observations import Observations
 from stepgap.learning.regression import Regression, ResidualModel, TrainingData
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
-from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs
+from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs, LearningSettings
 from stepgap.learning.zero import NONE
 
 SELECTION_FOLDS = 5
@@ -61,6 +62,30 @@ def fit_residual(
         more = [_fit(found.model, HistoryInputs(each, forgetting_time), observations, start) for each in wider]
         found = _best([found, *more], observations)
     return found
+
+
+def learned_residual(
+    observations: Observations, settings: LearningSettings, present: int, start: Residual | None = None
+) -> Residual:
+    """Fits the residual of the settings as a deployment does: without the yaw-dependent part of the errors, if wanted.
+
+    Args:
+        observations: Observations to learn from; if there are none, the residual is zero.
+        settings: Which residual model is used, and whether the yaw-dependent part is removed.
+        present: Number of the deployment that is running, from whose errors nothing is removed.
+        start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
+
+    Raises:
+        InputError: There is no model of this name, or it cannot be used.
+    """
+    kind = settings.residual if len(observations) else "none"
+    if settings.remove_yaw_dependence and kind != "none":
+        cleaned = without_yaw_dependence(observations, present)
+        residual = fit_residual(kind, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
+        if residual.kind != "none":
+            return residual
+        kind = "none"  # without a correction no disturbance is estimated: it counts as noise
+    return fit_residual(kind, observations, settings.lagged_inputs, settings.forgetting_time, start)
 
 
 def held_out_score(residual: Residual, observations: Observations, folds: int = SELECTION_FOLDS) -> float:

@@ -2,23 +2,28 @@
 
 Neighbouring steps are alike. So contiguous blocks are held out, or complete deployments, never single steps; and the
 standard errors count blocks, not steps.
+
+What is held out is treated as a further deployment of a run: the residual is fitted to the other steps as `Learner`
+fits it, without the yaw-dependent part of their errors; then the held-out steps are predicted one after another, each
+with the disturbance that was estimated from the held-out steps before it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from math import sqrt
 from time import perf_counter
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from stepgap.base.normal import INTERVAL_95, log_density
+from stepgap.learning.disturbance import DisturbanceFilter
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points
-from stepgap.learning.residual_fit import fit_residual
+from stepgap.learning.residual_fit import learned_residual
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_table import Labels, StepTable
 from stepgap.step import Array
 
@@ -27,6 +32,9 @@ FOLDS = 10
 
 LEAST_STEPS: Final = 2 * FOLDS
 """Least number of steps for a comparison of residuals."""
+
+DEFAULT_LEARNING: Final = LearningSettings()
+"""How a run learns by default."""
 
 CERTAIN: Final = 2.0
 """Least difference, in standard errors, for one residual to be called better than another."""
@@ -86,7 +94,7 @@ class HeldOut:
     Attributes:
         kind: Name of the residual.
         error: Actual − nominal next state; shape (N, n).
-        mean: Predicted error; shape (N, n).
+        mean: Predicted error, with the estimated disturbance; shape (N, n).
         std: Standard deviation with noise, zero for a residual without one; shape (N, n).
         seconds: Time of one fit [s].
     """
@@ -135,11 +143,20 @@ class Reduction:
     blocks: int
 
     @property
+    def half_width(self) -> float:
+        """Half the width of the 95 % interval: Student's t standard errors, 2.26 for ten blocks, at least `CERTAIN`."""
+        quantile = float(stdtrit(self.blocks - 1, 1 - SIGNIFICANCE_LEVEL / 2))
+        return max(CERTAIN, quantile) * self.standard_error
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the reduction."""
+        return self.value - self.half_width, self.value + self.half_width
+
+    @property
     def certain(self) -> bool:
-        """Whether it is above zero by `CERTAIN` standard errors and by Student's t: 2.26 of them for ten blocks."""
-        return (
-            self.value > max(CERTAIN, float(stdtrit(self.blocks - 1, 1 - SIGNIFICANCE_LEVEL / 2))) * self.standard_error
-        )
+        """Whether the 95 % interval lies above zero."""
+        return self.value > self.half_width
 
 
 def reduction(one: HeldOut, other: HeldOut, block: Labels, coordinates: Sequence[int]) -> Reduction:
@@ -188,6 +205,13 @@ class Validation:
                 chosen = kind
         return chosen
 
+    def indistinct(self, chosen: str, coordinates: Sequence[int]) -> list[str]:
+        """The residuals whose difference from `chosen` has a 95 % interval that contains zero."""
+        others: list[str] = [kind for kind in self.held_out if kind != chosen]
+        return [
+            kind for kind in others if abs((by := self.reduction(kind, chosen, coordinates)).value) <= by.half_width
+        ]
+
     def nearest(self, other: str, coordinates: Sequence[int]) -> str:
         """The residual with the least error, without `other`."""
         others: list[str] = [kind for kind in self.held_out if kind != other]
@@ -198,6 +222,7 @@ def validate(
     kinds: Sequence[str],
     steps: StepTable,
     folds: Folds,
+    learning: LearningSettings = DEFAULT_LEARNING,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
 ) -> Validation:
     """Holds out every fold from every residual.
@@ -206,30 +231,51 @@ def validate(
         kinds: Names of the residuals, from simple to complex.
         steps: Steps with predictions of the nominal map.
         folds: Which steps are held out together.
+        learning: Whether the yaw-dependent part is removed and the disturbance estimated; its residual is not used.
         on_fit: Called with the number of fits done and the number of all fits.
     """
     held_out, done = {}, count(1)
     for kind in kinds:
-        held_out[kind] = _hold_out(kind, steps, folds, lambda: on_fit(next(done), len(kinds) * folds.count))
+        settings = replace(learning, residual=kind, lagged_inputs="none")
+        held_out[kind] = _hold_out(steps, folds, settings, lambda: on_fit(next(done), len(kinds) * folds.count))
     return Validation(folds, held_out)
 
 
-def fit_steps(kind: str, steps: StepTable, rows: NDArray[np.bool_] | None = None) -> Residual:
-    """Fits a residual to some of the steps, or to all; shape of `rows` (N,)."""
-    kept = slice(None) if rows is None else rows
-    return fit_residual(kind, Observations(steps.space, steps.state[kept], steps.command[kept], steps.error[kept]))
+def fit_steps(steps: StepTable, learning: LearningSettings) -> Residual:
+    """Fits the residual of the settings to the steps, as before a further deployment."""
+    arrays = steps.state, steps.command, steps.error
+    observations = Observations(steps.space, *arrays, yaw=steps.yaw, deployment=steps.deployment)
+    return learned_residual(observations, learning, int(steps.deployment.max()) + 1)
 
 
-def _hold_out(kind: str, steps: StepTable, folds: Folds, on_fit: Callable[[], None]) -> HeldOut:
+def _hold_out(steps: StepTable, folds: Folds, learning: LearningSettings, on_fit: Callable[[], None]) -> HeldOut:
     """Fits a residual to the steps outside each fold and predicts those inside."""
-    points, error = join_points(steps.state, steps.command), steps.error
-    mean, std, seconds = np.empty_like(error), np.empty_like(error), 0.0
+    mean, std, seconds = np.empty_like(steps.error), np.empty_like(steps.error), 0.0
     for number in range(folds.count):
         held = folds.fold == number
         begin = perf_counter()
-        residual = fit_steps(kind, steps, ~held)
+        residual = fit_steps(steps.selected(~held), learning)
         seconds += perf_counter() - begin
-        mean[held] = residual.mean(points[held])
-        std[held] = residual.std(points[held], include_noise=True)
+        for deployment in np.unique(steps.deployment[held]):
+            rows = held & (steps.deployment == deployment)
+            mean[rows], std[rows] = _predict(residual, steps.selected(rows), learning.drift)
         on_fit()
-    return HeldOut(kind, error, mean, std, seconds / folds.count)
+    return HeldOut(learning.residual, steps.error, mean, std, seconds / folds.count)
+
+
+def _predict(residual: Residual, steps: StepTable, drift: bool) -> tuple[Array, Array]:
+    """Means and standard deviations, with noise, of the errors of consecutive steps; shapes (N, n).
+
+    With `drift`, each step is predicted with the disturbance in the steps before it.
+    """
+    points = join_points(steps.state, steps.command)
+    mean, std = residual.mean(points), residual.std(points, include_noise=True)
+    if not drift or residual.kind == "none":
+        return mean, std
+    yaw = np.full(len(steps), np.nan) if steps.yaw is None else steps.yaw
+    disturbance = DisturbanceFilter.initial(mean.shape[1])
+    remaining, offset, offset_std = steps.error - mean, np.empty_like(mean), np.empty_like(mean)
+    for row in range(len(steps)):
+        offset[row], offset_std[row] = disturbance.offset(yaw[row]), disturbance.std(yaw[row])
+        disturbance = disturbance.updated(remaining[row], yaw[row])
+    return mean + offset, np.hypot(std, offset_std * residual.noise_std)

@@ -1,0 +1,194 @@
+"""Text and JSON output of `stepgap fit`: tables, sentences and all numbers."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from stepgap.experiment.fit import FitData
+from stepgap.learning.step_table import describe_left_out
+from stepgap.learning.validation import Folds, Reduction, Validation
+from stepgap.step import Array, Quantity
+
+FIT_SCHEMA = 2
+"""Version of the JSON file."""
+
+BASELINES: tuple[str, ...] = ("none", "constant")
+"""Residuals with which all others are compared, besides that of the run."""
+
+
+def verdicts(state: Sequence[Quantity], validation: Validation) -> str:
+    """One sentence for each state coordinate, and one for all together."""
+    lines = [f"{quantity.name + ':':16}{verdict(validation, [index])}" for index, quantity in enumerate(state)]
+    together = [f"{'all together:':16}{verdict(validation, range(len(state)))}"] if len(state) > 1 else []
+    return "\n".join(lines + together)
+
+
+def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
+    """Sentence on the best residual for these state coordinates, and how much better it is than the baselines."""
+    chosen = validation.best(coordinates)
+    others = validation.indistinct(chosen, coordinates)
+    if chosen in BASELINES:
+        nearest = validation.nearest(chosen, coordinates)
+        closest = f"the closest, {nearest}, is {_compared(validation.reduction(nearest, chosen, coordinates), chosen)}"
+        if chosen == "none":
+            return f"nothing to learn: no residual is significantly better than none ({closest})"
+        better = _compared(validation.reduction("constant", "none", coordinates), "none")
+        return f"constant is {better}; no residual is better than the constant: nothing more to learn ({closest})"
+    constant, none = (_compared(validation.reduction(chosen, other, coordinates), other) for other in BASELINES[::-1])
+    rest = f"no difference shown from {', '.join(others)}" if others else "every other residual is worse"
+    return f"{chosen} is {constant}, {none}; {rest}"
+
+
+def _compared(by: Reduction, other: str) -> str:
+    """A reduction as text, with its 95 % interval."""
+    return f"{'better' if by.value >= 0 else 'worse'} than {other} by {_percent(abs(by.value), by.half_width)}"
+
+
+def _percent(value: float, half_width: float) -> str:
+    if not np.isfinite([value, half_width]).all():
+        return "–"
+    form = "z.0f" if half_width >= 0.0095 else "z.1f"
+    return f"{100 * value:{form}} ± {100 * half_width:{form}} %"
+
+
+def describe_fit_data(data: FitData, folds: Folds) -> str:
+    """A few lines on the steps that were read, and on the parts that are held out."""
+    steps, space = data.steps, data.steps.space
+    deployments = len(np.unique(steps.deployment))
+    parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
+    return "\n".join(
+        [
+            f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
+            f"rows left out: {describe_left_out(steps.left_out)}",
+            f"state       {', '.join(map(_with_unit, space.state))}",
+            f"command     {', '.join(map(_with_unit, space.command))}",
+            f"nominal     {data.nominal}",
+            f"held out    {folds.count} {parts}, one at a time",
+            f"disturbance {_disturbance(data)}",
+        ]
+    )
+
+
+def _disturbance(data: FitData) -> str:
+    """What is done about errors that depend on time and yaw."""
+    yaw = data.steps.yaw
+    if not data.learning.remove_yaw_dependence:
+        removed = "errors fitted with their yaw-dependent part"
+    elif yaw is None or not np.isfinite(yaw).any():
+        removed = "no yaw known, so no yaw-dependent part removed"
+    else:
+        removed = "yaw-dependent part removed from the errors before a fit"
+    estimated = "estimated from earlier held-out steps" if data.learning.drift else "not estimated in held-out steps"
+    return f"{removed}; the rest {estimated}"
+
+
+def _compared_with(data: FitData, validation: Validation) -> list[str]:
+    """Residuals with which all others are compared: the baselines and that of the run."""
+    used = data.learning.residual
+    return [*BASELINES, *([used] if used in validation.held_out and used not in BASELINES else [])]
+
+
+def show_validation(data: FitData, validation: Validation, stream: TextIO) -> None:
+    """Prints a table for each state coordinate and one for all together: framed on a terminal, plain elsewhere."""
+    console = Console(file=stream, highlight=False)
+    if not console.is_terminal:
+        console = Console(file=stream, highlight=False, width=200)
+    framed, state, compared = console.is_terminal, data.steps.space.state, _compared_with(data, validation)
+    headings = [f"better than {other}" for other in compared]
+    for index, quantity in enumerate(state):
+        table = _table(framed, _with_unit(quantity), "RMSE", "log density", "within 95 %", *headings)
+        for kind, held in validation.held_out.items():
+            scores = (_format(held.rmse[index], ".4g"), _format(held.log_density[index], ".2f"))
+            inside = _format(100 * held.coverage[index], ".0f")
+            table.add_row(kind, *scores, inside, *_compared_all(validation, kind, compared, [index]))
+        console.print(table)
+    table = _table(framed, "all together", "fit [s]", *headings)
+    for kind, held in validation.held_out.items():
+        better = _compared_all(validation, kind, compared, range(len(state)))
+        table.add_row(kind, _format(held.seconds, ".2g"), *better)
+    console.print(table)
+
+
+def _table(framed: bool, title: str, *scores: str) -> Table:
+    """Empty table of residuals."""
+    table = Table(box=SIMPLE if framed else None, pad_edge=False)
+    table.add_column(Text(title))
+    for name in scores:
+        table.add_column(Text(name), justify="right")
+    return table
+
+
+def _compared_all(validation: Validation, kind: str, others: Sequence[str], coordinates: Sequence[int]) -> list[str]:
+    """Improvement of a residual over each of the others."""
+    by = [validation.reduction(kind, other, coordinates) for other in others]
+    return [
+        "–" if kind == other else _percent(one.value, one.half_width) for one, other in zip(by, others, strict=True)
+    ]
+
+
+def _format(value: float, form: str) -> str:
+    return f"{value:{form}}" if np.isfinite(value) else "–"
+
+
+def _with_unit(quantity: Quantity) -> str:
+    return f"{quantity.name} [{quantity.unit}]" if quantity.unit else quantity.name
+
+
+def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> dict[str, Any]:
+    """All results as JSON-ready data; NaN and infinities become null."""
+    steps, state = data.steps, data.steps.space.state
+    parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
+
+    def named(values: Array) -> dict[str, float | None]:
+        return {quantity.name: _finite(value) for quantity, value in zip(state, values, strict=True)}
+
+    def better(kind: str, other: str) -> dict[str, Any]:
+        by = {name: validation.reduction(kind, other, part) for name, part in parts.items()}
+        return {name: _numbers(reduction) for name, reduction in by.items()}
+
+    return {
+        "schema": FIT_SCHEMA,
+        "logs": [str(log) for log in logs],
+        "nominal": data.nominal,
+        "units": {quantity.name: quantity.unit for quantity in (*state, *steps.space.command)},
+        "steps": len(steps),
+        "left_out": dict(steps.left_out),
+        "learning": {
+            "residual": data.learning.residual,
+            "drift": data.learning.drift,
+            "remove_yaw_dependence": data.learning.remove_yaw_dependence,
+        },
+        "folds": {"count": validation.folds.count, "whole_deployments": validation.folds.whole_deployments},
+        "residuals": [
+            {
+                "kind": kind,
+                "rmse": named(held.rmse),
+                "log_density": named(held.log_density),
+                "coverage": named(held.coverage),
+                "fit_seconds": held.seconds,
+                "better_than": {other: better(kind, other) for other in _compared_with(data, validation)},
+            }
+            for kind, held in validation.held_out.items()
+        ],
+        "best": {name: validation.best(part) for name, part in parts.items()},
+        "no_difference_shown": {
+            name: validation.indistinct(validation.best(part), part) for name, part in parts.items()
+        },
+        "verdict": {name: verdict(validation, part) for name, part in parts.items()},
+    }
+
+
+def _numbers(by: Reduction) -> dict[str, Any]:
+    """A reduction as JSON-ready data."""
+    interval = [_finite(end) for end in by.interval]
+    return {"value": _finite(by.value), "standard_error": _finite(by.standard_error), "interval": interval}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
