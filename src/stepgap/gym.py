@@ -25,6 +25,7 @@ from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.plant import Plant
+from stepgap.report.camera import FRAMES_PER_SECOND, Camera
 from stepgap.robots.entry_points import load_robot
 from stepgap.robots.robot import Robot
 from stepgap.step import Array, StepMap, StepStatus
@@ -35,6 +36,10 @@ MODEL = "model"
 """Plant that is the nominal map with noise."""
 OBSERVATION_LIMIT = 10.0
 """Distance from the middle of the range at which observations are clipped [half ranges]."""
+RENDER_MODES = ("rgb_array", "rgb_array_list")
+"""What `render` returns: a picture of the robot at the end of the step, or those of its motion since the last call."""
+STEPS_PER_SECOND = 2
+"""Steps shown in a second of a video with one picture for each."""
 LARGEST_COST = 10.0
 """Squared error at which the cost of a step is clipped [squared half ranges]. A fall costs as much for its own and each
 remaining step, so that falling is never better than continuing."""
@@ -58,15 +63,28 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         make_plant: Makes the plant of one episode from the environment's random generator.
         nominal: Map used for predictions; it defines state and command.
         reference: Reference to track; `reset(options={"reference": …})` sets another one for one episode.
+        render_mode: One of `RENDER_MODES`; None for no pictures.
+        camera: Draws the robot; its `on_ticks` must be called with the ticks of the plant if they are to be drawn.
 
     Raises:
-        ValueError: The reference does not fit this map.
+        ValueError: The reference does not fit this map, or the render mode is not possible.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
 
-    def __init__(self, make_plant: Callable[[np.random.Generator], Plant], nominal: StepMap, reference: Reference):
+    def __init__(
+        self,
+        make_plant: Callable[[np.random.Generator], Plant],
+        nominal: StepMap,
+        reference: Reference,
+        render_mode: str | None = None,
+        camera: Camera | None = None,
+    ):
         reference.check(nominal.space)
+        _check_render_mode(render_mode, camera)
+        self.render_mode, self._camera = render_mode, camera
+        rate = FRAMES_PER_SECOND if render_mode == "rgb_array_list" else STEPS_PER_SECOND
+        self.metadata = {"render_modes": list(RENDER_MODES) if camera else [], "render_fps": rate}
         self.nominal, self.reference, self.space = nominal, reference, nominal.space
         self._make_plant, self._tracked = make_plant, reference
         self._plant: Plant | None = None
@@ -87,6 +105,8 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         self._tracked.check(self.space)
         self._plant, self._done = self._make_plant(self.np_random), 0
         self._state = self._plant.start()
+        if self._camera:
+            self._camera.begin(self._state, self._caption())
         return self._observation(), {}
 
     def step(self, action: NDArray[Any]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -115,16 +135,38 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
             squared = float(np.sum(((record.next_state - target) / self.space.state_scale) ** 2))
             reward = -min(squared, LARGEST_COST)
             self._state, self._done = record.next_state, self._done + 1
+        if self._camera:
+            self._camera.take(self._state, f"{self._caption()}\n{record.status.label}" if fell else self._caption())
         truncated = not fell and remaining == 1
         if fell or truncated:
             self.close()
         return self._observation(), reward, fell, truncated, info
+
+    def render(self) -> Any:
+        """Returns what `render_mode` says: a picture (480, 480, 3), or a list of them.
+
+        Raises:
+            ResetNeeded: No episode was started.
+        """
+        if self._camera is None or self.render_mode is None:
+            return None
+        if np.isnan(self._state).any():
+            raise ResetNeeded("no episode was started: call reset() before render()")
+        return self._camera.picture() if self.render_mode == "rgb_array" else self._camera.pictures()
 
     def close(self) -> None:
         """Stops the plant."""
         if self._plant is not None:
             self._plant.stop()
             self._plant = None
+
+    def _caption(self) -> str:
+        """State of the robot and number of the last step, as text."""
+        rows = [f"step {self._done} of {len(self._tracked)}"]
+        target = self._tracked.targets[max(self._done - 1, 0)]
+        for quantity, value, wanted in zip(self.space.state, self._state, target, strict=True):
+            rows.append(f"{quantity.name} {value:.3f}, target {wanted:.3f} {quantity.unit}".rstrip())
+        return "\n".join(rows)
 
     def _observation(self) -> Array:
         """State and next target; shape (2 n,)."""
@@ -139,6 +181,7 @@ def robot_env(
     plant: str = "",
     noise: Sequence[float] | None = None,
     reference: Reference | None = None,
+    render_mode: str | None = None,
 ) -> StepEnv:
     """Makes the environment of a robot; `gymnasium.make("stepgap/Step-v0", …)` calls it.
 
@@ -149,6 +192,7 @@ def robot_env(
         noise: Standard deviation of the noise added to every next state of `model`; shape (n,) [state units]. None
             for a hundredth of the ranges of use.
         reference: Reference to track; None for the robot's first one.
+        render_mode: One of `RENDER_MODES`, if the robot has a kinematics; None for no pictures.
 
     Raises:
         ValueError: An argument is wrong.
@@ -157,12 +201,15 @@ def robot_env(
     settings = Experiment(chosen, plant="" if plant == MODEL else plant)
     nominal = load_nominal(settings).map
     reference = reference or load_reference(settings, chosen.space)
+    kinematics = chosen.kinematics()
+    camera = Camera(kinematics) if kinematics else None
+    _check_render_mode(render_mode, camera)
     if plant == MODEL:
         std = 0.02 * chosen.space.state_scale if noise is None else np.asarray(noise, float)
         if std.shape != chosen.space.state_scale.shape or not (np.isfinite(std) & (std >= 0)).all():
             names = ", ".join(f"{quantity.name} [{quantity.unit}]" for quantity in chosen.space.state)
             raise ValueError(f"noise = {noise}, but it must be numbers that are not negative, for {names}")
-        return StepEnv(partial(ModelPlant, nominal, reference.targets[0], std), nominal, reference)
+        return StepEnv(partial(ModelPlant, nominal, reference.targets[0], std), nominal, reference, render_mode, camera)
     simulations = chosen.simulations()
     if settings.plant not in simulations:
         known = (*simulations, MODEL)
@@ -170,10 +217,22 @@ def robot_env(
     make = simulations[settings.plant]
 
     def make_plant(rng: np.random.Generator) -> Plant:
-        return make(rng).plant(rng)
+        return make(rng).plant(rng, camera.on_ticks if camera and render_mode else None)
 
     make_plant(np.random.default_rng(0))  # reports errors of the simulation now
-    return StepEnv(make_plant, nominal, reference)
+    return StepEnv(make_plant, nominal, reference, render_mode, camera)
+
+
+def _check_render_mode(render_mode: str | None, camera: Camera | None) -> None:
+    """Raises ValueError for a render mode that is not possible."""
+    if render_mode is None or (camera and render_mode in RENDER_MODES):
+        return
+    if camera is None:
+        raise ValueError(f"render_mode = {render_mode!r}: this robot has no kinematics, so it cannot be drawn")
+    window = (
+        "; for a window, wrap the environment in gymnasium.wrappers.HumanRendering" if "human" in render_mode else ""
+    )
+    raise ValueError(f"render_mode = {render_mode!r}, but it must be {_one_of(render_mode, RENDER_MODES)}{window}")
 
 
 def _reference_of(options: dict[str, Any], default: Reference) -> Reference:
