@@ -12,11 +12,13 @@ import tomllib
 from collections.abc import Callable
 from importlib.metadata import metadata
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from scipy.io import loadmat
 
 from stepgap.cli.app import main
@@ -181,6 +183,41 @@ def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -
     refused(stepgap("export", run, "--to", "mjcf"), "plant 'ethercat'")
     shutil.rmtree(run / "ticks")
     refused(stepgap("export", run, "--to", "mcap"), "run/ticks: contains no .mcap file")
+
+
+def test_a_foxglove_layout_plots_every_field_of_the_log_once(run: Path, stepgap: Command) -> None:
+    assert stepgap("export", run, "--to", "foxglove").out == "run/export/foxglove.json\n"
+    stepgap("export", run, "--to", "mcap", "--iteration", 0)
+    with Path("run/export/ticks_0.mcap").open("rb") as file:  # read by the format's own libraries
+        _, channel, _, message = next(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
+    fields = {f"{channel.topic}.{field.name}" for field in message.DESCRIPTOR.fields}
+    layout = json.loads(Path("run/export/foxglove.json").read_text())
+    panels = layout["configById"]
+    paths = [path["value"] for panel in panels.values() for path in panel["paths"]]
+    assert len(paths) == len(set(paths))
+    assert set(paths) == fields - {"ticks.time"}
+    assert sorted(placed(layout["layout"])) == sorted(panels)
+    units = replay(run, 0, 1000).units
+    for panel in panels.values():
+        names = [path["value"].removeprefix("ticks.") for path in panel["paths"]]
+        assert {units[name] or "without unit" for name in names} == {panel["title"]}
+    refused(stepgap("export", run, "--to", "foxglove", "--iteration", 0), "--iteration: the layout is the same")
+
+
+def test_a_foxglove_layout_of_a_rig_is_that_of_its_log(run: Path, stepgap: Command) -> None:
+    (run / "experiment.toml").write_text('plant = "ethercat"\n')
+    refused(stepgap("export", run, "--to", "foxglove"), "run/ticks: contains no .mcap file")
+    with TickLog(run / "ticks" / "ticks-1.mcap", {"time": "s", "torque": "N·m"}) as rows:
+        rows.append(np.zeros((1, 2)))
+    (run / "ticks" / "ticks-0.mcap").write_bytes(b"rubbish")
+    assert stepgap("export", run, "--to", "foxglove", "--out", "a.json").code == 0
+    (panel,) = json.loads(Path("a.json").read_text())["configById"].values()
+    assert [path["value"] for path in panel["paths"]] == ["ticks.torque"]
+
+
+def placed(area: dict[str, Any] | str) -> list[str]:
+    """Names of the panels in an area of the window."""
+    return [area] if isinstance(area, str) else [*placed(area["first"]), *placed(area["second"])]
 
 
 # Model

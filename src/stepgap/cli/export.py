@@ -19,7 +19,7 @@ def export(
     folder: Path,
     /,
     *,
-    to: Literal["mat", "csv", "parquet", "mcap", "mjcf"],
+    to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf"],
     iteration: Annotated[Integer | None, Parameter(validator=validators.Number(gte=0))] = None,
     out: Path | None = None,
 ) -> None:
@@ -27,8 +27,8 @@ def export(
 
     Args:
         folder: Folder of the run.
-        to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; mjcf: the model of the
-            hopper's twin.
+        to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; foxglove: a layout with
+            plots of the ticks; mjcf: the model of the hopper's twin.
         iteration: Number of the only deployment to export. [default: all of them; for mcap the last one]
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
@@ -36,6 +36,8 @@ def export(
         _export_model(folder, iteration, out)
     elif to == "mcap":
         _export_ticks(folder, iteration, out)
+    elif to == "foxglove":
+        _export_layout(folder, iteration, out)
     else:
         _export_steps(folder, to, iteration, out)
 
@@ -84,13 +86,32 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
         return
     if iteration is not None:
         raise InputError("--iteration: not valid for the tick logs of a rig; leave this option out")
-    logs = folder / "ticks"
-    if not any(logs.glob("*.mcap")):
-        raise InputError(f"{logs}: contains no .mcap file, so there are no ticks of this run")
+    logs = _logs_of_rig(folder)
     target = _target(folder, "ticks", out)
     with writing(target, "--out"):
         for line in copy_ticks(logs, target):
             print(line)
+
+
+def _export_layout(folder: Path, iteration: int | None, out: Path | None) -> None:
+    from stepgap.experiment.replay import tick_units_of
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.records.export.foxglove import foxglove_layout
+    from stepgap.records.export.ticks import logged_units
+
+    if iteration is not None:
+        raise InputError("--iteration: the layout is the same for all deployments; leave this option out")
+    settings = read_experiment(folder / "experiment.toml")
+    units = tick_units_of(settings) if settings.simulated else logged_units(_logs_of_rig(folder))
+    write_new(_target(folder, "foxglove.json", out), "--out", foxglove_layout(units))
+
+
+def _logs_of_rig(folder: Path) -> Path:
+    """Folder of the tick logs of a rig's run, which contains at least one."""
+    logs = folder / "ticks"
+    if not any(logs.glob("*.mcap")):
+        raise InputError(f"{logs}: contains no .mcap file, so there are no ticks of this run")
+    return logs
 
 
 def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None:

@@ -1,6 +1,6 @@
 """The ticks of a recorded deployment: simulated again, or read from the tick log of a rig."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,6 +73,18 @@ def find_kinematics(settings: Experiment) -> Kinematics | Missing:
     return kinematics or Missing(f"robot '{settings.robot.name}' has no kinematics, so its motion is not drawn")
 
 
+def tick_units_of(settings: Experiment) -> Mapping[str, str]:
+    """Columns of the ticks of a simulated deployment, as `replay` returns them, with their units.
+
+    Raises:
+        InputError: The motion of this plant is not known.
+    """
+    kinematics = find_kinematics(settings)
+    if isinstance(kinematics, Missing):
+        raise InputError(kinematics.reason)
+    return {**kinematics.observed_units, "step": ""}
+
+
 def logged_ticks(folder: Path, steps: Sequence[LoggedStep], settings: Experiment) -> TickTable:
     """Reads the ticks of a rig's deployment from its log, with a column `step`; only ticks with sensor values are kept.
 
@@ -125,10 +137,7 @@ def _replayed_steps(folder: Path, settings: Experiment, steps: Sequence[LoggedSt
         raise InputError(
             f"plant '{settings.plant}': a deployment of a rig cannot be simulated again; its ticks are in ticks/"
         )
-    kinematics, names, rows = find_kinematics(settings), settings.robot.space.state_names, list[Array]()
-    if isinstance(kinematics, Missing):
-        raise InputError(kinematics.reason)
-    units = {**kinematics.observed_units, "step": ""}
+    units, names, rows = tick_units_of(settings), settings.robot.space.state_names, list[Array]()
 
     def on_ticks(ticks: Rows, step: int) -> None:
         rows.extend(np.array([*row, step + steps[0].step - 1], float) for row in ticks)

@@ -1,7 +1,7 @@
 """Ticks of a run as MCAP files, which Foxglove and PlotJuggler open."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, read_ticks, recover_ticks
@@ -38,6 +38,21 @@ def copy_ticks(logs: Path, out: Path) -> Iterator[str]:
         else:
             shutil.copyfile(log, copy)
             yield str(copy)
+
+
+def logged_units(logs: Path) -> Mapping[str, str]:
+    """Units of the fields, by their names, in the first tick log of a folder that can be read.
+
+    Raises:
+        TickLogError: No tick log can be read.
+    """
+    *others, last = sorted(logs.glob("*.mcap"))
+    for log in others:
+        try:
+            return read_ticks(log)[0]
+        except TickLogError:
+            continue
+    return read_ticks(last)[0]
 
 
 def _recovered(log: Path, copy: Path) -> str:
