@@ -206,11 +206,10 @@ class Validation:
         return chosen
 
     def indistinct(self, chosen: str, coordinates: Sequence[int]) -> list[str]:
-        """The residuals whose difference from `chosen` has a 95 % interval that contains zero."""
+        """The residuals from which `chosen` has a difference whose 95 % interval contains zero."""
         others: list[str] = [kind for kind in self.held_out if kind != chosen]
-        return [
-            kind for kind in others if abs((by := self.reduction(kind, chosen, coordinates)).value) <= by.half_width
-        ]
+        by = [self.reduction(chosen, other, coordinates) for other in others]
+        return [other for other, each in zip(others, by, strict=True) if abs(each.value) <= each.half_width]
 
     def nearest(self, other: str, coordinates: Sequence[int]) -> str:
         """The residual with the least error, without `other`."""
