@@ -15,6 +15,7 @@ from cyclopts import App, Parameter
 
 from stepgap.base.errors import InputError, StepGapError, message_of
 from stepgap.cli.bench import bench
+from stepgap.cli.completion import completion
 from stepgap.cli.doctor import doctor
 from stepgap.cli.export import export
 from stepgap.cli.fit import fit
@@ -55,6 +56,7 @@ add_verb(app, "fit", fit)
 add_verb(app, "gait", gait)
 add_verb(app, "map", map_)
 add_verb(app, "doctor", doctor)
+add_verb(app, "completion", completion)
 app.command(bench)
 app.command(rig)
 
