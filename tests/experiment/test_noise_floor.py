@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepgap.base.normal import std_interval_95
 from stepgap.control.reference import Reference
 from stepgap.experiment.noise_floor import REPEATS, YAWS, _pooled, measure_noise_floor
 from stepgap.records.summary import NoiseFloor
@@ -27,7 +28,8 @@ def measured(gap: RealityGap, seed: int = 1) -> NoiseFloor:
 
 
 def test_a_twin_without_noise_on_an_even_floor_repeats_itself() -> None:
-    np.testing.assert_allclose([*measured(SILENT)], 0, atol=1e-15)
+    found = measured(SILENT)
+    np.testing.assert_allclose([found.any_yaw, found.same_yaw], 0, atol=1e-15)
 
 
 def test_noise_and_yaw_contribute_and_the_seed_determines_the_result() -> None:
@@ -50,6 +52,25 @@ def test_components_of_variance_are_recovered() -> None:
     found = _pooled(groups, 2)
     np.testing.assert_allclose(found.same_yaw, noise_std, rtol=0.03)
     np.testing.assert_allclose(found.any_yaw, np.hypot(yaw_std, noise_std), rtol=0.03)
+    assert found.steps == 2000 * YAWS * REPEATS
+
+
+@pytest.mark.parametrize("ratio", [1.0, 5.0])
+def test_intervals_contain_the_noise_floor_as_often_as_they_say(ratio: float) -> None:
+    """Also where half of the targets have `ratio` times the noise and the yaw dependence of the others."""
+    rng, runs, targets, yaw_std, noise_std = np.random.default_rng(5), 1500, 20, 0.01, 0.01
+    factors = np.where(np.arange(targets) % 2, ratio, 1.0)
+    inside = np.zeros(2)
+    for _ in range(runs):
+        yaw, noise = rng.normal(size=(targets, YAWS, 1, 1)), rng.normal(size=(targets, YAWS, REPEATS, 1))
+        found = _pooled([*(factors[:, None, None, None] * (yaw_std * yaw + noise_std * noise))], 1)
+        true = np.sqrt(np.mean(factors**2)) * np.array([np.hypot(yaw_std, noise_std), noise_std])
+        for row, (std, freedom) in enumerate(
+            [(found.any_yaw, found.any_yaw_freedom), (found.same_yaw, found.same_yaw_freedom)]
+        ):
+            low, high = std_interval_95(std, freedom)[:, 0]
+            inside[row] += low <= true[row] <= high
+    np.testing.assert_allclose(inside / runs, 0.95, atol=0.025)
 
 
 def test_the_noise_floor_is_proportional_to_the_noise() -> None:
@@ -61,4 +82,5 @@ def test_a_robot_that_cannot_hop_has_no_noise_floor() -> None:
     twin = Twin(ROBOT, SILENT, np.random.default_rng(0))
     plant = TwinPlant(twin, Hopper(command=CommandBounds(fy_lower=-200, fy_upper=-190)))
     found = measure_noise_floor(plant, NeverWorks(), REFERENCE, np.random.default_rng(0))
-    assert np.isnan([*found]).all()
+    assert np.isnan([found.any_yaw, found.same_yaw]).all()
+    assert found.steps == 0

@@ -15,8 +15,8 @@ from stepgap.experiment.bands import interval_coverage
 from stepgap.records import paper
 from stepgap.records.summary import MEASURED, MEASURES
 from stepgap.report import RunContext, read_run_folder
+from stepgap.report.decimals import decimal
 from stepgap.report.figures import tracking_figure
-from stepgap.report.sentences import decimal
 from stepgap.step import Quantity, StepSpace
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone

@@ -4,11 +4,16 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+from stepgap.learning.step_log import StepLog
 from stepgap.records.run_folder import RunRecord, read_run_folder
+from stepgap.report.intervals import rmse_interval
 from stepgap.report.sentences import headline, sentences
-from tests.report.runs import make_run
+from stepgap.step import Quantity, StepSpace
+from tests.report.runs import logged, make_run
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +37,32 @@ def test_an_error_above_three_noise_floors_is_not_called_tracking(run: Path) -> 
     found = headline(changed(run, 0.001, rmse=large))
     assert found.startswith("It did not track: the error of height is 3.1 noise floors. But the last deployment")
     assert headline(changed(run, 0.0, rmse=large)).startswith("It tracked"), "an unknown noise floor claims nothing"
+
+
+def test_the_noise_floor_has_its_number_of_steps_and_its_interval(run: Path) -> None:
+    """The ends follow from quantiles of χ² with 60 degrees of freedom in a table: 40.482 and 83.298."""
+    freedom = {"repeatability_freedom": {"speed": 60, "height": None}, "repeatability_steps": 240}
+    content = json.loads((run / "summary.json").read_text()) | freedom
+    (run / "summary.json").write_text(json.dumps(content))
+    text = " ".join(sentences(changed(run, 0.01), "twin"))
+    ends = 0.01 * np.sqrt(60 / 83.298), 0.01 * np.sqrt(60 / 40.482)
+    assert f"speed 0.0100 m/s (95 % interval {ends[0]:.5f} to {ends[1]:.4f}), height 0.0100 m, from 240 steps" in text
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5])
+def test_intervals_contain_the_rmse_about_as_often_as_they_say(memory: float) -> None:
+    """Errors of variance 1, independent or with a memory, whose RMSE is 1 on average."""
+    rng, runs, count = np.random.default_rng(2), 200, 227
+    noise = np.sqrt(1 - memory**2) * rng.normal(size=(runs, count))
+    errors = lfilter([1.0], [1.0, -memory], noise, zi=memory * rng.normal(size=(runs, 1)))[0]
+    space = StepSpace((Quantity("x", "m", -1, 1),), (Quantity("u", "N", -1, 1),))
+    inside = 0
+    for row in errors:
+        # `logged` makes a step whose next state is 1.1 times its target, so its error is a tenth of the target.
+        steps = [logged(0, step, np.zeros(1), np.array([10 * error])) for step, error in enumerate(row, start=1)]
+        low, high = rmse_interval(StepLog(space, steps))[:, 0]
+        inside += low <= 1 <= high
+    assert 0.88 <= inside / runs <= 0.99
 
 
 def test_cut_commands_and_targets_that_were_not_held_are_listed(run: Path) -> None:

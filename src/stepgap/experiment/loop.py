@@ -109,7 +109,7 @@ def run_experiment(
             steps = _observed(recording.steps(iteration, execute), nominal.space, observer)
             log += steps
             floor = estimate_noise_floor(steps, reference)
-            deployments.append(summarise(steps, reference, _residual_name(learner), learner.step_map(), floor))
+            deployments.append(summarise(steps, reference, _residual_name(learner), learner.step_map(), floor.any_yaw))
             summary = _summary(deployments, log, floor, seed, past)
             if recording.caught_up:
                 write_summary(folder / "summary.json", summary, names)
@@ -162,12 +162,14 @@ def _residual_name(learner: Learner) -> str:
     return learner.settings.residual if learner.steps_to_learn else learner.residual.name
 
 
-def _summary(deployments: Sequence[Deployment], log: StepLog, noise_floor: Array, seed: int, past: StepLog) -> Summary:
+def _summary(
+    deployments: Sequence[Deployment], log: StepLog, noise_floor: NoiseFloor, seed: int, past: StepLog
+) -> Summary:
     """Summary of the finished deployments; its digest verifies `steps.csv` when the run is resumed."""
     return Summary(
         seed,
         tuple(deployments),
-        NoiseFloor(noise_floor, np.full_like(noise_floor, np.nan)),
+        noise_floor,
         versions=tuple(versions_here().items()),
         steps_sha256=digest(log),
         warm_start=warm_start_of(past),

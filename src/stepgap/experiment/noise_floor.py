@@ -82,18 +82,36 @@ def _command(controller: StepController, state: Array, target: Array) -> Array:
 
 def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:
     """Components of variance of repeated steps (yaws, repeats, n), one array for each target; n is the `size`."""
-    within, between = np.zeros((2, size))
-    within_freedom = between_freedom = 0
-    for found in groups:
-        if len(found) > 1:
-            means = found.mean(axis=1)
-            within += np.sum((found - means[:, None]) ** 2, axis=(0, 1))
-            between += REPEATS * np.sum((means - means.mean(axis=0)) ** 2, axis=0)
-            within_freedom += len(found) * (REPEATS - 1)
-            between_freedom += len(found) - 1
-    if not between_freedom:
+    groups = [found for found in groups if len(found) > 1]
+    if not groups:
         return NoiseFloor.unknown(size)
-    noise, noise_and_yaw = within / within_freedom, between / between_freedom
-    # The mean square between yaw angles is σ² of the noise + REPEATS · σ² of the yaw.
-    any_yaw = noise + np.maximum(noise_and_yaw - noise, 0.0) / REPEATS
-    return NoiseFloor(np.sqrt(any_yaw), np.sqrt(noise))
+    means = [found.mean(axis=1) for found in groups]
+    within = np.array([np.sum((x - m[:, None]) ** 2, axis=(0, 1)) for x, m in zip(groups, means, strict=True)])
+    between = np.array([REPEATS * np.sum((m - m.mean(axis=0)) ** 2, axis=0) for m in means])
+    counts = np.array([len(found) for found in groups])
+    within_freedom, between_freedom = counts * (REPEATS - 1), counts - 1
+    noise = within.sum(axis=0) / within_freedom.sum()
+    # The mean square between yaw angles is σ² of the noise + REPEATS · σ² of the yaw, which is not negative.
+    varies = between.sum(axis=0) / between_freedom.sum() > noise
+    shares = np.where(varies, 1 - 1 / REPEATS, 1.0) / within_freedom.sum(), varies / REPEATS / between_freedom.sum()
+    terms = [(shares[0] * within, within_freedom), (shares[1] * between, between_freedom)]
+    any_yaw = np.sum([squares.sum(axis=0) for squares, _ in terms], axis=0)
+    freedoms = _effective_freedom(terms), _effective_freedom([(within, within_freedom)])
+    return NoiseFloor(np.sqrt(any_yaw), np.sqrt(noise), *freedoms, REPEATS * int(counts.sum()))
+
+
+def _effective_freedom(terms: Sequence[tuple[Array, Array]]) -> Array:
+    """Effective degrees of freedom of a sum of weighted sums of squares (Satterthwaite, Biometrics Bulletin 2, 1946).
+
+    The variance may differ from target to target: then the number is smaller. E[s² / (f + 2)] = f σ⁴ for a sum of
+    squares s with f degrees of freedom.
+
+    Args:
+        terms: Weighted sums of squares by target (g, n), each with its degrees of freedom by target (g,).
+
+    Returns:
+        Shape (n,), NaN where all squares are zero.
+    """
+    total = np.sum([squares.sum(axis=0) for squares, _ in terms], axis=0)
+    spread = np.sum([np.sum(squares**2 / (freedom[:, None] + 2), axis=0) for squares, freedom in terms], axis=0)
+    return np.divide(total**2, spread, out=np.full_like(total, np.nan), where=spread > 0)

@@ -6,7 +6,7 @@ from stepgap.control.gauss_newton import REACHED
 from stepgap.control.reference import Reference
 from stepgap.control.solve_many import solve_many
 from stepgap.learning.step_log import StepLog
-from stepgap.records.summary import Deployment
+from stepgap.records.summary import Deployment, NoiseFloor
 from stepgap.step import Array, StepMap, StepStatus
 
 CUT = 0.01
@@ -37,7 +37,7 @@ def summarise(
     error, true_error = tracked.next_state - tracked.target, tracked.true_next_state - tracked.target
     unreachable = unreachable_targets(step_map, reference) if step_map else np.empty((0, error.shape[1]))
 
-    floor = estimate_noise_floor(steps, reference) if floor is None else floor
+    floor = estimate_noise_floor(steps, reference).any_yaw if floor is None else floor
 
     def rms(rows: Array) -> Array:
         return np.sqrt(np.mean(rows**2, axis=0)) if len(rows) else np.full(error.shape[1], np.nan)
@@ -59,8 +59,8 @@ def summarise(
     )
 
 
-def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
-    """Noise floor estimated from the steady steps of one deployment [state units]; shape (n,).
+def estimate_noise_floor(steps: StepLog, reference: Reference) -> NoiseFloor:
+    """Noise floor estimated from the steady steps of one deployment [state units]; that at one yaw is not known.
 
     It is the residual standard error of a linear fit of the next state in state and command. Where the map is not
     linear, it is larger than the true noise. NaN where the steps are too few.
@@ -69,9 +69,10 @@ def estimate_noise_floor(steps: StepLog, reference: Reference) -> Array:
     inputs = np.hstack([np.ones((len(steady), 1)), steady.state, steady.requested])
     degrees_of_freedom = len(steady) - inputs.shape[1]
     if degrees_of_freedom < 1:
-        return np.full(len(steps.space.state), np.nan)
+        return NoiseFloor.unknown(len(steps.space.state))
     fitted = inputs @ np.linalg.lstsq(inputs, steady.next_state, rcond=None)[0]
-    return np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / degrees_of_freedom)
+    floor = np.sqrt(np.sum((steady.next_state - fitted) ** 2, axis=0) / degrees_of_freedom)
+    return NoiseFloor(floor, np.full_like(floor, np.nan), float(degrees_of_freedom), steps=len(steady))
 
 
 def cut_commands(steps: StepLog) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from stepgap.base.normal import std_interval_95
 from stepgap.base.settings_file import read_toml_text
 from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
@@ -67,6 +68,21 @@ class RunRecord:
     def noise_floor_same_yaw(self) -> Array:
         """The same at one yaw, so that only the noise differs, NaN where unknown; shape (n,)."""
         return self._floors.same_yaw
+
+    @property
+    def noise_floor_interval(self) -> Array:
+        """Ends of the 95 % confidence interval of the noise floor, NaN where unknown; shape (2, n)."""
+        return std_interval_95(self._floors.any_yaw, self._floors.any_yaw_freedom)
+
+    @property
+    def noise_floor_same_yaw_interval(self) -> Array:
+        """Ends of the 95 % confidence interval of that at one yaw, NaN where unknown; shape (2, n)."""
+        return std_interval_95(self._floors.same_yaw, self._floors.same_yaw_freedom)
+
+    @property
+    def noise_floor_steps(self) -> int:
+        """Number of steps from which the noise floor was computed; 0 if it is not known."""
+        return self._floors.steps
 
     @property
     def _floors(self) -> NoiseFloor:

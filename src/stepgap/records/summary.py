@@ -78,10 +78,17 @@ class NoiseFloor(NamedTuple):
     Attributes:
         any_yaw: If the yaw differs from repetition to repetition; shape (n,). Key `repeatability`.
         same_yaw: If only the noise differs; shape (n,). Key `repeatability_same_yaw`.
+        any_yaw_freedom: Degrees of freedom of `any_yaw`, NaN where they are not known; shape (n,) or a number. Key
+            `repeatability_freedom`.
+        same_yaw_freedom: The same of `same_yaw`. Key `repeatability_same_yaw_freedom`.
+        steps: Number of steps from which both were computed; 0 if it is not known. Key `repeatability_steps`.
     """
 
     any_yaw: Array
     same_yaw: Array
+    any_yaw_freedom: Array | float = np.nan
+    same_yaw_freedom: Array | float = np.nan
+    steps: int = 0
 
     @classmethod
     def unknown(cls, size: int) -> Self:
@@ -140,6 +147,9 @@ def write_summary(path: Path, summary: Summary, names: Sequence[str]) -> None:
         "iterations": [deployment_entry(deployment, names) for deployment in summary.deployments],
         "repeatability": _by_name(names, floor.any_yaw),
         "repeatability_same_yaw": _by_name(names, floor.same_yaw),
+        "repeatability_freedom": _by_name(names, np.broadcast_to(floor.any_yaw_freedom, len(names))),
+        "repeatability_same_yaw_freedom": _by_name(names, np.broadcast_to(floor.same_yaw_freedom, len(names))),
+        "repeatability_steps": floor.steps,
         "repeatability_measured": summary.noise_floor_measured,
         "steps_sha256": summary.steps_sha256,
         **({"warm_start": asdict(summary.warm_start)} if summary.warm_start else {}),
@@ -197,7 +207,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
     return Summary(
         _integer(fields, "seed", 0, source),
         tuple(deployments),
-        NoiseFloor(*(_errors(fields, key, names, source) for key in ("repeatability", "repeatability_same_yaw"))),
+        _noise_floor(fields, names, source),
         fields.get("repeatability_measured") is True,
         tuple((name, str(version)) for name, version in versions.items()),
         str(fields.get("steps_sha256", "")),
@@ -289,6 +299,19 @@ def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source:
         if value is not None and not _is_number(value):
             raise ValueError(f"{source}: {key} of {name} is {_short(value)}, but it must be a number or null")
     return np.array([np.nan if values[name] is None else float(values[name]) for name in names])
+
+
+def _noise_floor(fields: Mapping[str, Any], names: tuple[str, ...], source: str) -> NoiseFloor:
+    """The noise floor; summaries of former versions have neither degrees of freedom nor the number of steps."""
+    known = {"repeatability_freedom": dict.fromkeys(names), "repeatability_same_yaw_freedom": dict.fromkeys(names)}
+    known |= {"repeatability_steps": 0, **fields}
+    return NoiseFloor(
+        any_yaw=_errors(known, "repeatability", names, source),
+        same_yaw=_errors(known, "repeatability_same_yaw", names, source),
+        any_yaw_freedom=_errors(known, "repeatability_freedom", names, source),
+        same_yaw_freedom=_errors(known, "repeatability_same_yaw_freedom", names, source),
+        steps=_integer(known, "repeatability_steps", 0, source),
+    )
 
 
 def _targets(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source: str) -> Array:

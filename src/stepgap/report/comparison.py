@@ -9,9 +9,10 @@ import numpy as np
 
 from stepgap.experiment.bands import hops_to_band, tracking_errors
 from stepgap.records.run_folder import RunRecord
+from stepgap.report.decimals import decimal
 from stepgap.report.drawing import draw_figure
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
-from stepgap.report.sentences import decimal, end_in_a_word, headline
+from stepgap.report.sentences import end_in_a_word, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
 
 MOST_RUNS: Final = 12

@@ -8,7 +8,7 @@ from stepgap.learning.observations import Observations, observe
 from stepgap.learning.step_log import StepLog
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.sentences import decimal
+from stepgap.report.decimals import decimal
 from stepgap.step import StepMap, StepSpace
 
 WORTH_MENTION = 1.25

@@ -8,8 +8,9 @@ from stepgap.experiment.bands import PAPER_BAND, WINDOW, hops_to_band, tracking_
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
+from stepgap.report.decimals import decimal
 from stepgap.report.html import safe, table, with_unit
-from stepgap.report.sentences import decimal, end_in_a_word
+from stepgap.report.sentences import end_in_a_word
 from stepgap.step import Array
 
 

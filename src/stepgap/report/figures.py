@@ -18,6 +18,7 @@ from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
+from stepgap.report.intervals import rmse_interval
 from stepgap.step import Array, Quantity, StepSpace, StepStatus
 
 WIDTH: Final = 7.16
@@ -98,10 +99,18 @@ def error_figure(record: RunRecord) -> Figure:
             values = [deployment.errors[measure][index] for deployment in record.deployments]
             if np.isfinite(values).any():
                 panel.plot(numbers, values, look, color=BLUE, label=f"{measure.upper()}, this run")
+        ends = [rmse_interval(record.steps.of_iteration(number))[:, index] for number in numbers]
+        if np.isfinite(ends).any():
+            panel.vlines(
+                numbers, *np.transpose(ends), color=BLUE, linewidth=2.5, alpha=0.4, label="95 % interval of RMSE"
+            )
         floor = record.noise_floor[index]
         drawn = _drawn(panel)
         if floor > LEAST_FLOOR * np.min(drawn, where=drawn > 0, initial=np.inf):
             panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="noise floor, this run")
+            if np.isfinite(record.noise_floor_interval[:, index]).all():
+                shade = {"color": "0.9", "zorder": 0, "label": "its 95 % interval"}
+                panel.axhspan(*record.noise_floor_interval[:, index], **shade)
         if hardware:
             values = paper.MAE_BY_ITERATION[quantity.name]
             panel.plot(range(len(values)), values, "^:", color=VERMILLION, label="MAE, the paper's hardware")

@@ -8,9 +8,9 @@ from stepgap.base.normal import INTERVAL_95
 from stepgap.experiment.bands import interval_coverage
 from stepgap.learning.regression import Parameter
 from stepgap.records.run_folder import RunRecord
+from stepgap.report.decimals import decimal
 from stepgap.report.html import table, with_unit
 from stepgap.report.learned import LearnedResidual, input_quantities
-from stepgap.report.sentences import decimal
 from stepgap.step import Array
 
 UNIT_NOTES: Final = {

@@ -9,6 +9,8 @@ from stepgap.experiment.outcome import TRACKED
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import Deployment
+from stepgap.report.decimals import decimal
+from stepgap.report.intervals import between, rmse_interval
 from stepgap.step import Array, Quantity, StepStatus, ending_of
 
 MOST_NAMED = 6
@@ -45,8 +47,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
     """
     found = []
     if len(record.deployments) > 1:
-        first, last = record.deployments[0], record.deployments[-1]
-        found += [_change(first, last, row, quantity) for row, quantity in enumerate(record.space.state)]
+        found += [_change(record, row) for row in range(len(record.space.state))]
     found += [
         f"{_title(_ended(record, deployment))}; its errors include only the steps before."
         for deployment in record.deployments
@@ -74,26 +75,19 @@ def improvement(first: Deployment, last: Deployment, measure: str) -> Array:
     return np.divide(before, after, out=np.full(len(before), np.nan), where=(before > 0) & (after > 0))
 
 
-def decimal(value: float, digits: int = 3) -> str:
-    """Number with a few significant digits, without exponent where possible; a dash for NaN."""
-    if not np.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    if 1e-6 < abs(value) < 1e6:
-        decimals = digits - 1 - int(np.floor(np.log10(abs(value))))
-        return f"{value:.{max(decimals, 0)}f}".replace("-", "−")
-    return f"{value:.{digits}g}".replace("-", "−")
-
-
-def _change(first: Deployment, last: Deployment, row: int, quantity: Quantity) -> str:
-    parts = []
+def _change(record: RunRecord, row: int) -> str:
+    """Sentence on the errors of one state coordinate in the first and the last deployment."""
+    first, last, quantity = record.deployments[0], record.deployments[-1], record.space.state[row]
+    interval, parts = rmse_interval(record.steps.of_iteration(last.iteration))[:, row], []
     for measure in ("rmse", "mae"):
         before, after = first.errors[measure][row], last.errors[measure][row]
         factor = improvement(first, last, measure)[row]
         outcome = f", {_times(factor)}" if np.isfinite(factor) else ""
         known = f"from {decimal(before)} to {decimal(after)}{_unit(quantity)}{outcome}"
         parts.append(f"{measure.upper()} {known if np.isfinite(before - after) else 'unknown'}")
+    if np.isfinite(interval).all():
+        ends = f"{decimal(interval[0])} to {decimal(interval[1])}{_unit(quantity)}"
+        parts.insert(1, f"95 % interval of the last RMSE {ends}")
     title = _title(quantity.name.replace("_", " "))
     return f"{title}, from deployment {first.iteration} to {last.iteration}: {'; '.join(parts)}."
 
@@ -110,17 +104,18 @@ def _floor(record: RunRecord) -> list[str]:
     if not known:
         return []
     state, floor = record.space.state, record.noise_floor
-    values = ", ".join(f"{state[row].name} {decimal(floor[row])}{_unit(state[row])}" for row in known)
+    values = _with_intervals(record, floor, record.noise_floor_interval, known)
+    count = f"from {_count(record.noise_floor_steps, 'step')}, " if record.noise_floor_steps else ""
     errors = record.deployments[-1].errors["steady_rmse"]
     ratios = ", ".join(f"{decimal(errors[row] / floor[row], 2)} times that in {state[row].name}" for row in known)
     how = (
-        f"is {values}, measured with the same command and the same motion at the start, but at other yaw angles and "
-        "with other noise. A controller that knows neither noise nor yaw cannot be better on average. One that "
-        "estimates the yaw-dependent disturbance (learning.drift) can, but not better than the noise alone: "
+        f"is {values}, {count}measured with the same command and the same motion at the start, but at other yaw "
+        "angles and with other noise. A controller that knows neither noise nor yaw cannot be better on average. One "
+        "that estimates the yaw-dependent disturbance (learning.drift) can, but not better than the noise alone: "
         f"{_alone(record, known)}"
         if record.summary.noise_floor_measured
-        else f"is at most about {values}, the residual standard error of a linear fit to the steady steps of the last "
-        "deployment; the true noise floor may be smaller"
+        else f"is at most about {values}, {count}the residual standard error of a linear fit to the steady steps of "
+        "the last deployment; the true noise floor may be smaller"
     )
     compared = f" The last steady RMSE is {ratios}." if np.isfinite([errors[row] for row in known]).all() else ""
     return [f"The noise floor (standard deviation of repeated steps) {how}.{compared}"]
@@ -128,8 +123,15 @@ def _floor(record: RunRecord) -> list[str]:
 
 def _alone(record: RunRecord, rows: Sequence[int]) -> str:
     """Phrase on the standard deviation of steps that are repeated at one yaw."""
-    state, floor = record.space.state, record.noise_floor_same_yaw
-    return ", ".join(f"{decimal(floor[row])}{_unit(state[row])} in {state[row].name}" for row in rows)
+    return _with_intervals(record, record.noise_floor_same_yaw, record.noise_floor_same_yaw_interval, rows)
+
+
+def _with_intervals(record: RunRecord, floor: Array, ends: Array, rows: Sequence[int]) -> str:
+    """Standard deviations (n,) of some coordinates, with their intervals (2, n) where these are known."""
+    state = record.space.state
+    return ", ".join(
+        f"{state[row].name} {decimal(floor[row])}{_unit(state[row])}{between(ends[:, row])}" for row in rows
+    )
 
 
 def _beyond_noise(record: RunRecord, deployment: Deployment) -> str:

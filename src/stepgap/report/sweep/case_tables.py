@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from stepgap.report.decimals import decimal
 from stepgap.report.html import paragraph, table, with_unit
-from stepgap.report.sentences import decimal
 from stepgap.report.sweep.cases import LevelCodes, SweepCases
 from stepgap.step import Quantity
 

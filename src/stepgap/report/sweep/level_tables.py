@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
+from stepgap.report.decimals import decimal
 from stepgap.report.html import table, with_unit
-from stepgap.report.sentences import decimal
 from stepgap.report.settings_table import DASH
 from stepgap.report.sweep.cases import LevelCodes, SweepAxis, SweepCases
 from stepgap.report.sweep.levels import Estimates, level_means, matched_groups, paired_ratios, quartiles

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepgap.records.missing import Missing
-from stepgap.report.sentences import decimal
+from stepgap.report.decimals import decimal
 from stepgap.report.sweep.cases import SweepCases
 from stepgap.report.sweep.levels import overall_mean
 from stepgap.report.sweep.variance_shares import VarianceShares
