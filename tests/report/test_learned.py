@@ -11,9 +11,10 @@ from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import LAGGED_INPUTS
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.decimals import decimal
+from stepgap.report.gait_table import gait_table
 from stepgap.report.learned import input_quantities, read_learned_residual
 from stepgap.report.learned_table import coverage_table, learned_tables
-from stepgap.report.reference_gait import gait_table, reference_gait
+from stepgap.report.reference_gait import reference_gait
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
 from tests.report.runs import TARGETS, make_run, report_of

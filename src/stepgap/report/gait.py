@@ -110,16 +110,22 @@ def reference_gait_figure(gait: ReferenceGait) -> Figure:
             for value in point.floquet_multipliers
         ]
         mark = {"color": look["color"], "marker": look["marker"], "markerfacecolor": "none", "linestyle": ""}
-        sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"Floquet multipliers, {each.name} map")
+        sizes.plot(*np.array(found).reshape(-1, 2).T, **mark, label=f"open loop, {each.name} map")
+        if each.multipliers:
+            rows = np.arange(1, len(each.points) + 1)
+            sizes.vlines(rows, *each.multipliers.open_loop.T[[0, 2]], color=look["color"], linewidth=0.8)
+            low, middle, high = each.multipliers.closed_loop.T
+            sizes.vlines(rows, low, high, color=BLACK, linewidth=0.8)
+            sizes.plot(rows, middle, "_", color=BLACK, label=f"closed loop, {each.name} map")
     plane.plot(*gait.targets.T, ".", color=BLACK, label="targets")
     plane.plot(*gait.centre, "s", markersize=7, markerfacecolor="none", color=BLACK, label="start of the step")
     first, second = gait.space.state
     plane.set(xlabel=f"Next {axis_label(first, capital=False)}", ylabel=f"Next {axis_label(second, capital=False)}")
     plane.set_title("(a) One-step reachable set", loc="left", fontsize="medium")
-    sizes.set(xlabel="Target, in the order of the reference", ylabel="Magnitude of the multipliers |λ|")
+    sizes.set(xlabel="Target, in the order of the reference", ylabel="Magnitude |λ| of the multipliers")
     sizes.set_ylim(bottom=0)
     sizes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    sizes.set_title("(b) Floquet multipliers: stable below 1", loc="left", fontsize="medium")
+    sizes.set_title("(b) Floquet multipliers", loc="left", fontsize="medium")
     for panel in (plane, sizes):
         panel.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside lower center", ncols=2, frameon=False)

@@ -9,7 +9,7 @@ from stepgap.learning.step_log import StepLog
 from stepgap.report.decimals import decimal
 from stepgap.step import Array
 
-FEWEST: Final = 20
+FEWEST_TRACKED: Final = 20
 """Smallest number of steps from which an interval is computed."""
 
 
@@ -26,12 +26,12 @@ def rmse_interval(steps: StepLog) -> Array:
         steps: Steps of one deployment.
 
     Returns:
-        Lower and upper ends [units of the state], NaN for fewer than `FEWEST` steps; shape (2, n).
+        Lower and upper ends [units of the state], NaN for fewer than `FEWEST_TRACKED` steps; shape (2, n).
     """
     tracked = steps.tracking().completed()
     squares = (tracked.next_state - tracked.target) ** 2
     count, size = squares.shape
-    if count < FEWEST:
+    if count < FEWEST_TRACKED:
         return np.full((2, size), np.nan)
     length = round(count ** (1 / 3))
     sums = np.cumsum(np.vstack([np.zeros((1, size)), squares, squares[: length - 1]]), axis=0)
@@ -42,8 +42,8 @@ def rmse_interval(steps: StepLog) -> Array:
     return std_interval_95(np.sqrt(mean), freedom)
 
 
-def between(ends: Array, unit: str = "") -> str:
+def between(ends: Array, unit: str = "", digits: int = 3) -> str:
     """Text of a 95 % interval after the value it belongs to; empty where it is not known."""
     if not np.isfinite(ends).all():
         return ""
-    return f" (95 % interval {decimal(ends[0])} to {decimal(ends[1])}{unit})"
+    return f" (95 % interval {decimal(ends[0], digits)} to {decimal(ends[1], digits)}{unit})"

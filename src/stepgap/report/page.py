@@ -10,10 +10,11 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.report.diagnosis_sentences import diagnosis_sentences
 from stepgap.report.drawing import Drawing
 from stepgap.report.error_table import band_table, error_table
+from stepgap.report.gait_table import gait_sentences, gait_table, measured_sentences, measured_table
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
 from stepgap.report.learned import LearnedResidual
 from stepgap.report.learned_table import coverage_table, learned_sentences, learned_tables
-from stepgap.report.reference_gait import ReferenceGait, gait_sentences, gait_table
+from stepgap.report.reference_gait import ReferenceGait
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
 from stepgap.report.run_context import RunContext
 from stepgap.report.sentences import headline, sentences
@@ -39,9 +40,10 @@ LEFT_OUT_CAPTION: Final = (
 
 GAIT_CAPTION: Final = (
     "(a) The one-step reachable set within the command bounds, from the target in the middle. (b) Magnitudes of the "
-    "Floquet multipliers (eigenvalues of the Jacobian of the Poincaré map) of the limit cycle at each target: below 1, "
-    "an error decays at a constant command; the step controller does not need this stability. The Jacobian of the "
-    "corrected map includes that of the learned model, which is less accurate than the model's values."
+    "Floquet multipliers (eigenvalues of the derivative of the next state with respect to the state) of the limit "
+    "cycle at each target; below 1, an error decays. Open loop: at a constant command; the step controller does not "
+    "need this stability. Closed loop: with the step controller of the corrected map. Bars: 95 % intervals of the "
+    "largest magnitude, from the uncertainty of the gradient of the learned model."
 )
 
 
@@ -80,8 +82,9 @@ def report_html(
             coverage_table(record),
             picture(drawings["left_out"], "left-out-", LEFT_OUT_CAPTION) if "left_out" in drawings else "",
         ],
-        "gait": [absence("gait", gait)] if isinstance(gait, Missing) else [
+        "gait": [measured_table(record), absence("gait", gait)] if isinstance(gait, Missing) else [
             bullets(gait_sentences(gait)),
+            measured_table(record),
             picture(drawings["gait"], "gait-", GAIT_CAPTION) if "gait" in drawings else "",
             gait_table(gait),
         ],
@@ -89,7 +92,7 @@ def report_html(
     }  # fmt: skip
     top = (
         f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(record))}</p>\n'
-        f"{bullets(sentences(record, plant))}"
+        f"{bullets([*sentences(record, plant), *measured_sentences(record)])}"
     )
     parts = [section(name, CONTENTS[name], *parts) for name, parts in parts_by_name.items()]
     return page(title, [top, *parts], REPLAY_SCRIPT if not isinstance(context.replay, Missing) else "")

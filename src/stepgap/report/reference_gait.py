@@ -1,20 +1,42 @@
 """Limit cycles at the targets of a run and one-step reachable sets, on the nominal and on the corrected map."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from stepgap.control.closed_loop import largest_multiplier, step_controller_gain
 from stepgap.control.limit_cycle import FixedPoint, ReachableSet, fixed_point, reachable_set
 from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.gradient_samples import gradient_samples
 from stepgap.learning.observations import next_history
+from stepgap.learning.residual import join_points
 from stepgap.records.run_folder import RunRecord
-from stepgap.report.html import table, with_unit
 from stepgap.report.learned import LearnedResidual
 from stepgap.step import Array, StepFailed, StepMap, StepSpace
 
 MOST_GAITS: Final = 40
 """Largest number of targets whose limit cycles are computed."""
+
+GRADIENTS: Final = 400
+"""Number of gradients of the learned residual that are drawn for an interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Largest magnitudes of the Floquet multipliers that the data of the learned residual leave possible.
+
+    Each row belongs to a target and has the 2.5, 50 and 97.5 % quantiles, NaN where the target is not held.
+
+    Attributes:
+        open_loop: At the constant command of the limit cycle; shape (k, 3).
+        closed_loop: With the step controller of the corrected map, if the gradient of the robot's map is not that of
+            the corrected map but another possible one; shape (k, 3).
+    """
+
+    open_loop: Array
+    closed_loop: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +47,13 @@ class MapGait:
         name: Name of the map.
         points: Limit cycle at each target, or the closest point; None where no command makes a step.
         reachable: One-step reachable set from `ReferenceGait.centre`.
+        multipliers: Their possible magnitudes by the uncertainty of the map; None for the nominal map, which has none.
     """
 
     name: str
     points: tuple[FixedPoint | None, ...]
     reachable: ReachableSet
+    multipliers: Multipliers | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,44 +110,21 @@ def _gait(name: str, step_map: StepMap, targets: Array, centre: Array) -> MapGai
             guess = points[-1].command
         except StepFailed:
             points.append(None)
-    return MapGait(name, tuple(points), reachable_set(step_map, centre))
+    possible = _multipliers(step_map, points) if isinstance(step_map, CorrectedMap) else None
+    return MapGait(name, tuple(points), reachable_set(step_map, centre), possible)
 
 
-def gait_table(gait: ReferenceGait) -> str:
-    """Table of command and Floquet multipliers of the limit cycle at each target, map by map."""
-    state, command = [[with_unit(each) for each in part] for part in (gait.space.state, gait.space.command)]
-    heads = [*state, *(f"{each.name} {word}" for each in gait.maps for word in [*command, "λ", "gait"])]
-    size, rows = len(command), []
-    for row, target in enumerate(gait.targets):
-        cells = [cell for each in gait.maps for cell in _cells(each.points[row], size)]
-        rows.append([*(f"{value:.4g}" for value in target), *cells])
-    return table(
-        "Limit cycle at each target: the constant command that holds it, and the magnitudes |λ| of its Floquet "
-        "multipliers",
-        heads,
-        rows,
-    )
-
-
-def gait_sentences(gait: ReferenceGait) -> list[str]:
-    """Sentences on which targets are held and which limit cycles are stable."""
-    found = []
-    for each in gait.maps:
-        held = [point for point in each.points if point is not None and point.held]
-        stable = sum(point.stable for point in held)
-        found.append(
-            f"{each.name.capitalize()} map: {len(held)} of {len(each.points)} targets are held by a constant command "
-            f"within its bounds; {stable} of these limit cycles are stable at that command (all |λ| < 1)."
-        )
-    if gait.more:
-        found.append(f"The other {gait.more} targets are left out.")
-    return found
-
-
-def _cells(point: FixedPoint | None, size: int) -> list[str]:
-    """Cells with command, multipliers and verdict."""
-    if point is None:
-        return [*["–"] * (size + 1), "no step"]
-    multipliers = ", ".join(f"{abs(value):.3f}" for value in point.floquet_multipliers)
-    verdict = ("stable" if point.stable else "not stable") if point.held else "not held"
-    return [*(f"{value:.2f}".replace("-", "−") for value in point.command), multipliers, verdict]
+def _multipliers(step_map: CorrectedMap, points: Sequence[FixedPoint | None]) -> Multipliers:
+    """Multipliers for gradients of the residual drawn from its posterior, with a fixed seed."""
+    space, rng = step_map.space, np.random.default_rng(0)
+    scale = np.concatenate([space.state_scale, space.command_scale])
+    found = np.full((2, len(points), 3), np.nan)
+    for row, point in enumerate(points):
+        if point is not None and point.held:
+            at = join_points(point.state, point.command)
+            learned = gradient_samples(step_map.residual, at, scale, GRADIENTS, rng)
+            jacobians = step_map.nominal.jacobian(point.state, point.command) + learned
+            gain = step_controller_gain(step_map, point)
+            drawn = largest_multiplier(jacobians), largest_multiplier(jacobians, gain)
+            found[:, row] = np.percentile(drawn, [2.5, 50, 97.5], axis=1).T
+    return Multipliers(*found)

@@ -85,7 +85,7 @@ def _change(record: RunRecord, row: int) -> str:
         outcome = f", {_times(factor)}" if np.isfinite(factor) else ""
         known = f"from {decimal(before)} to {decimal(after)}{_unit(quantity)}{outcome}"
         parts.append(f"{measure.upper()} {known if np.isfinite(before - after) else 'unknown'}")
-    if np.isfinite(interval).all():
+    if np.isfinite([*interval, last.errors["rmse"][row]]).all():
         ends = f"{decimal(interval[0])} to {decimal(interval[1])}{_unit(quantity)}"
         parts.insert(1, f"95 % interval of the last RMSE {ends}")
     title = _title(quantity.name.replace("_", " "))

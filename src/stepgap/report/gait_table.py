@@ -1,0 +1,135 @@
+"""Limit cycles at the targets of a run, and their stability in open and closed loop, in a table and in sentences."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stepgap.control.limit_cycle import FixedPoint
+from stepgap.records.run_folder import RunRecord
+from stepgap.report.decimals import decimal
+from stepgap.report.html import table, with_unit
+from stepgap.report.intervals import between
+from stepgap.report.measured_loop import MeasuredLoop, measured_loop
+from stepgap.report.reference_gait import MapGait, Multipliers, ReferenceGait
+from stepgap.step import Array
+
+
+def measured_sentences(record: RunRecord) -> list[str]:
+    """Sentence on the measured stability of the closed loop in the last deployment; empty if it is not known."""
+    if not record.deployments:
+        return []
+    found = measured_loop(record.steps.of_iteration(record.deployments[-1].iteration))
+    if found is None:
+        return []
+    verdict = {
+        "decays": "so errors decay from step to step",
+        "grows": "so errors grow from step to step",
+        "not decided": "so these steps do not show whether errors decay",
+    }[_verdict(found.interval)]
+    return [
+        f"Measured stability with the step controller of deployment {found.iteration}: the largest Floquet multiplier "
+        f"is {decimal(found.largest, 2)}{between(found.interval, digits=2)} in magnitude, from {found.steps} steps at "
+        f"unchanged targets, {verdict}."
+    ]
+
+
+def measured_table(record: RunRecord) -> str:
+    """Table of the measured multipliers of the closed loop by deployment; empty if none is known."""
+    numbers = [deployment.iteration for deployment in record.deployments]
+    found = [measured_loop(record.steps.of_iteration(number)) for number in numbers]
+    rows = [_measured_row(each) for each in found if each is not None]
+    if not rows:
+        return ""
+    return table(
+        "Closed loop, measured: largest magnitude |λ| of the Floquet multipliers with the step controller as deployed, "
+        "from the errors of consecutive states at unchanged targets",
+        ["deployment", "steps", "largest |λ|", "95 % interval", "an error"],
+        rows,
+    )
+
+
+def _measured_row(found: MeasuredLoop) -> list[str]:
+    ends = _interval(found.interval)
+    return [str(found.iteration), str(found.steps), decimal(found.largest, 2), ends, _verdict(found.interval)]
+
+
+def gait_table(gait: ReferenceGait) -> str:
+    """Table of command and Floquet multipliers of the limit cycle at each target, map by map."""
+    state, command = [[with_unit(each) for each in part] for part in (gait.space.state, gait.space.command)]
+    heads = list(state)
+    for each in gait.maps:
+        heads += [f"{each.name} {name}" for name in [*command, "open-loop |λ|"]]
+        heads += ["95 % interval of the largest", "closed-loop |λ|, 95 % interval"] if each.multipliers else []
+    rows = [
+        [*(f"{value:.4g}" for value in target), *(cell for each in gait.maps for cell in _cells(each, row))]
+        for row, target in enumerate(gait.targets)
+    ]
+    return table(
+        "Limit cycle at each target: the constant command that holds it, and the magnitudes |λ| of its Floquet "
+        "multipliers: open loop, at this constant command, and closed loop, with the step controller",
+        heads,
+        rows,
+    )
+
+
+def gait_sentences(gait: ReferenceGait) -> list[str]:
+    """Sentences on which targets are held, and on the stability of their limit cycles."""
+    found = []
+    for each in gait.maps:
+        held = [point for point in each.points if point is not None and point.held]
+        found.append(
+            f"{each.name.capitalize()} map: {len(held)} of {len(each.points)} targets are held by a constant command "
+            f"within its bounds. {_open_loop(each, held)}"
+        )
+        if each.multipliers:
+            found += _closed_loop(each.name, each.multipliers)
+    if gait.more:
+        found.append(f"The other {gait.more} targets are left out.")
+    return found
+
+
+def _open_loop(gait: MapGait, held: Sequence[FixedPoint]) -> str:
+    """Sentence on the stability at constant commands."""
+    start = "Without the step controller, at this constant command (open loop), an error of the state"
+    if gait.multipliers is None:
+        stable = sum(point.stable for point in held)
+        return f"{start} decays at {stable} of them and grows at {len(held) - stable}, by the map."
+    counted = _counted(gait.multipliers.open_loop)
+    return f"{start} {counted}, within 95 % intervals that hold if the learned model is of the right kind."
+
+
+def _closed_loop(name: str, multipliers: Multipliers) -> list[str]:
+    if not np.isfinite(multipliers.closed_loop).any():
+        return []
+    return [
+        f"With the step controller of the {name} map (closed loop), an error {_counted(multipliers.closed_loop)}, for "
+        "maps that differ from it as much as the recorded steps permit (95 % intervals)."
+    ]
+
+
+def _counted(quantiles: Array) -> str:
+    """Phrase on how many targets have multipliers below and above 1."""
+    verdicts = [_verdict(row[[0, 2]]) for row in quantiles if np.isfinite(row).all()]
+    decays, grows, open_ = (verdicts.count(verdict) for verdict in ("decays", "grows", "not decided"))
+    undecided = f", and at {open_} of them it is not decided" if open_ else ""
+    return f"decays at {decays} of them and grows at {grows}{undecided}"
+
+
+def _verdict(ends: Array) -> str:
+    """What an interval of the largest multiplier says about an error."""
+    return "decays" if ends[1] < 1 else "grows" if ends[0] > 1 else "not decided"
+
+
+def _cells(gait: MapGait, row: int) -> list[str]:
+    """Cells of a map at one target: command, multipliers and their intervals."""
+    point, size = gait.points[row], len(gait.reachable.commands.shape) - 1
+    intervals = [gait.multipliers.open_loop, gait.multipliers.closed_loop] if gait.multipliers else []
+    if point is None:
+        return [*["–"] * size, "no step", *["–"] * len(intervals)]
+    multipliers = ", ".join(f"{abs(value):.3f}" for value in point.floquet_multipliers) if point.held else "not held"
+    command = (f"{value:.2f}".replace("-", "−") for value in point.command)
+    return [*command, multipliers, *(_interval(quantiles[row, [0, 2]]) for quantiles in intervals)]
+
+
+def _interval(ends: Array) -> str:
+    return f"{ends[0]:.2f} … {ends[1]:.2f}" if np.isfinite(ends).all() else "–"
