@@ -1,12 +1,13 @@
 """The report in a headless Chromium: it makes no request, has no error, and its replay can be scrubbed."""
 
+import json
 from functools import partial
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
 
-from stepgap.report import RunContext
+from stepgap.report import RunContext, read_run_folder
 from stepgap.report.motion import Replay
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
@@ -49,3 +50,26 @@ def test_a_fall_is_described_as_one(tmp_path: Path, watched_page: Watched) -> No
     expect(moment).to_contain_text("deployment 0, 3.99 s of 3.99 s: step 4 of 4.")
     expect(moment).to_contain_text("; reached no end of the step; command")
     watched_page.keep_screenshot("report_fall")
+
+
+@pytest.mark.usefixtures("drawn_page")
+def test_values_are_shown_at_the_pointer(tmp_path: Path, watched_page: Watched) -> None:
+    folder, page = make_run(tmp_path / "run", 1), watched_page.page
+    page.goto(report_of(folder).resolve().as_uri())
+    figure = page.locator("figure[data-hover]").first
+    figure.scroll_into_view_if_needed()
+    (panel, *_) = json.loads(figure.get_attribute("data-hover") or "")
+    label, steps, speeds = next(curve for curve in panel["curves"] if curve[0].startswith("deployment 1"))
+    (left, top, right, bottom), frame = panel["box"], figure.locator("svg").bounding_box()
+    assert frame is not None
+    across, up = (
+        (float(value) - low) / (high - low)
+        for value, (low, high, *_) in ((steps[20], panel["x"]), (speeds[20], panel["y"]))
+    )
+    x = frame["x"] + frame["width"] * (left + (right - left) * across)
+    y = frame["y"] + frame["height"] * (bottom - (bottom - top) * up)
+    page.mouse.move(x, y)
+    expect(page.locator(".hover-note")).to_have_text(f"{label}\nStep: {steps[20]}\nSpeed [m/s]: {speeds[20]}")
+    assert speeds == [f"{speed:.4g}" for speed in read_run_folder(folder).steps.of_iteration(1).next_state[:, 0]]
+    page.mouse.move(1, 1)
+    expect(page.locator(".hover-note")).to_be_hidden()

@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from stepgap.base.files import write_whole
 from stepgap.records.missing import Missing
+from stepgap.report.hover import hover_values
 
 DOTS_PER_INCH: Final = 200
 """Resolution of the PNG files."""
@@ -39,11 +40,19 @@ LONGEST_ERROR: Final = 120
 
 
 class Drawing(NamedTuple):
-    """A figure in the formats of its files."""
+    """A figure in the formats of its files.
+
+    Attributes:
+        svg: Vector graphic for a page.
+        png: Pixels.
+        pdf: Vector graphic for a document.
+        hover: Values of its curves, as `hover_values` gives them.
+    """
 
     svg: str
     png: bytes
     pdf: bytes
+    hover: str
 
 
 def draw_figure(make: Callable[[], Any], subject: str) -> Drawing | Missing:
@@ -59,7 +68,8 @@ def draw_figure(make: Callable[[], Any], subject: str) -> Drawing | Missing:
         with rc_context(LOOK):
             figure = make()
             _lay_out(figure)
-            return Drawing(_saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf"))
+            saved = _saved(figure, "svg").decode(), _saved(figure, "png"), _saved(figure, "pdf")
+            return Drawing(*saved, hover_values(figure))
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         short = " ".join(str(error).split())[:LONGEST_ERROR]
         return Missing(f"no figure of {subject} could be drawn ({type(error).__name__}: {short}); {_REMEDY}")

@@ -14,6 +14,7 @@ from typing import Final
 
 from stepgap.records.missing import Missing
 from stepgap.report.drawing import Drawing
+from stepgap.report.hover import HOVER_SCRIPT
 from stepgap.step import Quantity
 
 STYLE: Final = files("stepgap.report").joinpath("page.css").read_text(encoding="utf-8")
@@ -34,17 +35,18 @@ def page(title: str, sections: Sequence[str], script: str = "") -> str:
     Args:
         title: Title, as plain text.
         sections: HTML of the sections.
-        script: JavaScript of the page itself, which runs after the page is loaded.
+        script: JavaScript of the page itself, which runs after the page is loaded, besides that of its figures.
     """
-    script_source = f" script-src 'sha256-{b64encode(sha256(script.encode()).digest()).decode()}';" if script else ""
+    script = HOVER_SCRIPT + script
+    script_source = f" script-src 'sha256-{b64encode(sha256(script.encode()).digest()).decode()}';"
     head = (
         f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}{script_source}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{safe(title)}</title><style>{STYLE}</style>"
     )
-    end = f"<script>{script}</script>\n" if script else ""
     body = "\n".join(sections)
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n{end}</body></html>\n'
+    end = f"<script>{script}</script>"
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n{end}\n</body></html>\n'
 
 
 def section(name: str, title: str, *parts: str) -> str:
@@ -82,7 +84,8 @@ def picture(drawn: Drawing | Missing, prefix: str, caption: str) -> str:
     """Figure with its caption, or a sentence with the reason why there is none."""
     if isinstance(drawn, Missing):
         return paragraph(f"{drawn.reason[:1].upper()}{drawn.reason[1:]}.")
-    return f"<figure>{inline_svg(drawn, prefix)}<figcaption>{safe(caption)}</figcaption></figure>"
+    values = safe(drawn.hover)
+    return f'<figure data-hover="{values}">{inline_svg(drawn, prefix)}<figcaption>{safe(caption)}</figcaption></figure>'
 
 
 def with_unit(quantity: Quantity) -> str:

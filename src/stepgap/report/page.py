@@ -10,6 +10,7 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.report.diagnosis_sentences import diagnosis_sentences
 from stepgap.report.drawing import Drawing
 from stepgap.report.error_table import band_table, error_table
+from stepgap.report.file_list import file_list
 from stepgap.report.gait_table import gait_sentences, gait_table, measured_sentences, measured_table
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
 from stepgap.report.learned import LearnedResidual
@@ -28,6 +29,7 @@ CONTENTS: Final = {
     "learned": "What was learned",
     "gait": "Gait",
     "settings": "Settings and versions",
+    "files": "Files",
 }
 """Sections of the page, with their titles."""
 
@@ -89,6 +91,7 @@ def report_html(
             gait_table(gait),
         ],
         "settings": [_settings(record, context.defaults)],
+        "files": [file_list(record)],
     }  # fmt: skip
     top = (
         f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(record))}</p>\n'
