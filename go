@@ -1,14 +1,16 @@
 #!/bin/sh
-# ./go COMMAND…   runs COMMAND in the environment that requirements.lock describes.
+# ./go COMMAND…   runs COMMAND in the environment that the lock files describe.
 #
-# The environment is .venv. It is made on the first run and brought up to date whenever requirements.lock
-# or pyproject.toml changed. .venv/made-from holds copies of what it was made from and is put there last:
-# without it a set-up was interrupted, and the next run starts afresh.
+# The environment is .venv. It is made on the first run and brought up to date whenever pyproject.toml or a lock
+# changed: requirements.lock has the packages of users, requirements-dev.lock the same packages and those of developers,
+# which the first of the commands below adds. .venv/made-from holds copies of the files that .venv was made from and is
+# put there last: without it a set-up was interrupted, and the next run starts afresh.
 set -eu
 
 root=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 venv=$root/.venv
 pythons='python3.13 python3.12 python3.11 python3'
+developer_commands='coverage lint-imports mkdocs playwright pre-commit pyright pytest ruff twine'
 
 say() {
     for line in "$@"; do
@@ -26,15 +28,37 @@ fail_usage() {
     exit 2
 }
 
+needs_developer_packages() { # the arguments are a command: one of the list, or a Python program that imports such packages
+    case " $developer_commands " in
+    *" $1 "*) return ;;
+    esac
+    case "$*" in
+    python*\ benchmarks/* | python*\ tests/*) return ;;
+    python*\ -m\ *) shift && shift && needs_developer_packages "$@" ;;
+    *) return 1 ;;
+    esac
+}
+
 is_made_here() { # a finished environment, in the place where it was made, whose Python is still there
     [ -x "$venv/bin/python" ] && [ -f "$venv/made-from/root" ] && [ "$(cat "$venv/made-from/root")" = "$root" ]
 }
 
-is_up_to_date() {
+has_developer_packages() {
+    [ -f "$venv/made-from/requirements-dev.lock" ]
+}
+
+is_current() { # .venv was made from these files as they are now
     is_made_here || return
-    for file in requirements.lock pyproject.toml; do
-        [ "$(cat "$root/$file")" = "$(cat "$venv/made-from/$file")" ] || return
+    for file in "$@"; do
+        [ -f "$venv/made-from/$file" ] && [ "$(cat "$root/$file")" = "$(cat "$venv/made-from/$file")" ] || return
     done
+}
+
+is_up_to_date() { # for the lock that is needed; developers' packages stay once they are there
+    if has_developer_packages; then
+        lock=requirements-dev.lock
+    fi
+    is_current requirements.lock "$lock" pyproject.toml
 }
 
 find_python() { # sets python to the first that is new enough and can make an environment
@@ -58,7 +82,7 @@ find_python() { # sets python to the first that is new enough and can make an en
 under_lock() { # runs `go --set-up` while holding a lock on .venv.lock, which the kernel frees whatever happens
     "$python" -I -c '
 import fcntl, os, sys
-root, python = sys.argv[1:]
+root, python, lock_file = sys.argv[1:]
 lock = os.open(root + "/.venv.lock", os.O_RDWR | os.O_CREAT)
 try:
     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -68,18 +92,18 @@ except BlockingIOError:
 except OSError:
     pass  # a file system without locks
 os.set_inheritable(lock, True)
-os.execl("/bin/sh", "sh", root + "/go", "--set-up", python)
-' "$root" "$python"
+os.execl("/bin/sh", "sh", root + "/go", "--set-up", python, lock_file)
+' "$root" "$python" "$lock"
 }
 
 fetch_uv() { # with pip, in the version and with the hashes of the lock
-    sed -n '/^uv==/,/[^\\]$/p' made-from.new/requirements.lock >made-from.new/uv.txt
+    sed -n '/^uv==/,/[^\\]$/p' "made-from.new/$lock" >made-from.new/uv.txt
     bin/python -m pip install -qq --retries 2 --disable-pip-version-check --no-deps --only-binary :all: --require-hashes \
         --requirement made-from.new/uv.txt || fail_to_download
 }
 
 pip_setting() { # from its files; pip is in the environment unless uv made that, and seldom in Debian's own Python
-    for interpreter in bin/python "$python"; do # `pip config get` overlooks some of what `pip config list` finds
+    for interpreter in "$venv/bin/python" "${python:-python3}"; do # `pip config get` overlooks some of what `pip config list` finds
         if settings=$("$interpreter" -m pip config list 2>/dev/null); then
             printf '%s\n' "$settings" | sed -n "s/^global\.$1='\(.*\)'\$/\1/p"
             return
@@ -103,37 +127,53 @@ fail_to_download() {
         "Behind a proxy set HTTPS_PROXY, for a package mirror PIP_INDEX_URL. Then run it again."
 }
 
-set_up() { # python is the interpreter to make it with
+installed() {
+    ls -d lib/python*/site-packages/*.dist-info
+}
+
+make_afresh() {
+    say "making .venv from $lock with $python (once, up to a minute or two)"
+    rm -rf "$venv.old"
+    [ ! -e "$venv" ] || mv "$venv" "$venv.old"
+    rm -rf "$venv.old"
+    if command -v uv >/dev/null; then
+        uv venv --quiet --no-project --python "$python" "$venv" || fail "uv could not make .venv."
+    else
+        "$python" -m venv "$venv" || fail "$python could not make .venv. Debian, Ubuntu: apt install python3-venv"
+    fi
+}
+
+set_up() { # python is the interpreter to make it with, lock the file to make it from
     if is_up_to_date; then
         return # another run was faster
     fi
-    if is_made_here; then
-        say "bringing .venv up to date with requirements.lock and pyproject.toml"
-        rm -rf "$venv/made-from.new"
-        mv "$venv/made-from" "$venv/made-from.new"
+    if ! is_made_here || [ -e "$venv/made-from.new" ]; then
+        make_afresh
+    elif is_current requirements.lock pyproject.toml && ! has_developer_packages; then
+        say "adding the packages of developers to .venv (once)" # meanwhile, and if it fails, users' commands still run
     else
-        say "making .venv from requirements.lock with $python (once, up to a minute or two)"
-        rm -rf "$venv.old"
-        [ ! -e "$venv" ] || mv "$venv" "$venv.old"
-        rm -rf "$venv.old"
-        if command -v uv >/dev/null; then
-            uv venv --quiet --no-project --python "$python" "$venv" || fail "uv could not make .venv."
-        else
-            "$python" -m venv "$venv" || fail "$python could not make .venv. Debian, Ubuntu: apt install python3-venv"
-        fi
-        mkdir "$venv/made-from.new"
+        say "bringing .venv up to date with $lock and pyproject.toml"
+        rm -rf "$venv/made-from"
     fi
     cd "$venv"
-    cp "$root/requirements.lock" "$root/pyproject.toml" made-from.new
+    before=$(installed 2>/dev/null) || before=
+    mkdir made-from.new
+    for file in requirements.lock "$lock" pyproject.toml; do
+        cp "$root/$file" made-from.new
+    done
     printf '%s\n' "$root" >made-from.new/root
     uv=$(command -v uv || echo bin/uv)
     [ -x "$uv" ] || fetch_uv
     use_pip_settings
     # Where Python is told to write no bytecode, every start would compile all it imports anew: numba's takes a second.
     "$uv" pip sync --quiet ${PYTHONDONTWRITEBYTECODE:+--compile-bytecode} --python bin/python --require-hashes --no-build \
-        made-from.new/requirements.lock || fail_to_download
+        "made-from.new/$lock" || {
+        [ "$before" != "$(installed)" ] || rm -rf made-from.new # nothing was changed: what works goes on working
+        fail_to_download
+    }
     "$uv" pip install --quiet --python bin/python --offline --no-deps --no-build-isolation --editable "$root" ||
         fail "the project itself could not be installed; the reason stands above."
+    rm -rf made-from
     mv made-from.new made-from
 }
 
@@ -143,8 +183,8 @@ case ${1-} in
     cat <<END
 $usage
 
-Runs COMMAND in the environment .venv, which it makes on the first run and keeps as requirements.lock says.
-CONTRIBUTING.md lists useful commands.
+Runs COMMAND in the environment .venv, which it makes on the first run from requirements.lock. The first command of a
+developer, such as pytest, adds the packages of requirements-dev.lock. CONTRIBUTING.md lists useful commands.
 END
     exit
     ;;
@@ -153,6 +193,7 @@ END
     ;;
 --set-up)
     python=$2
+    lock=$3
     set_up
     exit
     ;;
@@ -161,9 +202,16 @@ END
     ;;
 esac
 
+lock=requirements.lock
+if needs_developer_packages "$@"; then
+    lock=requirements-dev.lock
+fi
 if ! is_up_to_date; then
     find_python
     under_lock
+fi
+if [ "$1" = uv ]; then
+    use_pip_settings
 fi
 unset PYTHONHOME
 export VIRTUAL_ENV="$venv" PATH="$venv/bin:$PATH"

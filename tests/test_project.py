@@ -18,7 +18,14 @@ from stepgap.base import compiled
 
 ROOT = Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-LOCK = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+LOCKS = {name: (ROOT / name).read_text(encoding="utf-8") for name in ("requirements.lock", "requirements-dev.lock")}
+FOR_USERS = PYPROJECT["project"]["dependencies"] + PYPROJECT["dependency-groups"]["go"]
+FOR_DEVELOPERS = [
+    *FOR_USERS,
+    *PYPROJECT["dependency-groups"]["dev"],
+    *PYPROJECT["dependency-groups"]["docs"],
+    *PYPROJECT["build-system"]["requires"],
+]
 SEARCH_PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 HOSTS = [".".join(parts) for parts in (("pypi", "org"), ("pythonhosted", "org"), ("npmjs", "org"), ("anaconda", "org"))]
 
@@ -38,9 +45,9 @@ def tracked_texts() -> dict[str, str]:
     return texts
 
 
-def locked() -> dict[str, str]:
+def locked(lock: str) -> dict[str, str]:
     """What the lock says of each package, by canonical name: `==VERSION ; MARKER` and its hashes."""
-    entries = re.split(r"^(?=[A-Za-z0-9])", LOCK, flags=re.MULTILINE)[1:]
+    entries = re.split(r"^(?=[A-Za-z0-9])", LOCKS[lock], flags=re.MULTILINE)[1:]
     return {canonicalize_name(re.split(r"[=\s]", entry)[0]): entry for entry in entries}
 
 
@@ -56,30 +63,44 @@ def test_no_file_names_a_package_registry() -> None:
     assert not named, "a mirror must be able to stand in: write the package's name, not where it lies"
 
 
-def test_lock_names_no_place() -> None:
-    assert "://" not in LOCK
-    assert not re.search(r"^\s*--(?!hash=)", LOCK, re.MULTILINE), "no option but --hash"
+@pytest.mark.parametrize("lock", LOCKS)
+def test_lock_names_no_place(lock: str) -> None:
+    assert "://" not in LOCKS[lock]
+    assert not re.search(r"^\s*--(?!hash=)", LOCKS[lock], re.MULTILINE), "no option but --hash"
 
 
-def test_lock_pins_and_hashes_every_package() -> None:
-    for name, entry in locked().items():
+@pytest.mark.parametrize("lock", LOCKS)
+def test_lock_pins_and_hashes_every_package(lock: str) -> None:
+    for name, entry in locked(lock).items():
         assert re.match(r"[A-Za-z0-9._-]+==[^\s;]+ ", entry), f"{name} is not pinned"
         assert re.search(r"--hash=sha256:[0-9a-f]{64}\b", entry), f"{name} has no hash"
 
 
 @pytest.mark.parametrize(
-    "wanted",
-    PYPROJECT["project"]["dependencies"]
-    + PYPROJECT["dependency-groups"]["dev"]
-    + PYPROJECT["dependency-groups"]["docs"]
-    + PYPROJECT["build-system"]["requires"],
+    ("lock", "wanted"),
+    [("requirements.lock", wanted) for wanted in FOR_USERS]
+    + [("requirements-dev.lock", wanted) for wanted in FOR_DEVELOPERS],
 )
-def test_lock_agrees_with_pyproject(wanted: str) -> None:
+def test_lock_agrees_with_pyproject(lock: str, wanted: str) -> None:
     requirement = Requirement(wanted)
-    entry = locked().get(canonicalize_name(requirement.name))
+    entry = locked(lock).get(canonicalize_name(requirement.name))
     assert entry is not None, "not locked; run .ci/lock"
     version = entry.split("==")[1].split()[0]
     assert requirement.specifier.contains(version, prereleases=True), f"{version} is locked; run .ci/lock"
+
+
+def test_developers_have_the_packages_of_users_in_the_same_versions() -> None:
+    """So adding the others changes none of those that a run may be using."""
+    users, developers = locked("requirements.lock"), locked("requirements-dev.lock")
+    assert {name: entry.split()[0] for name, entry in users.items()}.items() <= {
+        name: entry.split()[0] for name, entry in developers.items()
+    }.items()
+
+
+def test_users_get_none_of_the_packages_of_developers() -> None:
+    groups = PYPROJECT["dependency-groups"]
+    extra = {canonicalize_name(Requirement(wanted).name) for wanted in groups["dev"] + groups["docs"]}
+    assert not extra & locked("requirements.lock").keys()
 
 
 @pytest.mark.parametrize(("arguments", "reason"), [([], "a command is missing"), (["--hlep"], "no option --hlep")])
