@@ -103,6 +103,15 @@ def test_users_get_none_of_the_packages_of_developers() -> None:
     assert not extra & locked("requirements.lock").keys()
 
 
+def test_the_page_of_a_registry_has_no_link_to_a_file_that_it_lacks() -> None:
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    hook = PYPROJECT["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]
+    for substitution in hook["substitutions"]:
+        page = re.sub(substitution["pattern"], substitution["replacement"], page)
+    assert not [target for target in re.findall(r"\]\(([^)]*)\)", page) if not target.startswith("http")]
+    assert "Quickstart, the idea in ten minutes" in page, "the words of links stay"
+
+
 @pytest.mark.parametrize(("arguments", "reason"), [([], "a command is missing"), (["--hlep"], "no option --hlep")])
 def test_go_without_a_command_says_how_to_use_it(arguments: list[str], reason: str) -> None:
     outcome = subprocess.run([ROOT / "go", *arguments], capture_output=True, text=True, check=False)
