@@ -31,8 +31,11 @@ def write_log(path: Path, offset: float, count: int = 40, seed: int = 0) -> None
     path.write_text("\n".join(["v,y,fx,fy,v2,y2", *rows]) + "\n")
 
 
-def write_run(folder: Path, offset: float) -> None:
-    """Writes the record of two deployments on a hopper with an offset in height; the last step is a fall."""
+def write_run(folder: Path, offset: float, tilt: float = 0.0) -> None:
+    """Writes the record of two deployments on a hopper with an offset in height; the last step is a fall.
+
+    With a tilt, the speed has an additional error tilt · sin(yaw), and the yaw is recorded.
+    """
     folder.mkdir()
     rng, bounds = np.random.default_rng(0), CommandBounds().space()
     states, commands = rng.uniform([0.1, 0.55], [0.3, 0.6], (31, 2)), rng.uniform(-2, 2, (31, 2))
@@ -40,8 +43,10 @@ def write_run(folder: Path, offset: float) -> None:
     with StepWriter(folder / "steps.csv", bounds) as writer:
         for i in range(31):
             status = StepStatus.OK if i < 30 else StepStatus.FELL
-            end = after[i] if i < 30 else np.full(2, np.nan)
-            record = StepRecord(states[i], 3 * commands[i], commands[i] / 2, end, status, requested=commands[i])
+            end = after[i] + [tilt * np.sin(0.9 * i), 0] if i < 30 else np.full(2, np.nan)
+            yaw = 0.9 * (i + 1) if tilt else np.nan
+            ran = {"requested": commands[i], "yaw_after": yaw}
+            record = StepRecord(states[i], 3 * commands[i], commands[i] / 2, end, status, **ran)
             writer.append(LoggedStep(i // 15, i % 15 + 1, states[i], states[i], np.zeros(2), record))
 
 
@@ -92,6 +97,21 @@ def test_a_run_is_judged_against_the_nominal_map(stepgap: Command) -> None:
 def rmse_of_gp(out: str) -> str:
     """RMSE of the GP in the first state coordinate."""
     return next(line.split()[1] for line in out.splitlines() if line.startswith("gp "))
+
+
+def test_what_depends_on_the_yaw_is_removed_as_in_a_run(stepgap: Command) -> None:
+    write_run(Path("run"), 0.0, tilt=0.1)
+    as_run = stepgap("fit", "run", "--out", "as_run.json")
+    assert "disturbance yaw-dependent part removed from the errors before a fit; the rest estimated" in as_run.out
+    options = ("--learning.drift", "false", "--learning.remove_yaw_dependence", "false")
+    as_noise = stepgap("fit", "run", *options, "--out", "as_noise.json")
+    assert "disturbance errors fitted with their yaw-dependent part; the rest not estimated in held-out" in as_noise.out
+    speed = {}
+    for name in ("as_run", "as_noise"):
+        report = json.loads(Path(f"{name}.json").read_text())
+        speed[name] = {each["kind"]: each["rmse"]["speed"] for each in report["residuals"]}
+    assert speed["as_run"]["none"] == speed["as_noise"]["none"] == pytest.approx(0.1 / np.sqrt(2), rel=0.15)
+    assert speed["as_run"]["constant"] < 0.9 * speed["as_noise"]["constant"]
 
 
 def test_settings_are_those_of_the_run(stepgap: Command) -> None:

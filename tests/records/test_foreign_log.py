@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -227,3 +228,21 @@ def test_names_on_the_command_line_must_not_be_empty() -> None:
         read_columns(None, {"state": "v"})
     with pytest.raises(RecordError, match="No such file"):
         read_columns(Path("none.toml"), {})
+
+
+@pytest.mark.parametrize("columns", [Columns(state=("v",), command=("f",)), Columns(next=("v",), command=("f",))])
+def test_a_yaw_belongs_to_the_start_of_a_step_and_may_be_missing(columns: Columns) -> None:
+    rows = [(0.1 * row, 1, "" if row == 2 else 10 * row) for row in range(5)]
+    text = written(("v", "f", "psi"), rows)
+    steps = read(text, replace(columns, yaw="psi", factors={"psi": 0.1}))
+    np.testing.assert_allclose(steps.state[:, 0], [0, 0.1, 0.2, 0.3])
+    assert steps.yaw is not None
+    np.testing.assert_allclose(steps.yaw, [0, 1, np.nan, 3])
+    assert read(text, columns).yaw is None
+
+
+def test_a_yaw_is_left_out_with_its_row() -> None:
+    columns = Columns(state=("a",), next=("b",), command=("f",), yaw="psi")
+    steps = read(written(("a", "b", "f", "psi"), [(0, 1, 2, 3), (1, "", 2, 4), (1, 1, 1, 5)]), columns)
+    assert steps.yaw is not None
+    assert steps.yaw.tolist() == [3, 5]

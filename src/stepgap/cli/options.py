@@ -63,6 +63,7 @@ class ColumnNames:
         predicted: Columns of the nominal next state.
         deployment: Column that distinguishes deployments.
         step: Column that counts the steps; rows belong together where it increases by one.
+        yaw: Column of the robot's yaw [rad], measured with the state.
     """
 
     state: str | None = None
@@ -72,6 +73,7 @@ class ColumnNames:
     predicted: str | None = None
     deployment: str | None = None
     step: str | None = None
+    yaw: str | None = None
 
     def given(self) -> dict[str, str]:
         """The options that were given."""

@@ -36,6 +36,7 @@ class Columns:
             for a single deployment.
         step: Column with the number of the step; rows are chained only where it increases by one. Empty if there is
             none.
+        yaw: Column with the yaw of the robot [rad], measured together with the state. Empty if there is none.
         units: Units of columns, after multiplication by their factors.
         factors: Factors by which columns are multiplied.
     """
@@ -47,6 +48,7 @@ class Columns:
     predicted: tuple[str, ...] = ()
     deployment: str = ""
     step: str = ""
+    yaw: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
 
@@ -82,7 +84,7 @@ class Columns:
     def numbers(self) -> dict[str, str]:
         """Numeric columns, each with the part of a step that it holds."""
         named = {column_of(entry): role for role in ROLES for entry in getattr(self, role)}
-        return named | ({self.step: "step"} if self.step else {})
+        return named | {column: role for column, role in ((self.step, "step"), (self.yaw, "yaw")) if column}
 
     def space(self, state: Array, command: Array) -> StepSpace:
         """Step space with the names, the units and the ranges of these data; shapes (N, n) and (N, m)."""
@@ -134,7 +136,7 @@ def _checked(key: str, value: Any, file: Path) -> Any:
     known = [entry.name for entry in fields(Columns)]
     if key in ROLES:
         fits, right = isinstance(value, list) and all(map(_is_name, value)), "a list of names of columns"
-    elif key in ("deployment", "step"):
+    elif key in ("deployment", "step", "yaw"):
         fits, right = _is_name(value), "the name of a column"
     elif key == "units":
         fits, right = _is_table(value, str), "a table of strings, by column"

@@ -50,6 +50,7 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
         predicted=table.get("predicted"),
         deployment=np.concatenate(deployments),
         left_out={reason: count for reason, count in left_out.items() if count},
+        yaw=table["yaw"][:, 0] if columns.yaw else None,
     )
 
 
@@ -75,13 +76,17 @@ def step_log_of(table: StepTable) -> StepLog:
 
 
 def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels, dict[str, int]]:
-    """Arrays of the complete steps by role, their deployments, and the numbers of rows that are left out."""
+    """Arrays of the complete steps by role, their deployments, and the numbers of rows that are left out.
+
+    A yaw belongs to the start of a step, and may be missing.
+    """
     table = {
         role: np.stack([rows.numbers[column_of(entry)] for entry in getattr(columns, role)], axis=-1)
         for role in ROLES
         if getattr(columns, role)
     }
     deployment, ends = rows.deployment, 0
+    yaw = {"yaw": rows.numbers[columns.yaw][:, None]} if columns.yaw else {}
     if not (columns.state and columns.next):
         follows = deployment[1:] == deployment[:-1]
         if columns.step:
@@ -91,9 +96,10 @@ def _steps_of(rows: "_Rows", columns: Columns) -> tuple[dict[str, Array], Labels
         later = {role: values[1:][follows] for role, values in table.items()}
         table = earlier | {"next": later["state"]} if columns.state else later | {"state": earlier["next"]}
         deployment = deployment[1:][follows]
+        yaw = {role: values[:-1][follows] for role, values in yaw.items()}
     complete = np.all([np.isfinite(values).all(axis=1) for values in table.values()], axis=0)
     left_out = {"with a number missing": int((~complete).sum()), "at the end of a chain": ends}
-    return {role: values[complete] for role, values in table.items()}, deployment[complete], left_out
+    return {role: values[complete] for role, values in (table | yaw).items()}, deployment[complete], left_out
 
 
 @dataclass(frozen=True, eq=False)
