@@ -3,9 +3,6 @@
 from typing import Final, NamedTuple, final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from stepgap.plants.compiled_rig import Rows
@@ -20,8 +17,8 @@ Picture = NDArray[np.uint8]
 
 PIXELS: Final = 480
 """Width and height of a picture; even, as most video encoders need it."""
-DOTS_PER_UNIT: Final = 100
-"""Pixels per inch, which scales the text."""
+PIXELS_PER_INCH: Final = 100
+"""Resolution, which determines the size of the text."""
 
 FRAMES_PER_SECOND: Final = 25
 """Pictures of one second of motion."""
@@ -117,12 +114,16 @@ def draw_shot(scene: Scene, shot: Shot, top: float) -> Picture:
         shot: Where they are.
         top: Height of its highest point, which determines the scale [m].
     """
-    figure = Figure(figsize=(PIXELS / DOTS_PER_UNIT, PIXELS / DOTS_PER_UNIT), dpi=DOTS_PER_UNIT)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow imports, needed only where pictures are wanted
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(PIXELS / PIXELS_PER_INCH, PIXELS / PIXELS_PER_INCH), dpi=PIXELS_PER_INCH)
     canvas, axes = FigureCanvasAgg(figure), figure.add_axes((0, 0, 1, 1))
     side = (HEADROOM + FOOTROOM) * top
     axes.set(xlim=(-side / 2, side / 2), ylim=(-FOOTROOM * top, HEADROOM * top))
     axes.set_axis_off()
-    points_per_metre = 72 * PIXELS / DOTS_PER_UNIT / side
+    points_per_metre = 72 * PIXELS / PIXELS_PER_INCH / side
     progress = float(scene.progress(shot.positions))
     centred = scene.moved(shot.positions, -progress)
     body = centred[scene.index(scene.body)]
