@@ -109,7 +109,7 @@ def test_the_page_of_a_registry_has_no_link_to_a_file_that_it_lacks() -> None:
     for substitution in hook["substitutions"]:
         page = re.sub(substitution["pattern"], substitution["replacement"], page)
     assert not [target for target in re.findall(r"\]\(([^)]*)\)", page) if not target.startswith("http")]
-    assert "Quickstart, the idea in ten minutes" in page, "the words of links stay"
+    assert "Quickstart, tutorial with figures" in page, "the words of links stay"
 
 
 @pytest.mark.parametrize(("arguments", "reason"), [([], "a command is missing"), (["--hlep"], "no option --hlep")])
