@@ -314,7 +314,7 @@ def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
         ("export unsettled --to mjcf", ["unsettled/experiment.toml: not TOML"]),
         ("export nested --to mat", ["nested/experiment.toml: not TOML"]),
         ("recover none", ["none: No such file or directory"]),
-        ("recover run", ["run: not a file; give a steps.csv or an .mcap file"]),
+        ("recover .", [".: contains no steps.csv; give the folder of a run, a steps.csv or an .mcap file"]),
         ("recover file", ["file, line 1: not the header of a step log"]),
         ("recover empty.csv", ["empty.csv: no step yet"]),
         ("recover header.csv", ["header.csv: it contains no complete step"]),

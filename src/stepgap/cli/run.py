@@ -143,6 +143,8 @@ def run(
 
     if not display.view and (display.host or display.port):
         raise InputError("--host, --port: valid only with --view, whose page they belong to")
+    if display.view:
+        _check_address(display)
     ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume, extend)
     recorder, live = _watchers(ready, display)
     plants = _choose_plants(ready, arm, recorder, live, program or [])
@@ -159,6 +161,13 @@ def run(
         end = f" -- {shlex.join(program)}" if program else ""
         command = f"stepgap run --out {shlex.quote(str(ready.folder))} --resume{' --arm' if arm else ''}{end}"
         raise KeyboardInterrupt(f"; resume with: {command}") from None
+
+
+def _check_address(display: Display) -> None:
+    """Raises InputError, before anything is done, if the page cannot be served at the wanted address."""
+    from stepgap.view.watch import HERE, free_port
+
+    free_port(display.host or HERE, display.port)
 
 
 def _prepare(

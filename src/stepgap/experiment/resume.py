@@ -9,7 +9,7 @@ from typing import Self
 from stepgap.experiment.deployment import Steps
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
-from stepgap.records.summary import NoiseFloor, Summary, WarmStart, read_summary
+from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary
 from stepgap.step import StepSpace
 
 _REMEDY = "resume with the record, settings, versions and machine that it was started with"
@@ -32,7 +32,8 @@ class Recording:
             is taken as it is and not continued.
 
     Raises:
-        RecordError: The file is not a step log of this space, or another process is writing it.
+        RecordError: The file is not a step log of this space, another process is writing it, or the summary is that of
+            another version.
         OSError: The file cannot be read or written.
     """
 
@@ -40,7 +41,11 @@ class Recording:
         self._path, self._replays = folder / "steps.csv", replays
         self._writer = StepWriter(self._path, space)
         self._recorded = deque(self._writer.recorded)
-        self._summary = _verified_summary(folder / "summary.json", self._writer.recorded, seed, past)
+        try:
+            self._summary = _verified_summary(folder / "summary.json", self._writer.recorded, seed, past)
+        except RecordError:
+            self._writer.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -104,6 +109,8 @@ def _verified_summary(path: Path, recorded: StepLog, seed: int, past: StepLog) -
     """The summary if its digest matches the recorded steps of its deployments, otherwise an empty one."""
     try:
         summary = read_summary(path, recorded.space.state_names)
+    except OtherSchema as error:
+        raise RecordError(f"{error}; continue with the version of StepGap that wrote it") from None
     except (OSError, ValueError):
         return Summary()  # missing or of another run; it will be written again
     done = StepLog(recorded.space, (logged for logged in recorded if logged.iteration < len(summary.deployments)))

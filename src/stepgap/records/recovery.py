@@ -1,27 +1,43 @@
-"""Recovery of the intact part of truncated or damaged files: `steps.csv` and tick logs."""
+"""Recovery of the intact part of truncated or damaged records: a run folder, its `steps.csv`, or a tick log."""
 
+from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
+from shutil import copyfile
 
 from mcap.writer import MCAP0_MAGIC
 
 from stepgap.base.errors import InputError
 from stepgap.base.files import naming
+from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
-from stepgap.records.steps_csv import recover_steps, space_of_header, text_of
+from stepgap.records.model_files import model_path, read_model
+from stepgap.records.steps_csv import digest, recover_steps, space_of_header, text_of
+from stepgap.records.summary import read_summary, write_summary
+
+INPUTS = "experiment.toml", "reference.csv", "warm_start.csv", "nominal_map.json", "nominal_map.toml", "nominal_map.csv"
+"""Files of a run folder that were written before its first step."""
 
 
 def recover_file(path: Path, out: Path) -> list[str]:
-    """Writes the intact part of a file into a new one; the file itself is not changed.
+    """Writes the intact part of a file or of a run folder into a new one; the damaged one is not changed.
+
+    Of a run folder its inputs, the intact steps, the intact models, and the summary of the deployments whose steps are
+    all there are recovered, so that the new folder can be reported and, on a simulation, resumed.
 
     Returns:
-        Messages that describe the faults of the file and the number of recovered items.
+        Messages that describe the faults and the number of recovered items.
 
     Raises:
         InputError: Nothing can be recovered, or `out` exists or cannot be written.
     """
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: not a file; give a steps.csv or an .mcap file")
+    if path.is_dir() and not (path / "steps.csv").is_file():
+        raise InputError(f"{path}: contains no steps.csv; give the folder of a run, a steps.csv or an .mcap file")
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InputError(f"{path}: not a file; give the folder of a run, a steps.csv or an .mcap file")
     try:
+        if path.is_dir():
+            return _recover_run(path, out)
         return _recover_ticks(path, out) if _is_tick_log(path) else _recover_steps(path, out)
     except FileExistsError:
         raise InputError(f"{out}: exists already; choose another --out") from None
@@ -41,10 +57,61 @@ def _recover_ticks(path: Path, out: Path) -> list[str]:
     return [*(f"{path}: {fault}" for fault in faults), _counted(ticks, "tick", bool(faults))]
 
 
-def _recover_steps(path: Path, out: Path) -> list[str]:
+def _recover_run(folder: Path, out: Path) -> list[str]:
+    steps, fault = _intact_steps(folder / "steps.csv")
+    with naming(out):
+        out.mkdir()
+    for name in INPUTS:
+        if (folder / name).is_file():
+            copyfile(folder / name, out / name)
+    lines = [fault] if fault else []
+    lines += _recover_models(folder, out, steps) + _recover_summary(folder, out, steps)
+    (out / "steps.csv").write_text(text_of(steps), encoding="utf-8")
+    return [*lines, _counted(len(steps), "step", bool(fault))]
+
+
+def _recover_models(folder: Path, out: Path, steps: StepLog) -> list[str]:
+    """Copies the models of the recorded deployments that can be read; returns the faults of the others."""
+    faults = []
+    for iteration in steps.iterations:
+        source, target = model_path(folder, iteration), model_path(out, iteration)
+        try:
+            if read_model(folder, iteration, steps.space) is not None:
+                target.parent.mkdir(exist_ok=True)
+                copyfile(source, target)
+        except (ValueError, OSError) as error:
+            faults.append(f"{error}; left out")
+    return faults
+
+
+def _recover_summary(folder: Path, out: Path, steps: StepLog) -> list[str]:
+    """Writes the summary of the first deployments that have all their steps; returns the fault of a damaged one."""
+    names = steps.space.state_names
+    try:
+        summary = read_summary(folder / "summary.json", names)
+    except (ValueError, OSError) as error:
+        return [f"{error}; left out"]
+    whole = takewhile(lambda each: len(steps.of_iteration(each.iteration)) == each.steps, summary.deployments)
+    deployments = tuple(whole)
+    if deployments:
+        known = {deployment.iteration for deployment in deployments}
+        kept = StepLog(steps.space, (logged for logged in steps if logged.iteration in known))
+        measured = summary.noise_floor_measured and len(deployments) == len(summary.deployments)
+        found = replace(summary, deployments=deployments, steps_sha256=digest(kept), noise_floor_measured=measured)
+        write_summary(out / "summary.json", found, names)
+    return []
+
+
+def _intact_steps(path: Path) -> tuple[StepLog, str]:
+    """The steps before the first fault, at least one, and a message about it."""
     steps, fault = recover_steps(path, space_of_header(path))
     if not len(steps):
         raise InputError(f"{path}: it contains no complete step")
+    return steps, fault
+
+
+def _recover_steps(path: Path, out: Path) -> list[str]:
+    steps, fault = _intact_steps(path)
     with naming(out), out.open("x", encoding="utf-8") as file:
         file.write(text_of(steps))
     return [*([fault] if fault else []), _counted(len(steps), "step", bool(fault))]

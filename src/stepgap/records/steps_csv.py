@@ -29,6 +29,10 @@ class RecordError(InputError):
     """A step log cannot be used; the message is one line that names the file and its fault."""
 
 
+RECOVERY = "; `stepgap recover` saves what comes before it"
+"""End of the message about a damaged row."""
+
+
 def column_names(space: StepSpace) -> list[str]:
     """Columns of `steps.csv`."""
     state, command = space.state_names, space.command_names
@@ -194,7 +198,7 @@ def recover_steps(path: Path, space: StepSpace) -> tuple[StepLog, str]:
     except RecordError as error:
         if not steps:
             raise
-        return StepLog(space, steps), str(error)
+        return StepLog(space, steps), str(error).removesuffix(RECOVERY)
     if readable < len(content):
         return StepLog(space, steps), f"{path}: not text from byte {readable} on"
     cut = content[content.rfind(b"\n") + 1 :]
@@ -236,7 +240,7 @@ def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedSt
             logged = _step_of(line, space)
             _check_order(last, logged)
         except ValueError as error:
-            raise RecordError(f"{path}, line {number}: not the next step ({error!s:.200})") from None
+            raise RecordError(f"{path}, line {number}: not the next step ({error!s:.200}){RECOVERY}") from None
         yield logged
         last = logged
 

@@ -30,6 +30,10 @@ LARGEST_NUMBER = 1e9
 """Largest magnitude of a number that is accepted as a measurement [SI units]."""
 
 
+class OtherSchema(ValueError):
+    """A summary of another version; the message is one line that names the file."""
+
+
 @dataclass(frozen=True, eq=False)
 class Deployment:
     """Tracking errors of one deployment, next state − target, over the steps that ended with an apex.
@@ -185,6 +189,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
         source: Name of the text in messages, usually its file name.
 
     Raises:
+        OtherSchema: It was written by another version.
         ValueError: The content is wrong; the message names source, key and rule.
     """
     try:
@@ -193,7 +198,7 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
         raise ValueError(f"{source}: not JSON ({error}); it must be the file that the run wrote") from None
     fields = _fields(content, "it", source)
     if (schema := fields.get("schema")) != SUMMARY_SCHEMA or isinstance(schema, bool):
-        raise ValueError(
+        raise OtherSchema(
             f"{source}: schema is {_short(schema)}, but it must be {SUMMARY_SCHEMA}, which this version reads"
         )
     entries = fields.get("iterations")

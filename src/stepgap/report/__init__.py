@@ -57,10 +57,10 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
         context: Information that is not in the files of the run.
 
     Raises:
-        ValueError: The model in the folder, or the nominal map, has another state or command than the run.
+        ValueError: The nominal map has another state or command than the run.
         OSError: A file cannot be read or written.
     """
-    learned = read_learned_residual(record.folder, record.shown_iterations[-1], record.space)
+    learned, damage = _learned(record)
     gait = _gait(record, context, learned)
     bounds = None if isinstance(context.nominal, Missing) else context.nominal.space
     drawings = _drawings(record, learned, gait, bounds)
@@ -68,7 +68,15 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
     write_figures(record.folder, {wanted.get(name, name): drawing for name, drawing in drawings.items()})
     path = record.folder / "report.html"
     write_whole(path, report_html(record, drawings, context, learned, gait))
-    return WrittenReport(path, tuple(missing_parts(record, context, learned, gait)))
+    return WrittenReport(path, tuple(missing_parts(record, context, learned, gait, damage)))
+
+
+def _learned(record: RunRecord) -> tuple[LearnedResidual | None, str]:
+    """The last learned residual, and what is wrong with its file, for which it is left out."""
+    try:
+        return read_learned_residual(record.folder, record.shown_iterations[-1], record.space), ""
+    except ValueError as error:
+        return None, str(error)
 
 
 def _gait(record: RunRecord, context: RunContext, learned: LearnedResidual | None) -> ReferenceGait | Missing:

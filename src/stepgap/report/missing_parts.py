@@ -11,7 +11,7 @@ from stepgap.report.run_context import RunContext
 
 
 def missing_parts(
-    record: RunRecord, context: RunContext, learned: LearnedResidual | None, gait: ReferenceGait | Missing
+    record: RunRecord, context: RunContext, learned: LearnedResidual | None, gait: ReferenceGait | Missing, damage: str
 ) -> list[str]:
     """Lists the parts that are missing in the report of a run, each with the reason in brackets.
 
@@ -20,6 +20,7 @@ def missing_parts(
         context: Information that is not in the files of the run.
         learned: The last residual, if there is one.
         gait: Limit cycles at the targets, or the reason why they are not known.
+        damage: What is wrong with the file of the last residual; empty if nothing is.
     """
     found, last = [], record.shown_iterations[-1]
     if record.cut_off:
@@ -27,7 +28,8 @@ def missing_parts(
     if not record.deployments:
         found.append("errors (no deployment is finished according to summary.json)")
     if last > 0 and learned is None:
-        found.append(f"the learned model (no {model_path(record.folder, last).relative_to(record.folder)})")
+        missing = f"no {model_path(record.folder, last).relative_to(record.folder)}"
+        found.append(f"the learned model ({damage or missing})")
     return [*found, *_by_reason({"settings": context.defaults, "gait": gait, "replay": context.replay})]
 
 

@@ -33,12 +33,25 @@ def start_server(host: str, port: int | None) -> ViserServer:
     Raises:
         InputError: Host or port cannot be used.
     """
+    with redirect_stdout(io.StringIO()):  # `announce` prints the address
+        return ViserServer(host, free_port(host, port), label="StepGap", verbose=False)
+
+
+def free_port(host: str, port: int | None) -> int:
+    """A port on which a server can start.
+
+    Args:
+        host: Host name or address of the network interface.
+        port: Port; None for the first free one.
+
+    Raises:
+        InputError: Host or port cannot be used.
+    """
     if port is not None and not 0 < port < 2**16:
         raise InputError(f"--port {port}: it must lie between 1 and 65535")
     for candidate in [port] if port else range(FIRST_PORT, FIRST_PORT + PORTS_TRIED):
         if _is_free(host, candidate):
-            with redirect_stdout(io.StringIO()):  # `announce` prints the address
-                return ViserServer(host, candidate, label="StepGap", verbose=False)
+            return candidate
     tried = f"--port {port}: it is taken" if port else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS_TRIED - 1} are taken"
     raise InputError(f"{tried}; choose another --port")
 
