@@ -457,7 +457,7 @@ def test_the_defaults_in_the_help_are_those_of_the_settings(stepgap: Command) ->
     """Settings have no default on the command line, so the help states their defaults as text."""
     result, defaults = " ".join(re.sub("[│]", " ", stepgap("run", "--help").out).split()), Experiment()
     for option, value in {
-        "--plant STR": f"the first simulation; of the hopper: {defaults.plant}",
+        "--plant NAME": f"the first simulation; of the hopper: {defaults.plant}",
         "--seed INT": defaults.seed,
         "--iterations INT": defaults.learning.iterations,
         "--explore INT": defaults.learning.exploration,
@@ -472,6 +472,22 @@ def test_no_integer_is_shown_as_a_string(stepgap: Command, verb: str) -> None:
     kinds = re.findall(rf"{counted} +([A-Z]+)", result)
     assert kinds
     assert {kind for name, kind in kinds if not (verb == "fit" and name == "deployment")} == {"INT"}
+
+
+@pytest.mark.parametrize(
+    "verb", ["run", "sweep", "view", "export", "fit", "gait", "map", "bench learning", "rig check"]
+)
+def test_the_help_says_what_a_value_is_and_not_how_it_is_stored(stepgap: Command, verb: str) -> None:
+    assert not re.findall(r"--[a-z-]+ (?:STR|FLOAT)\b", stepgap(*verb.split(), "--help").out)
+
+
+def test_descriptions_are_wrapped_to_the_width_of_the_terminal(
+    stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "1000")
+    for name in ("plant", "host"):
+        (line,) = [line for line in stepgap("run", "--help").out.splitlines() if f"--{name} " in line and "│" in line]
+        assert "[default: " in line, "the last words of its docstring"
 
 
 def test_the_version_is_that_of_the_package(stepgap: Command) -> None:

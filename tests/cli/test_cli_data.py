@@ -154,7 +154,7 @@ def test_every_tick_of_a_deployment(run: Path, stepgap: Command) -> None:
         assert summary is not None
         assert summary.statistics is not None
         assert summary.statistics.message_count == len(ticks), "by the library itself"
-    assert stepgap("export", run, "--to", "mcap", "--iteration", 0, "--out", "a.mcap").out == "a.mcap\n"
+    assert stepgap("export", run, "--to", "mcap", "--deployment", 0, "--out", "a.mcap").out == "a.mcap\n"
 
 
 def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -> None:
@@ -178,7 +178,7 @@ def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -
     assert len(found) > 1000
     assert contents(run / "ticks") == before
     refused(
-        stepgap("export", run, "--to", "mcap", "--iteration", 0), "--iteration: not valid for the tick logs of a rig"
+        stepgap("export", run, "--to", "mcap", "--deployment", 0), "--deployment: not valid for the tick logs of a rig"
     )
     refused(stepgap("export", run, "--to", "mjcf"), "plant 'ethercat'")
     shutil.rmtree(run / "ticks")
@@ -201,7 +201,7 @@ def test_a_foxglove_layout_plots_every_field_of_the_log_once(run: Path, stepgap:
     for panel in panels.values():
         names = [path["value"].removeprefix("ticks.") for path in panel["paths"]]
         assert {units[name] or "without unit" for name in names} == {panel["title"]}
-    refused(stepgap("export", run, "--to", "foxglove", "--iteration", 0), "--iteration: the layout is the same")
+    refused(stepgap("export", run, "--to", "foxglove", "--deployment", 0), "--deployment: the layout is the same")
 
 
 def test_a_foxglove_layout_of_a_rig_is_that_of_its_log(run: Path, stepgap: Command) -> None:
@@ -297,10 +297,10 @@ def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
         ("export none --to mat", ["none/steps.csv: no such file"]),
         ("export none --to mcap", ["none/steps.csv: no such file"]),
         ("export none --to mjcf", ["none/experiment.toml: No such file"]),
-        ("export run --to csv --iteration 2", ["--iteration 2: no step of it in run; there are 0, 1"]),
+        ("export run --to csv --iteration 2", ["--deployment 2: no step of it in run; there are 0, 1"]),
         ("export run --to mcap --iteration 2", ["no step of deployment 2; recorded deployments: 0, 1"]),
-        ("export run --to mjcf --iteration 1", ["--iteration: the model is the same in all deployments"]),
-        ("export run --to csv --iteration -1", ["--iteration"]),
+        ("export run --to mjcf --deployment 1", ["--deployment: the model is the same in all deployments"]),
+        ("export run --to csv --deployment -1", ["--deployment"]),
         ("export run --to mat --out file", ["file: exists already; choose another --out"]),
         ("export run --to mcap --out file", ["file: exists already; choose another --out"]),
         ("export run --to mjcf --out run", ["run: exists already; choose another --out"]),

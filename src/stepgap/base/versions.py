@@ -1,11 +1,15 @@
-"""Versions of the software that a result depends on."""
+"""Versions of the software that a result depends on, and how further packages are installed."""
 
 import platform
 from functools import cache
 from importlib.metadata import version
+from pathlib import Path
 
 RECORDED_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco")
 """Packages whose versions a run records: with other versions the same seed may give other last digits."""
+
+INSTALL = "./go uv pip install" if (Path(__file__).parents[3] / "go").is_file() else "pip install"
+"""Command that installs a package: in a clone of the repository, or elsewhere."""
 
 
 def versions_here() -> dict[str, str]:

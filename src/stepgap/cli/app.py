@@ -20,6 +20,7 @@ from stepgap.cli.doctor import doctor
 from stepgap.cli.export import export
 from stepgap.cli.fit import fit
 from stepgap.cli.gait import gait
+from stepgap.cli.help_format import HelpFormat
 from stepgap.cli.map import map_
 from stepgap.cli.new import new
 from stepgap.cli.options import SETTINGS_HELP, add_verb
@@ -42,6 +43,7 @@ app = App(
     help="Close the sim-to-real gap of a legged robot one step at a time.",
     help_epilogue=SETTINGS_HELP,
     help_format="plaintext",
+    help_formatter=HelpFormat(),
     default_parameter=Parameter(negative=()),
 )
 add_verb(app, "run", run)

@@ -17,7 +17,7 @@ from stepgap.cli.execution import (
     shard_of,
     stopping,
 )
-from stepgap.cli.options import Flag, Integer
+from stepgap.cli.options import Flag, Integer, Name, Names
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -38,8 +38,8 @@ def bench_learning_(
     *,
     twins: Count | None = None,
     seeds: Count | None = None,
-    methods: str | None = None,
-    task: str | None = None,
+    methods: Names | None = None,
+    task: Name | None = None,
     quick: Flag = False,
     out: Path = Path("bench_learning"),
     execution: Execution = THIS_MACHINE,

@@ -5,8 +5,8 @@ import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
-from pathlib import Path
 
+from stepgap.base.versions import INSTALL
 from stepgap.cli.execution import usable_cores
 
 PURPOSES = {
@@ -27,9 +27,6 @@ REALTIME_TRIAL = "from stepgap.plants.realtime.pace import ask_for_realtime; pri
 
 TRIAL_TIMEOUT = 30.0
 """Longest time of a trial in another process [s]."""
-
-_INSTALL = "./go uv pip install" if (Path(__file__).parents[3] / "go").is_file() else "pip install"
-"""Command that installs an extra: in a clone of the repository, or elsewhere."""
 
 NEEDS_GL = "needed only for MuJoCo's own pictures, not for runs, reports and their figures"
 
@@ -111,7 +108,7 @@ def _extras() -> Iterator[_Row]:
     for extra, packages in sorted(wanted.items()):
         found = {package: _version(package) for package in packages}
         if missing := [package for package, number in found.items() if number is None]:
-            advice = f"to install it: {_INSTALL} 'stepgap[{extra}]'"
+            advice = f"to install it: {INSTALL} 'stepgap[{extra}]'"
             yield f"extra {extra}", f"missing ({', '.join(missing)}), for {PURPOSES[extra]}; {advice}"
         else:
             there = ", ".join(f"{package} {number}" for package, number in found.items())

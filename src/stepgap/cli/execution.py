@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.cli.options import Flag, Integer
+from stepgap.cli.options import Address, Flag, Integer
 from stepgap.cli.terminal import warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -43,8 +43,8 @@ class Execution:
     """
 
     processes: Annotated[Integer | None, Parameter(validator=Number(gte=1, lte=1024))] = None
-    shard: str | None = None
-    dask: str | None = None
+    shard: Annotated[str, Parameter(metavar="I/N")] | None = None
+    dask: Address | None = None
     resume: Flag = False
     retry_failed: Flag = False
     merge: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, show_default=False)] = ()

@@ -20,7 +20,9 @@ def export(
     /,
     *,
     to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf"],
-    iteration: Annotated[Integer | None, Parameter(validator=validators.Number(gte=0))] = None,
+    iteration: Annotated[
+        Integer | None, Parameter(name=("--deployment", "--iteration"), validator=validators.Number(gte=0))
+    ] = None,
     out: Path | None = None,
 ) -> None:
     """Convert a run for other programs: MATLAB, data frames, players of tick logs, viewers of MuJoCo models.
@@ -85,7 +87,7 @@ def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None
         print(target)
         return
     if iteration is not None:
-        raise InputError("--iteration: not valid for the tick logs of a rig; leave this option out")
+        raise InputError("--deployment: not valid for the tick logs of a rig; leave this option out")
     logs = _logs_of_rig(folder)
     target = _target(folder, "ticks", out)
     with writing(target, "--out"):
@@ -100,7 +102,7 @@ def _export_layout(folder: Path, iteration: int | None, out: Path | None) -> Non
     from stepgap.records.export.ticks import logged_units
 
     if iteration is not None:
-        raise InputError("--iteration: the layout is the same for all deployments; leave this option out")
+        raise InputError("--deployment: the layout is the same for all deployments; leave this option out")
     settings = read_experiment(folder / "experiment.toml")
     units = tick_units_of(settings) if settings.simulated else logged_units(_logs_of_rig(folder))
     write_new(_target(folder, "foxglove.json", out), "--out", foxglove_layout(units))
@@ -122,7 +124,7 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
     from stepgap.robots.hopper.twin.mjcf_files import mjcf_files
 
     if iteration is not None:
-        raise InputError("--iteration: the model is the same in all deployments; leave this option out")
+        raise InputError("--deployment: the model is the same in all deployments; leave this option out")
     settings = read_experiment(folder / "experiment.toml")
     simulation = simulation_of(settings) if settings.simulated else None
     if not isinstance(simulation, HopperSimulation):

@@ -5,7 +5,7 @@ from pathlib import Path
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name, writing
 from stepgap.cli.map_table import named_values
-from stepgap.cli.options import Overrides, values_by_name
+from stepgap.cli.options import NamedValues, Overrides, values_by_name
 from stepgap.cli.terminal import announces_compilation, warn
 
 
@@ -14,7 +14,7 @@ def gait(
     experiment: Path | None = None,
     /,
     *,
-    state: str | None = None,
+    state: NamedValues | None = None,
     out: Path | None = None,
     overrides: Overrides = None,
 ) -> None:

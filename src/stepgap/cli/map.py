@@ -10,7 +10,7 @@ from stepgap.base.errors import InputError
 from stepgap.base.output_files import check_new, writing
 from stepgap.cli.execution import THIS_MACHINE, Execution
 from stepgap.cli.map_table import map_table, named_values
-from stepgap.cli.options import Integer, Overrides, values_by_name
+from stepgap.cli.options import Integer, NamedValues, Overrides, Seconds, values_by_name
 from stepgap.cli.terminal import announces_compilation
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -26,13 +26,13 @@ def map_(
     experiment: Path | None = None,
     /,
     *,
-    state: str | None = None,
-    command: str | None = None,
+    state: NamedValues | None = None,
+    command: NamedValues | None = None,
     csv: Path | None = None,
     out: Path | None = None,
     table: Path | None = None,
     points: Annotated[Integer | None, Parameter(validator=Number(gte=2, lte=50))] = None,
-    tick: float | None = None,
+    tick: Seconds | None = None,
     execution: Execution = THIS_MACHINE,
     overrides: Overrides = None,
 ) -> None:

@@ -37,6 +37,27 @@ def _to_integer(_: Any, tokens: Sequence[Token]) -> int:
 Integer = Annotated[int, Parameter(converter=_to_integer)]
 """Option with an integer value."""
 
+Name = Annotated[str, Parameter(metavar="NAME")]
+"""Option with a name as its value; NAME, and not STR, stands for it in the help."""
+
+Names = Annotated[str, Parameter(metavar="NAMES")]
+"""Option with names as its value, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN."""
+
+NamedValues = Annotated[str, Parameter(metavar="NAME=VALUE,…")]
+"""Option with values of quantities; `values_by_name` reads them."""
+
+FileName = Annotated[str, Parameter(metavar="FILE")]
+"""Option with a file as its value, as it is written into the settings."""
+
+FolderName = Annotated[str, Parameter(metavar="FOLDER")]
+"""Option with a folder as its value, as it is written into the settings."""
+
+Address = Annotated[str, Parameter(metavar="ADDRESS")]
+"""Option with an address of the network as its value."""
+
+Seconds = Annotated[float, Parameter(metavar="SECONDS")]
+"""Option with a time as its value."""
+
 Port = Annotated[Integer, Parameter(validator=Number(gte=1, lt=2**16))]
 """Number of a TCP port."""
 
@@ -66,14 +87,14 @@ class ColumnNames:
         yaw: Column of the robot's yaw [rad], measured with the state.
     """
 
-    state: str | None = None
-    next: str | None = None
-    command: str | None = None
-    target: str | None = None
-    predicted: str | None = None
-    deployment: str | None = None
-    step: str | None = None
-    yaw: str | None = None
+    state: Names | None = None
+    next: Names | None = None
+    command: Names | None = None
+    target: Names | None = None
+    predicted: Names | None = None
+    deployment: Name | None = None
+    step: Name | None = None
+    yaw: Name | None = None
 
     def given(self) -> dict[str, str]:
         """The options that were given."""
@@ -90,7 +111,7 @@ def add_verb(app: App, name: str, verb: Callable[..., None]) -> None:
 
 
 def values_by_name(option: str, text: str | None, quantities: "Sequence[Quantity]", defaults: "Array") -> "list[float]":
-    """Values of quantities from text such as `speed=0.2,height=0.58`; those that are not named have their default.
+    """NamedValues of quantities from text such as `speed=0.2,height=0.58`; those that are not named have their default.
 
     Raises:
         InputError: A name or a number is wrong.

@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.cli.options import Flag, Overrides, Program, add_verb
+from stepgap.cli.options import Flag, Name, Overrides, Program, Seconds, add_verb
 from stepgap.cli.terminal import announces_compilation
 
 ETHERCAT = "ethercat"
@@ -19,7 +19,7 @@ LONGEST_DURATION = 86_400.0
 """Longest duration of a measurement or display [s]."""
 
 
-def check(rig_file: Path | None = None, /, *, plant: str | None = None, seconds: float = 10.0) -> None:
+def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds: Seconds = 10.0) -> None:
     """Measure the timing of this machine and of the bus, without torque; exit code 1 if it is not good enough.
 
     Args:
@@ -70,9 +70,9 @@ def calibrate(
     rig_file: Path,
     /,
     *,
-    alpha_1: float = 0.0,
-    leg_length: float | None = None,
-    height: float | None = None,
+    alpha_1: Annotated[float, Parameter(metavar="RADIANS")] = 0.0,
+    leg_length: Annotated[float | None, Parameter(metavar="METRES")] = None,
+    height: Annotated[float | None, Parameter(metavar="METRES")] = None,
     out: Path | None = None,
     experiment: Path | None = None,
     overrides: Overrides = None,
@@ -119,8 +119,8 @@ def dry_run_(
     rig_file: Path,
     /,
     *,
-    plant: str = ETHERCAT,
-    seconds: float | None = None,
+    plant: Name = ETHERCAT,
+    seconds: Seconds | None = None,
     experiment: Path | None = None,
     overrides: Overrides = None,
 ) -> None:
@@ -151,9 +151,9 @@ def emulate(
     experiment: Path | None = None,
     /,
     *surplus: Annotated[str, Parameter(allow_leading_hyphen=True, show=False)],
-    interface: str = "stepgap0",
+    interface: Name = "stepgap0",
     lock_step: Flag = False,
-    hold: float = 5.0,
+    hold: Seconds = 5.0,
     settings: Path = Path("emulated.toml"),
     program: Program = None,
     overrides: Overrides = None,

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
-from stepgap.cli.options import Flag, Integer, Overrides, Port, Program
+from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Name, Overrides, Port, Program
 from stepgap.cli.terminal import announces_compilation, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -49,15 +49,15 @@ class Shorthand:
         warm_start: Folder of an earlier run, whose steps are learned from before the first deployment.
     """
 
-    reference: str | None = None
-    plant: str | None = None
-    rig: str | None = None
-    method: str | None = None
+    reference: FileName | None = None
+    plant: Name | None = None
+    rig: FileName | None = None
+    method: Name | None = None
     seed: Integer | None = None
     iterations: Integer | None = None
     explore: Integer | None = None
     online: Flag = False
-    warm_start: str | None = None
+    warm_start: FolderName | None = None
 
     def overrides(self) -> list[tuple[str, str]]:
         """Given settings as dotted names and TOML values."""
@@ -95,7 +95,7 @@ class Display:
 
     quiet: Flag = False
     view: Flag = False
-    host: str | None = None
+    host: Address | None = None
     port: Port | None = None
     json: Flag = False
 

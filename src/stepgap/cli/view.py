@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.cli.options import Integer, Port
+from stepgap.cli.options import Address, Integer, Port
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.plants.ticks.tick_ring import TickRing
@@ -19,7 +19,7 @@ def view(
     /,
     *,
     deployment: Integer | None = None,
-    host: str = "127.0.0.1",
+    host: Address = "127.0.0.1",
     port: Port | None = None,
     ring: Annotated[str | None, Parameter(show=False)] = None,
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stepgap.base.errors import InputError
+from stepgap.base.versions import INSTALL
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -37,7 +38,7 @@ def dask_executor(address: str, processes: int) -> Iterator[Executor]:
     try:
         import distributed
     except ImportError:
-        raise InputError("--dask needs dask.distributed: ./go uv pip install 'stepgap[cluster]'") from None
+        raise InputError(f"--dask needs dask.distributed: {INSTALL} 'stepgap[cluster]'") from None
     with ExitStack() as stack:
         if address == LOCAL:
             options = {"host": "127.0.0.1", "dashboard_address": ":0", "threads_per_worker": 1}

@@ -54,7 +54,7 @@ def step_columns(record: RunRecord, iteration: int | None = None) -> list[Column
     steps = record.steps if iteration is None else record.steps.of_iteration(iteration)
     if not len(steps):
         there = ", ".join(map(str, record.steps.iterations))
-        raise InputError(f"--iteration {iteration}: no step of it in {record.folder}; there are {there}")
+        raise InputError(f"--deployment {iteration}: no step of it in {record.folder}; there are {there}")
     legend = _legend(record.space)
     rows = [list(values_of(logged, record.space).values()) for logged in steps]
     return [

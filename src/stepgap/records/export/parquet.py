@@ -6,6 +6,7 @@ from io import BytesIO
 from typing import Any
 
 from stepgap.base.errors import InputError
+from stepgap.base.versions import INSTALL
 from stepgap.records.export.columns import Column
 
 
@@ -30,4 +31,4 @@ def _module(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        raise InputError("--to parquet needs pyarrow: ./go uv pip install 'stepgap[parquet]'") from None
+        raise InputError(f"--to parquet needs pyarrow: {INSTALL} 'stepgap[parquet]'") from None
