@@ -26,7 +26,7 @@ def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.Monkey
     imported = builtins.__import__
 
     def without(name: str, *rest: object) -> object:
-        if name.startswith(("matplotlib", "stepgap.report.figures")):
+        if name.startswith(("matplotlib", "stepgap.report.figures", "stepgap.report.state_figure")):
             raise ImportError("libfreetype.so.6: cannot open shared object file")
         return imported(name, *rest)  # pyright: ignore[reportArgumentType]
 
@@ -34,5 +34,5 @@ def test_a_report_needs_no_matplotlib(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(builtins, "__import__", without)
     page = Page(report_of(folder))
     check_alone(page, 0)
-    assert page.text.count("could be drawn (ImportError: libfreetype.so.6") == 4
+    assert page.text.count("could be drawn (ImportError: libfreetype.so.6") == 5
     assert not (folder / "figures").exists()

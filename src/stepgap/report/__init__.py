@@ -20,7 +20,7 @@ from stepgap.report.drawing import Drawing, draw_figure, write_figures
 from stepgap.report.learned import LearnedResidual, read_learned_residual
 from stepgap.report.missing_parts import missing_parts
 from stepgap.report.page import report_html
-from stepgap.report.reference_gait import ReferenceGait, reference_gait
+from stepgap.report.reference_gait import ReferenceGait, centre_of, reference_gait
 from stepgap.report.run_context import NO_CONTEXT, RunContext
 from stepgap.step import StepSpace
 
@@ -113,10 +113,16 @@ def _drawings(
 
         return map_figure(record, index)
 
+    def state_errors() -> object:
+        from stepgap.report.state_figure import state_error_figure
+
+        return state_error_figure(record)
+
     drawings = {
         "tracking": draw_figure(tracking, "the tracking"),
         "commands": draw_figure(commands, "the commands"),
         "errors": draw_figure(errors, "the errors"),
+        "state_errors": draw_figure(state_errors, "the errors against state and command"),
     }
     for index, name in enumerate(record.space.state_names):
         drawings[f"map_{index}"] = draw_figure(lambda index=index: map_of(index), f"the map of {name}")
@@ -127,7 +133,13 @@ def _drawings(
 
             return left_out_figure(record.space, learned)
 
+        def surface() -> object:
+            from stepgap.report.surface_figure import surface_figure
+
+            return surface_figure(record.space, learned, centre_of(learned, gait))
+
         drawings["left_out"] = draw_figure(left_out, "the leave-one-out residuals")
+        drawings["surface"] = draw_figure(surface, "the correction")
     if isinstance(gait, ReferenceGait) and (len(gait.space.state), len(gait.space.command)) == (2, 2):
 
         def reachable() -> object:

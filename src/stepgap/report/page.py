@@ -40,6 +40,19 @@ LEFT_OUT_CAPTION: Final = (
     "over the steps. Points beyond ±4.5 are drawn at the edge."
 )
 
+JUMPS: Final = (
+    " It is larger where state and command are farther from recorded ones, often after a change of the target. It "
+    "jumps where another of the filters that estimate the yaw-dependent disturbance comes into use, or none of them."
+)
+"""Reasons for changes of the standard deviation from step to step."""
+
+SURFACE_CAPTION: Final = (
+    "The learned correction, the expected error of the nominal map, and its standard deviation without noise, for each "
+    "state coordinate over the two inputs that change it most. All other inputs have their values at the limit cycle "
+    "of the middle target; inputs from the step before are zero. Points: recorded steps to which the model was fitted, "
+    "with any values of the other inputs. Far from the points the correction is extrapolated."
+)
+
 GAIT_CAPTION: Final = (
     "(a) The one-step reachable set within the command bounds, from the target in the middle. (b) Magnitudes of the "
     "Floquet multipliers (eigenvalues of the derivative of the next state with respect to the state) of the limit "
@@ -82,6 +95,7 @@ def report_html(
             bullets(learned_sentences(record, learned)),
             learned_tables(record, learned),
             coverage_table(record),
+            picture(drawings["surface"], "surface-", SURFACE_CAPTION) if "surface" in drawings else "",
             picture(drawings["left_out"], "left-out-", LEFT_OUT_CAPTION) if "left_out" in drawings else "",
         ],
         "gait": [measured_table(record), absence("gait", gait)] if isinstance(gait, Missing) else [
@@ -112,6 +126,10 @@ def captions(record: RunRecord) -> dict[str, str]:
         "commands": f"Requested commands {which}. Dotted: their bounds. Triangles: limits of the robot removed a part.",
         "errors": "Tracking error by deployment, drawn like the paper's Fig. 5, on logarithmic axes.",
     }
+    found["state_errors"] = (
+        f"Errors in deployment {record.shown_iterations[-1]} against the state at the start of each step and the "
+        "command. Errors that depend on a coordinate show what the map, or the controller, does not take into account."
+    )
     if like_paper:
         found["errors"] += " The paper's points are from its hardware: Fig. 5, and Fig. 4 for deployment 0."
     for row in range(len(record.space.state)):
@@ -129,9 +147,9 @@ def _map_caption(record: RunRecord, row: int) -> str:
     if any(held):
         text += f" The band, predicted before the step, contains {', '.join(filter(None, held))}."
     if len(unsure) > 1:
-        text += f" (b) Standard deviation of the prediction in deployments {unsure[0]} and {unsure[-1]}."
+        text += f" (b) Standard deviation of the prediction in deployments {unsure[0]} and {unsure[-1]}.{JUMPS}"
     elif unsure:
-        text += f" (b) Standard deviation of the prediction in deployment {unsure[0]}."
+        text += f" (b) Standard deviation of the prediction in deployment {unsure[0]}.{JUMPS}"
     else:
         text += " (b) The map gave no standard deviation, because nothing had been learned yet."
     if record.like_paper and unsure:

@@ -102,6 +102,24 @@ def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual
     return ReferenceGait(nominal.space, targets, len(distinct) - len(targets), centre, tuple(gaits))
 
 
+def centre_of(learned: LearnedResidual, gait: object) -> Array:
+    """State and command of the limit cycle on the corrected map at the central target; shape (n + m,).
+
+    If the gait is not known, it is the median of the points to which the residual was fitted.
+
+    Args:
+        learned: The residual.
+        gait: A `ReferenceGait`, or anything else if it is not known.
+    """
+    n, m = learned.residual.sizes
+    if isinstance(gait, ReferenceGait):
+        (row, *_) = np.flatnonzero((gait.targets == gait.centre).all(axis=1))
+        point = gait.maps[-1].points[row]
+        if point is not None:
+            return join_points(point.state, point.command)
+    return np.median(learned.residual.regressions[0].points[:, : n + m], axis=0)
+
+
 def _gait(name: str, step_map: StepMap, targets: Array, centre: Array) -> MapGait:
     points, guess = [], None
     for target in targets:

@@ -1,0 +1,78 @@
+"""The figure of the learned correction: its mean and its standard deviation over the two inputs that matter most."""
+
+from typing import Final
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from stepgap.learning.residual import Residual
+from stepgap.report.colours import BLACK
+from stepgap.report.figures import WIDTH, axis_label, unit_label
+from stepgap.report.learned import LearnedResidual
+from stepgap.step import Array, StepSpace
+
+SURFACE_GRID: Final = 33
+"""Number of grid points along each input."""
+
+SURFACE_MARGIN: Final = 0.05
+"""Part of the range of the recorded values by which the drawn range is larger, on each side."""
+
+
+def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) -> Figure:
+    """Draws mean and standard deviation of the residual for each state coordinate, over two of its inputs.
+
+    The two are those that change the mean most over the recorded points, while all other inputs keep the values of the
+    centre. Inputs from the step before are zero.
+
+    Args:
+        space: State and command.
+        learned: Residual with its points.
+        centre: State and command; shape (n + m,).
+    """
+    residual, points = conditioned(learned), learned.residual.regressions[0].points[:, : len(centre)]
+    quantities = [*space.state, *space.command]
+    figure = Figure(figsize=(WIDTH, 0.3 + 2.6 * len(space.state)), layout="constrained")
+    FigureCanvasAgg(figure)
+    for row, (panels, quantity) in enumerate(
+        zip(figure.subplots(len(space.state), 2, squeeze=False), space.state, strict=True)
+    ):
+        across, up = influential(residual, points, centre, row)
+        x, y = (_range(points[:, index]) for index in (across, up))
+        grid = np.broadcast_to(centre, (SURFACE_GRID, SURFACE_GRID, len(centre))).copy()
+        grid[..., across], grid[..., up] = np.meshgrid(x, y)
+        surfaces = {"Mean of the correction": residual.mean(grid), "Its standard deviation": residual.std(grid)}
+        for panel, (title, values) in zip(panels, surfaces.items(), strict=True):
+            filled = panel.contourf(x, y, values[..., row], levels=12, cmap="cividis")
+            figure.colorbar(filled, ax=panel, format="%.3g")
+            dots = {"linestyle": "", "marker": ".", "markersize": 4, "markeredgecolor": "white"}
+            panel.plot(
+                points[:, across], points[:, up], **dots, markeredgewidth=0.3, color=BLACK, label="recorded step"
+            )
+            panel.set(xlabel=axis_label(quantities[across]), ylabel=axis_label(quantities[up]))
+            panel.set_title(f"{title}{unit_label(quantity)}", loc="left", fontsize="medium")
+    return figure
+
+
+def conditioned(learned: LearnedResidual) -> Residual:
+    """The residual as a function of state and command, after all its steps; inputs from the step before are zero."""
+    n, m = learned.residual.sizes
+    return learned.residual.conditioned_on(np.append(np.zeros(2 * n + m), learned.steps))
+
+
+def influential(residual: Residual, points: Array, centre: Array, row: int) -> tuple[int, int]:
+    """Indices of the two inputs along which the mean of one state coordinate varies most over the points (N, d)."""
+    effects = []
+    for index in range(len(centre)):
+        moved = np.broadcast_to(centre, points.shape).copy()
+        moved[:, index] = points[:, index]
+        effects.append(float(np.std(residual.mean(moved)[:, row])))
+    first, second, *_ = np.argsort(effects, kind="stable")[::-1]
+    return min(int(first), int(second)), max(int(first), int(second))
+
+
+def _range(values: Array) -> Array:
+    """Grid over the range of recorded values, and a little more; shape (SURFACE_GRID,)."""
+    low, high = float(values.min()), float(values.max())
+    margin = SURFACE_MARGIN * (high - low) or 1e-3 * max(abs(high), 1.0)
+    return np.linspace(low - margin, high + margin, SURFACE_GRID)

@@ -1,0 +1,79 @@
+"""Figures over state and command: errors, and the learned correction."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.learning.observations import Observations
+from stepgap.learning.residual_fit import fit_residual
+from stepgap.records.missing import Missing
+from stepgap.report import read_run_folder
+from stepgap.report.learned import LearnedResidual, read_learned_residual
+from stepgap.report.reference_gait import centre_of, reference_gait
+from stepgap.report.state_figure import state_error_figure
+from stepgap.report.surface_figure import influential, surface_figure
+from tests.control.maps import LossyHopper
+from tests.report.runs import make_run
+
+SPACE = LossyHopper().space
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("figures") / "run", 1)
+
+
+def learned_from(kind: str) -> LearnedResidual:
+    """A residual whose speed error depends on speed and fx, and whose height error depends on nothing but fy."""
+    rng = np.random.default_rng(0)
+    state, command = rng.uniform([0.15, 0.53], [0.25, 0.63], (50, 2)), rng.uniform(-10, 10, (50, 2))
+    error = np.stack([0.3 * state[:, 0] + 0.002 * command[:, 0], 0.001 * command[:, 1]], axis=1)
+    noise = rng.normal(size=error.shape) * [1e-4, 1e-4]
+    return LearnedResidual(1, fit_residual(kind, Observations(SPACE, state, command, error + noise)))
+
+
+def test_errors_are_drawn_against_every_coordinate(folder: Path) -> None:
+    steps = read_run_folder(folder).steps.of_iteration(1)
+    figure = state_error_figure(read_run_folder(folder))
+    values = np.hstack([steps.state, steps.requested])
+    for index, axes in enumerate(figure.axes):
+        row, column = divmod(index, 4)
+        curves = {line.get_label(): line for line in axes.lines}
+        tracking, predicted = (curves[label] for label in list(curves)[1:])
+        np.testing.assert_array_equal(tracking.get_xdata(), values[:, column])
+        np.testing.assert_array_equal(tracking.get_ydata(), (steps.next_state - steps.target)[:, row])
+        np.testing.assert_array_equal(predicted.get_ydata(), (steps.next_state - steps.predicted)[:, row])
+
+
+def test_the_surface_is_over_the_inputs_that_matter() -> None:
+    learned = learned_from("linear")
+    centre = centre_of(learned, Missing("no map"))
+    points = learned.residual.regressions[0].points
+    np.testing.assert_array_equal(centre, np.median(points, axis=0))
+    assert influential(learned.residual, points, centre, 0) == (0, 2)
+    assert 3 in influential(learned.residual, points, centre, 1)
+    figure = surface_figure(SPACE, learned, centre)
+    mean, std, *_ = [axes for axes in figure.axes if axes.get_title(loc="left")]
+    assert (mean.get_xlabel(), mean.get_ylabel()) == ("Speed [m/s]", "Fx [N]")
+    for axes in (mean, std):
+        (recorded,) = axes.lines
+        np.testing.assert_array_equal(recorded.get_xdata(), points[:, 0])
+        np.testing.assert_array_equal(recorded.get_ydata(), points[:, 2])
+
+
+@pytest.mark.parametrize("kind", ["constant", "gp"])
+def test_a_surface_of_any_shape_can_be_drawn(kind: str) -> None:
+    learned = learned_from(kind)
+    surface_figure(SPACE, learned, centre_of(learned, None)).draw_without_rendering()
+
+
+def test_the_other_inputs_are_those_of_the_middle_gait(folder: Path) -> None:
+    record = read_run_folder(folder)
+    learned = read_learned_residual(folder, 1, record.space)
+    assert learned is not None
+    gait = reference_gait(record, LossyHopper(), learned)
+    centre = centre_of(learned, gait)
+    np.testing.assert_array_equal(centre[:2], gait.centre)
+    points = gait.maps[1].points
+    assert any(point is not None and (point.command == centre[2:]).all() for point in points)
