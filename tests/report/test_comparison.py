@@ -3,12 +3,15 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
 from stepgap.report import comparison_html, read_run_folder
 from stepgap.report.comparison import run_names
+from stepgap.report.seed_spread import FEWEST_SEEDS, seed_groups, spread_tables
 from stepgap.report.settings_table import changed_settings, differing, flat_settings
 from tests.report.pages import Page, check_alone
 from tests.report.runs import make_run, write_run
@@ -86,3 +89,28 @@ def test_exploratory_steps_are_no_other_reference(folders: list[Path], tmp_path:
     steps = StepLog(record.space, [replace(first, step=0, target=first.predicted), *record.steps])
     explored = replace(record, folder=tmp_path, steps=steps)
     assert "All runs tracked the same reference." in comparison_html([record, explored])
+
+
+def test_the_spread_is_that_of_runs_that_differ_in_the_seed_only(folders: list[Path], tmp_path: Path) -> None:
+    errors, records = [0.01, 0.02, 0.013, 0.5], []
+    for seed, error in enumerate(errors):
+        shutil.copytree(folders[1], tmp_path / str(seed))
+        content = json.loads((tmp_path / str(seed) / "summary.json").read_text())
+        content["seed"], content["iterations"][1]["rmse"]["speed"] = seed, error
+        (tmp_path / str(seed) / "summary.json").write_text(json.dumps(content))
+        other = seed == len(errors) - 1
+        settings = f"seed = {seed}\n[gains]\nstiffness = {2500 if other else 2400}\n"
+        (tmp_path / str(seed) / "experiment.toml").write_text(settings)
+        records.append(read_run_folder(tmp_path / str(seed)))
+    assert seed_groups(records) == [[0, 1, 2]]
+    assert seed_groups(records[: FEWEST_SEEDS - 1]) == []
+    logs = np.log(errors[:3])
+    low, high = np.exp(stats.t.interval(0.95, 2, logs.mean(), stats.sem(logs)))
+    speed, height = spread_tables(records, ["a", "b", "c", "d"])
+    cells = "".join(
+        f"<td>{text}</td>"
+        for text in ("3", f"{stats.gmean(errors[:3]):.4f}", f"{low:.5f} … {high:.4f}", "0.0100", "0.0200")
+    )
+    assert f'<th scope="row">1</th>{cells}' in speed
+    assert "Spread over seeds of the RMSE of height" in height
+    assert "Spread over seeds" in comparison_html(records)

@@ -12,6 +12,7 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
 from stepgap.report.drawing import draw_figure
 from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
+from stepgap.report.seed_spread import spread_tables
 from stepgap.report.sentences import end_in_a_word, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
 
@@ -24,6 +25,15 @@ COMPARED: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse
 CAPTION: Final = (
     "Root-mean-square tracking error of each run by deployment, on a logarithmic axis. A deployment with a fall is "
     "counted up to the fall."
+)
+
+TRACKING_CAPTION: Final = (
+    "Tracking in the last deployment of each run: the state at the end of each step, and the reference."
+)
+
+SPREAD_NOTE: Final = (
+    "These runs have the same settings and versions, except the seed, so they repeat one experiment: their spread is "
+    "that of its random influences. Geometric means; their intervals count the runs as independent."
 )
 
 
@@ -52,12 +62,26 @@ def comparison_html(records: Sequence[RunRecord]) -> str:
 
         return comparison_figure(records, names)
 
+    def tracking() -> object:
+        from stepgap.report.figures import comparison_tracking_figure
+
+        return comparison_tracking_figure(records, names)
+
+    pictures = [picture(draw_figure(errors, "the errors"), "errors-", CAPTION)]
+    if same_reference(records):
+        pictures.append(picture(draw_figure(tracking, "the tracking"), "tracking-", TRACKING_CAPTION))
+    spreads = spread_tables(records, names)
     return page(
         "StepGap comparison",
         [
             f"<h1>StepGap comparison of {len(records)} runs</h1>",
             bullets([f"{name}: {headline(record)}" for name, record in zip(names, records, strict=True)]),
-            section("figure", "Figure", picture(draw_figure(errors, "the errors"), "errors-", CAPTION)),
+            section("figure", "Figures", *pictures),
+            *(
+                [section("spread", "Spread over seeds", paragraph(SPREAD_NOTE), _side_by_side(spreads))]
+                if spreads
+                else []
+            ),
             section(
                 "numbers",
                 "Errors by deployment",
@@ -81,11 +105,16 @@ def run_names(folders: Sequence[Path]) -> list[str]:
     return [name if names.count(name) == 1 else f"{name} ({row + 1})" for row, name in enumerate(names)]
 
 
-def _references(records: Sequence[RunRecord]) -> str:
-    """Sentence on whether the runs have the same reference, so that their errors can be compared."""
+def same_reference(records: Sequence[RunRecord]) -> bool:
+    """Whether the runs tracked the same reference, as far as all of them tracked it."""
     targets = [record.steps.of_iteration(record.shown_iterations[0]).tracking().target for record in records]
     shortest = min(map(len, targets))
-    if all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets):
+    return all(np.array_equal(each[:shortest], targets[0][:shortest]) for each in targets)
+
+
+def _references(records: Sequence[RunRecord]) -> str:
+    """Sentence on whether the runs have the same reference, so that their errors can be compared."""
+    if same_reference(records):
         return "All runs tracked the same reference. Errors are next state − target."
     return "These runs tracked different references: compare trends, not numbers. Errors are next state − target."
 

@@ -145,6 +145,31 @@ def comparison_figure(records: Sequence[RunRecord], names: Sequence[str]) -> Fig
     return figure
 
 
+def comparison_tracking_figure(records: Sequence[RunRecord], names: Sequence[str]) -> Figure:
+    """State coordinates against the step number in the last deployment of each run, with the reference of the longest.
+
+    The runs must have the same reference.
+    """
+    state = records[0].space.state
+    figure, panels = _panels(len(state))
+    last = [record.steps.of_iteration(record.shown_iterations[-1]).tracking() for record in records]
+    longest = max(last, key=len)
+    panels[0].set_xlim(0, 1.02 * len(longest) + 1)
+    for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
+        reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
+        panel.plot(_numbers(longest), longest.target[:, index], **reference, **_pixels(longest))
+        for row, (steps, name) in enumerate(zip(last, names, strict=True)):
+            look = {
+                "color": RUN_COLOURS[row % len(RUN_COLOURS)],
+                "linestyle": RUN_LINES[row % len(RUN_LINES)],
+                "linewidth": 0.8,
+            }
+            _draw_tracking(panel, steps, index, plain(name), {**look, **_pixels(steps)})
+        panel.set_ylabel(axis_label(quantity))
+    _finish(figure, panels, "Step")
+    return figure
+
+
 def map_figure(record: RunRecord, index: int) -> Figure:
     """Predicted and measured next state, and the standard deviation of the prediction (Figs. 6 and 7).
 
