@@ -182,13 +182,13 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     last = record.steps.of_iteration(record.shown_iterations[-1])
     _draw_prediction(upper, last, index)
     upper.set_ylabel(axis_label(quantity))
-    upper.set_title(f"(a) {_name(record, record.shown_iterations[-1])}", loc="left", fontsize="medium")
+    upper.set_title(f"(a) deployment {record.shown_iterations[-1]}", loc="left", fontsize="medium")
     learned = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, index].any()]
     redeployed = list(dict.fromkeys(learned[:1] + learned[-1:]))
     drawn = [record.steps.of_iteration(number) for number in redeployed]
     upper.set_xlim(0, 1.02 * max(map(len, [last, *drawn])) + 1)
     for number, steps, style in zip(redeployed, drawn, (FIRST_LOOK, LAST_LOOK)[-len(drawn) :], strict=False):
-        lower.plot(_numbers(steps), steps.std[:, index], label=_name(record, number), **style, **_pixels(steps))
+        lower.plot(_numbers(steps), steps.std[:, index], label=f"deployment {number}", **style, **_pixels(steps))
     if learned:
         lower.set_ylim(0, 1.08 * max(float(np.max(steps.std[:, index])) for steps in drawn))
         _mark_changes(lower, last)
