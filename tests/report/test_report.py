@@ -12,11 +12,13 @@ from matplotlib.image import imread
 
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.bands import interval_coverage
+from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.summary import MEASURED, MEASURES
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.decimals import decimal
 from stepgap.report.figures import tracking_figure
+from stepgap.report.page import captions
 from stepgap.step import Quantity, StepSpace
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone
@@ -253,3 +255,12 @@ def test_paper_agrees_with_itself() -> None:
         for table in (paper.NO_GP, paper.WITH_GP):
             assert table["rmse"][name] >= max(table["mae"][name], abs(table["bias"][name]))
     assert paper.paper_error("rmse", "speed", 1) is None
+
+
+def test_jumps_of_the_standard_deviation_are_explained_where_the_yaw_is_known(written: Path) -> None:
+    record = read_run_folder(written)
+    assert "It is larger where state and command are farther" in captions(record)["map_0"]
+    assert "It jumps where another of the filters" not in captions(record)["map_0"]
+    steps = [replace(logged, record=replace(logged.record, yaw_after=0.1)) for logged in record.steps]
+    with_yaw = replace(record, steps=StepLog(record.space, steps))
+    assert "It jumps where another of the filters" in captions(with_yaw)["map_0"]

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+import numpy as np
+
 from stepgap.experiment.bands import interval_coverage
 from stepgap.records import paper
 from stepgap.records.missing import Missing
@@ -40,11 +42,15 @@ LEFT_OUT_CAPTION: Final = (
     "over the steps. Points beyond ±4.5 are drawn at the edge."
 )
 
-JUMPS: Final = (
-    " It is larger where state and command are farther from recorded ones, often after a change of the target. It "
-    "jumps where another of the filters that estimate the yaw-dependent disturbance comes into use, or none of them."
+FARTHER: Final = (
+    " It is larger where state and command are farther from recorded ones, often after a change of the target."
 )
-"""Reasons for changes of the standard deviation from step to step."""
+"""Reason for changes of the standard deviation from step to step."""
+
+JUMPS: Final = (
+    " It jumps where another of the filters that estimate the yaw-dependent disturbance comes into use, or none."
+)
+"""Further reason, for robots whose yaw is measured."""
 
 SURFACE_CAPTION: Final = (
     "The learned correction, the expected error of the nominal map, and its standard deviation without noise, for each "
@@ -143,13 +149,14 @@ def _map_caption(record: RunRecord, row: int) -> str:
     unsure = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, row].any()]
     held = [_held(record, iteration, row) for iteration in record.steps.iterations]
     band = " with 95 % band, noise included," if last in unsure else ""
+    reasons = FARTHER + (JUMPS if np.isfinite(record.steps.yaw).any() else "")
     text = f"Map of {quantity.name}{like}. (a) Its mean{band} and the measured next state, in deployment {last}."
     if any(held):
         text += f" The band, predicted before the step, contains {', '.join(filter(None, held))}."
     if len(unsure) > 1:
-        text += f" (b) Standard deviation of the prediction in deployments {unsure[0]} and {unsure[-1]}.{JUMPS}"
+        text += f" (b) Standard deviation of the prediction in deployments {unsure[0]} and {unsure[-1]}.{reasons}"
     elif unsure:
-        text += f" (b) Standard deviation of the prediction in deployment {unsure[0]}.{JUMPS}"
+        text += f" (b) Standard deviation of the prediction in deployment {unsure[0]}.{reasons}"
     else:
         text += " (b) The map gave no standard deviation, because nothing had been learned yet."
     if record.like_paper and unsure:
