@@ -213,7 +213,18 @@ def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
     assert {name: content for name, content in before.items() if name != "results.csv"} == contents(Path("sweep"))
 
 
-@pytest.mark.parametrize("name", ["steps.csv", "summary.json", "experiment.toml", "models/iteration_1.json"])
+def test_a_damaged_model_is_left_out(finished: Path, stepgap: Command) -> None:
+    shutil.copytree(finished, "run")
+    whole = (finished / "models/iteration_1.json").read_bytes()
+    for damage in (whole[: len(whole) // 2], b"\x89PNG\r\n\xff\xfe", b"[[["):
+        Path("run/models/iteration_1.json").write_bytes(damage)
+        result = stepgap("report", "run")
+        assert (result.code, result.err.count("\n")) == (0, 1)
+        assert result.err.startswith("stepgap: missing in the report: the learned model (run/models/iteration_1.json: ")
+        assert "Traceback" not in result.err
+
+
+@pytest.mark.parametrize("name", ["steps.csv", "summary.json", "experiment.toml"])
 def test_damaged_files_are_refused_and_nothing_is_written(finished: Path, stepgap: Command, name: str) -> None:
     shutil.copytree(finished, "run")
     whole = (finished / name).read_bytes()

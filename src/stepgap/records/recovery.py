@@ -15,7 +15,14 @@ from stepgap.records.model_files import model_path, read_model
 from stepgap.records.steps_csv import digest, recover_steps, space_of_header, text_of
 from stepgap.records.summary import read_summary, write_summary
 
-INPUTS = "experiment.toml", "reference.csv", "warm_start.csv", "nominal_map.json", "nominal_map.toml", "nominal_map.csv"
+RUN_INPUTS = (
+    "experiment.toml",
+    "reference.csv",
+    "warm_start.csv",
+    "nominal_map.json",
+    "nominal_map.toml",
+    "nominal_map.csv",
+)
 """Files of a run folder that were written before its first step."""
 
 
@@ -61,7 +68,7 @@ def _recover_run(folder: Path, out: Path) -> list[str]:
     steps, fault = _intact_steps(folder / "steps.csv")
     with naming(out):
         out.mkdir()
-    for name in INPUTS:
+    for name in RUN_INPUTS:
         if (folder / name).is_file():
             copyfile(folder / name, out / name)
     lines = [fault] if fault else []
