@@ -1,6 +1,7 @@
 """The command line: its contract with users and programs, and that bad input does no harm."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -205,6 +206,8 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --resume", ["--resume: give the run by --out RUN"]),
         ("run --resume --out none", ["none: contains no experiment.toml, so there is no run to continue"]),
         ("run --resume --out folder", ["folder: contains no experiment.toml"]),
+        ("run --extend 2 --resume --out folder", ["--resume, --extend: give only --resume for an interrupted run"]),
+        ("gait --state speed=0.1,speed=0.2", ["--state speed=0.1,speed=0.2: it must be names, each once"]),
         ("run --extend 2", ["--extend: give the run by --out RUN"]),
         ("run --extend 2 --out none", ["none: contains no experiment.toml, so there is no run to continue"]),
         ("run --resume --out folder --seed 3", ["--resume: the run continues with its own settings"]),
@@ -215,11 +218,11 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("report folder --gains.stiffness 3", ["--gains.stiffness: this command takes no settings"]),
         (
             "gait --state speed=nan",
-            ["--state speed=nan: it must be names with finite numbers, such as speed=0.2,height=0.58"],
+            ["--state speed=nan: it must be names, each once, with finite numbers, such as speed=0.2,height=0.58"],
         ),
         (
             "gait --state pace=1",
-            ["--state pace=1: it must be names with finite numbers, such as speed=0.2,height=0.58"],
+            ["--state pace=1: it must be names, each once, with finite numbers, such as speed=0.2,height=0.58"],
         ),
         ("gait --state fast", ["--state fast: it must be names"]),
         ("gait --state height=-1", ["height -1.000000 m: no command makes a step from this state"]),
@@ -481,12 +484,12 @@ def test_the_help_says_what_a_value_is_and_not_how_it_is_stored(stepgap: Command
     assert not re.findall(r"--[a-z-]+ (?:STR|FLOAT)\b", stepgap(*verb.split(), "--help").out)
 
 
-def test_descriptions_are_wrapped_to_the_width_of_the_terminal(
-    stepgap: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "1000")
+def test_descriptions_are_wrapped_to_the_width_of_the_terminal() -> None:
+    program = [sys.executable, "-c", "from stepgap.cli.app import main; main()", "run", "--help"]  # it keeps its width
+    environment = {**os.environ, "COLUMNS": "1000"}
+    shown = subprocess.run(program, env=environment, capture_output=True, check=True, encoding="utf-8").stdout
     for name in ("plant", "host"):
-        (line,) = [line for line in stepgap("run", "--help").out.splitlines() if f"--{name} " in line and "│" in line]
+        (line,) = [line for line in shown.splitlines() if f"--{name} " in line and "│" in line]
         assert "[default: " in line, "the last words of its docstring"
 
 

@@ -142,6 +142,7 @@ def test_columns_from_a_file(stepgap: Command) -> None:
         ("fit none.csv", ["none.csv: No such file or directory; give the folder of a run"]),
         ("fit folder", ["folder/steps.csv: No such file or directory; give the folder of a run"]),
         ("fit log.csv", ["log.csv, line 1: the columns must be iteration,", "name its columns, see --help"]),
+        ("fit folder --yaw psi", ["folder: a run, whose columns are known; leave out --yaw"]),
         ("fit log.csv --state v,y", ["--command: no column"]),
         ("fit log.csv --state w,y --command fx", ["log.csv, line 1: state 'w': no column 'w'; there is v, y, fx"]),
         ("fit log.csv --state v,y --command fxx", ["command 'fxx': no column 'fxx'; did you mean 'fx'?"]),

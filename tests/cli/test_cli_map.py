@@ -152,8 +152,11 @@ def test_a_table_that_another_process_completed_is_left_as_it_is(
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        ("map --state speed=nan", ["--state speed=nan: it must be names with finite numbers"]),
-        ("map --command fx=strong", ["--command fx=strong: it must be names with finite numbers, such as fx=0,fy=0"]),
+        ("map --state speed=nan", ["--state speed=nan: it must be names, each once, with finite numbers"]),
+        (
+            "map --command fx=strong",
+            ["--command fx=strong: it must be names, each once, with finite numbers, such as fx=0,fy=0"],
+        ),
         ("map --gains.stifness 3", ["--gains.stifness: unknown key; did you mean stiffness?"]),
         ("map none.toml", ["none.toml: No such file or directory"]),
         ("map --csv good.csv --state speed=0.1", ["--csv and --state, --command: give only one of them"]),

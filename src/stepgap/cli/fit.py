@@ -77,6 +77,9 @@ def fit(
 
     if not log:
         raise InputError("LOG: none given; give folders of runs, or CSV files and the names of their columns")
+    if given := [*names.given(), *(["columns"] if columns else [])]:
+        for run in filter(Path.is_dir, log):
+            raise InputError(f"{run}: a run, whose columns are known; leave out --{', --'.join(given)}")
     results.check()
     data = read_fit_data(log, read_columns(columns, names.given()), nominal, experiment, overrides or [])
     parts = choose_folds(data.steps, folds)

@@ -170,7 +170,7 @@ def _parts_of(model: Path) -> str:
     try:
         loaded = mujoco.MjModel.from_xml_path(str(model))  # pyright: ignore[reportAttributeAccessIssue]
     except ValueError as error:
-        raise InputError(f"--mjcf {model}: {str(error).splitlines()[0]}") from None
+        raise InputError(f"--mjcf {model}: {' '.join(str(error).split()):.200}") from None
     kinds = {
         "joints": (loaded.njnt, loaded.joint),
         "actuators": (loaded.nu, loaded.actuator),

@@ -117,16 +117,18 @@ def values_by_name(option: str, text: str | None, quantities: "Sequence[Quantity
         InputError: A name or a number is wrong.
     """
     values = {quantity.name: float(value) for quantity, value in zip(quantities, defaults, strict=True)}
+    given = set[str]()
     for part in text.split(",") if text else ():
         name, _, number = part.partition("=")
         try:
             value = float(number)
         except ValueError:
             value = float("nan")
-        if name not in values or not isfinite(value):
+        if name not in values or name in given or not isfinite(value):
             example = ",".join(
                 f"{quantity.name}={default:g}" for quantity, default in zip(quantities, defaults, strict=True)
             )
-            raise InputError(f"{option} {text}: it must be names with finite numbers, such as {example}")
+            raise InputError(f"{option} {text}: it must be names, each once, with finite numbers, such as {example}")
         values[name] = value
+        given.add(name)
     return list(values.values())

@@ -143,6 +143,10 @@ def run(
 
     if not display.view and (display.host or display.port):
         raise InputError("--host, --port: valid only with --view, whose page they belong to")
+    if resume and extend is not None:
+        raise InputError(
+            "--resume, --extend: give only --resume for an interrupted run, only --extend for a finished one"
+        )
     if display.view:
         _check_address(display)
     ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume, extend)

@@ -151,7 +151,9 @@ def _read_map(kind: str, path: Path, space: StepSpace) -> StepMap:
             return fit_log_map(read_step_log(path, space))
         return _read_surrogate(path, space)
     except (OSError, RecordError, StepGapError) as error:
-        raise InputError(f"nominal.file: {message_of(error)}") from None
+        message = message_of(error)
+        named = message if message.startswith(str(path)) else f"{path}: {message}"
+        raise InputError(f"nominal.file: {named}") from None
 
 
 def _read_surrogate(path: Path, space: StepSpace) -> SurrogateMap:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, NoReturn, Self
 
 import numpy as np
 
+from stepgap.base.errors import StepGapError
 from stepgap.base.files import write_whole
 from stepgap.step import Array
 
@@ -30,7 +31,7 @@ LARGEST_NUMBER = 1e9
 """Largest magnitude of a number that is accepted as a measurement [SI units]."""
 
 
-class OtherSchema(ValueError):
+class OtherSchema(StepGapError, ValueError):
     """A summary of another version; the message is one line that names the file."""
 
 
