@@ -33,7 +33,7 @@ FLAT = 1e-10
 """A point is stationary when the squared norm can fall by no more than this fraction, unless another one is given."""
 NEARBY = 1e-3
 """A Jacobian with Broyden's updates counts as exact up to this distance from the point of its evaluation."""
-MOST_TRIALS = 40
+MOST_TRIALS = 25
 MOST_ROUNDS = 20
 MOST_DAMPING = 1e4
 LEAST_DAMPING = 1e-2
