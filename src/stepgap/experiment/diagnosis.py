@@ -1,10 +1,10 @@
-"""What the steps of a deployment say about the robot and its state: memory, noise that varies, authority.
+"""What the steps of a deployment say about the robot and its state: lagged inputs, noise that varies, authority.
 
 Every statement comes from a regression of the nominal map's error in state and command (quadratic, as far as there are
 steps enough), whose residual is what neither can explain:
 
-- *Memory*: quantities of the step before reduce that residual. Then the state is not sufficient to predict the next
-  one, or a disturbance changes slowly. Judged by an F test and by the reduction of the leave-one-out error.
+- *Lagged inputs*: quantities of the step before reduce that residual. Then the state is not sufficient to predict the
+  next one, or a disturbance changes slowly. Judged by an F test and by the reduction of the leave-one-out error.
 - *Noise that depends on the state*: the squared residual varies with state or command (Breusch & Pagan 1979, in the
   form of Koenker 1981), although the learned models have one noise level.
 - *Authority*: the part of steps whose command is at a bound, and how far the commands move the next state within their
@@ -28,7 +28,7 @@ CONFIDENT = 0.001
 """Largest p-value of a finding: several hypotheses are tested in every deployment."""
 
 SMALLEST_GAIN = 0.05
-"""Smallest reduction of the error by memory that is worth a sentence."""
+"""Smallest reduction of the error by lagged inputs that is worth a sentence."""
 
 AT_A_BOUND = 0.99
 """A command counts as at its bound beyond this part of its half range."""
@@ -60,7 +60,7 @@ class Diagnosis:
 
     @property
     def known(self) -> bool:
-        """Whether the steps were enough to judge memory and noise."""
+        """Whether the steps were enough to judge lagged inputs and noise."""
         return bool(np.isfinite(self.noise_ratio).all())
 
 

@@ -1,4 +1,4 @@
-"""The diagnosis of the first deployment in sentences: units, memory, noise that varies, authority."""
+"""The diagnosis of the first deployment in sentences: units, lagged inputs, noise that varies, authority."""
 
 import numpy as np
 
@@ -39,19 +39,19 @@ def _of_nominal(record: RunRecord, nominal: StepMap) -> list[str]:
     found = diagnose(observed, nominal)
     if not found.known:
         counted = f"Deployment {first} has {found.steps} steps with a known error"
-        return [f"{counted}, too few to diagnose memory and noise.", *_authority(found, space, steps)]
+        return [f"{counted}, too few to diagnose lagged inputs and noise.", *_authority(found, space, steps)]
     deployments = {first: observed}
     if last != first:
         deployments[last] = observe(record.steps.of_iteration(last), nominal)
     return [
-        *_memory(found, space, first),
+        *_lagged_inputs(found, space, first),
         *_noise(found, space),
         *_authority(found, space, steps),
         *(sentence for number, each in deployments.items() for sentence in _bounds(number, each)),
     ]
 
 
-def _memory(found: Diagnosis, space: StepSpace, number: int) -> list[str]:
+def _lagged_inputs(found: Diagnosis, space: StepSpace, number: int) -> list[str]:
     """Whether the step before helps to predict the error of the next one."""
     sentences = []
     for row, quantity in enumerate(space.state):

@@ -109,10 +109,8 @@ def _floor(record: RunRecord) -> list[str]:
     errors = record.deployments[-1].errors["steady_rmse"]
     ratios = ", ".join(f"{decimal(errors[row] / floor[row], 2)} times that in {state[row].name}" for row in known)
     how = (
-        f"is {values}, {count}measured with the same command and the same motion at the start, but at other yaw "
-        "angles and with other noise. A controller that knows neither noise nor yaw cannot be better on average. One "
-        "that estimates the yaw-dependent disturbance (learning.drift) can, but not better than the noise alone: "
-        f"{_alone(record, known)}"
+        f"is {values}, {count}measured with the same command and the same motion at the start, but "
+        f"{_differences(record, known)}"
         if record.summary.noise_floor_measured
         else f"is at most about {values}, {count}the residual standard error of a linear fit to the steady steps of "
         "the last deployment; the true noise floor may be smaller"
@@ -121,9 +119,16 @@ def _floor(record: RunRecord) -> list[str]:
     return [f"The noise floor (standard deviation of repeated steps) {how}.{compared}"]
 
 
-def _alone(record: RunRecord, rows: Sequence[int]) -> str:
-    """Phrase on the standard deviation of steps that are repeated at one yaw."""
-    return _with_intervals(record, record.noise_floor_same_yaw, record.noise_floor_same_yaw_interval, rows)
+def _differences(record: RunRecord, rows: Sequence[int]) -> str:
+    """In what repeated steps differ, and what this means for a controller."""
+    if not np.isfinite(record.steps.yaw).any():
+        return "with other noise. A controller that does not know the noise cannot be better on average"
+    alone = _with_intervals(record, record.noise_floor_same_yaw, record.noise_floor_same_yaw_interval, rows)
+    return (
+        "at other yaw angles and with other noise. A controller that knows neither noise nor yaw cannot be better on "
+        "average. One that estimates the yaw-dependent disturbance (learning.drift) can, but not better than the noise "
+        f"alone: {alone}"
+    )
 
 
 def _with_intervals(record: RunRecord, floor: Array, ends: Array, rows: Sequence[int]) -> str:
