@@ -102,14 +102,14 @@ def error_figure(record: RunRecord) -> Figure:
         ends = [rmse_interval(record.steps.of_iteration(number))[:, index] for number in numbers]
         if np.isfinite(ends).any():
             panel.vlines(
-                numbers, *np.transpose(ends), color=BLUE, linewidth=2.5, alpha=0.4, label="95 % interval of RMSE"
+                numbers, *np.transpose(ends), color=BLUE, linewidth=2.5, alpha=0.4, label="95 % interval of the RMSE"
             )
         floor = record.noise_floor[index]
         drawn = _drawn(panel)
         if floor > LEAST_FLOOR * np.min(drawn, where=drawn > 0, initial=np.inf):
             panel.axhline(floor, color=GREY, linestyle=(0, (1, 2)), label="noise floor, this run")
             if np.isfinite(record.noise_floor_interval[:, index]).all():
-                shade = {"color": "0.9", "zorder": 0, "label": "its 95 % interval"}
+                shade = {"color": "0.9", "zorder": 0, "label": "95 % interval of the noise floor"}
                 panel.axhspan(*record.noise_floor_interval[:, index], **shade)
         if hardware:
             values = paper.MAE_BY_ITERATION[quantity.name]
