@@ -126,9 +126,7 @@ def test_an_extended_run_is_the_longer_run(finished: Path, stepgap: Command) -> 
 
 def test_only_a_finished_run_is_extended(finished: Path, stepgap: Command) -> None:
     folder = copied(finished / "run", Path("run"))
-    refused(
-        stepgap("run", "--out", folder, "--extend", "0"), "--extend: 0 redeployments; give a whole number from 1 on"
-    )
+    refused(stepgap("run", "--out", folder, "--extend", "0"), "--extend: 0 redeployments; give an integer from 1 on")
     (folder / "summary.json").unlink()
     message = "run: the run was interrupted in deployment 0; finish it by: stepgap run --out run --resume"
     refused(stepgap("run", "--out", folder, "--extend", "1"), message)

@@ -176,3 +176,13 @@ class CountingMap(StepMap):
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         self.jacobians += 1
         return self.inner.jacobian(state, command)
+
+    @property
+    def noise_std(self) -> Array:
+        return self.inner.noise_std
+
+    def std(self, state: ArrayLike, command: ArrayLike) -> Array:
+        return self.inner.std(state, command)
+
+    def std_gradient(self, state: ArrayLike, command: ArrayLike) -> Array:
+        return self.inner.std_gradient(state, command)

@@ -1,45 +1,20 @@
 """The choice of a command keeps to its budget of evaluations, and a large budget changes nothing."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.evaluation_budget import BudgetedMap, EvaluationBudget
 from stepgap.control.settings import ControlSettings
-from stepgap.step import Array, Outcome, StepStatus, difference_jacobian
-from tests.control.maps import LossyHopper
+from stepgap.step import Array, StepStatus, difference_jacobian
+from tests.control.maps import CountingMap, LossyHopper
 from tests.control.test_cautious_controller import Guessed
 
 NO_FAILURES = np.empty((0, 4))
 COUNT_OF_THE_PLAN = 1
 """The prediction for the chosen command is made whatever the budget."""
-
-
-@dataclass(frozen=True)
-class Counted(LossyHopper):
-    """A map that counts the steps it evaluates, also those of its differences."""
-
-    counts: list[int] = field(default_factory=list)
-
-    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        outcome = super().evaluate(state, command)
-        self.counts.append(outcome.status.size)
-        return outcome
-
-
-@dataclass(frozen=True)
-class CountedGuess(Guessed):
-    """An uncertain map that counts its steps."""
-
-    counts: list[int] = field(default_factory=list)
-
-    def evaluate(self, state: ArrayLike, command: ArrayLike) -> Outcome:
-        outcome = super().evaluate(state, command)
-        self.counts.append(outcome.status.size)
-        return outcome
 
 
 def points(seed: int) -> tuple[Array, Array]:
@@ -53,10 +28,9 @@ def points(seed: int) -> tuple[Array, Array]:
 @pytest.mark.parametrize("seed", range(8))
 def test_a_plan_evaluates_no_more_steps_than_its_budget(seed: int, evaluations: int) -> None:
     state, target = points(seed)
-    nominal = Counted()
-    guessed = CountedGuess(growth=(0.1, 0.1), counts=nominal.counts)
+    nominal, guessed = CountingMap(LossyHopper()), CountingMap(Guessed(growth=(0.1, 0.1)))
     plan = CautiousController(guessed, nominal, NO_FAILURES, ControlSettings(evaluations=evaluations))(state, target)
-    assert 0 < sum(nominal.counts) <= evaluations + COUNT_OF_THE_PLAN
+    assert 0 < nominal.cost + guessed.cost <= evaluations + COUNT_OF_THE_PLAN
     space = nominal.space
     assert ((space.command_lower <= plan.command) & (plan.command <= space.command_upper)).all()
     np.testing.assert_array_equal(plan.predicted, guessed(state, plan.command))
@@ -81,14 +55,14 @@ def test_a_small_budget_still_improves_on_the_guess(seed: int) -> None:
 
 
 def test_a_spent_budget_makes_every_step_fail_and_costs_no_evaluation() -> None:
-    counted = Counted()
+    counted = CountingMap(LossyHopper())
     limited = BudgetedMap(counted, EvaluationBudget(10))
     state, command = counted.space.state_centre, counted.space.command_centre
     np.testing.assert_array_equal(limited.jacobian(state, command), difference_jacobian(LossyHopper(), state, command))
-    assert sum(counted.counts) == 8
+    assert counted.cost == 8
     assert limited.evaluate(np.tile(state, (3, 1)), command).status.tolist() == [StepStatus.INVALID] * 3
     assert np.isnan(limited.jacobian(state, command)).all()
-    assert sum(counted.counts) == 8
+    assert counted.cost == 8
     np.testing.assert_array_equal(limited(state, command), LossyHopper()(state, command))
     assert limited.budget.remaining == 1
 

@@ -21,7 +21,7 @@ from tests.view.conftest import TARGETS
 SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
 """Code that enables Ctrl-C, which is ignored where the tests run in the background."""
 
-UNDRAWN = "from stepgap import report; report.draw_figure = lambda *_: report.Missing('left out')"
+UNDRAWN = "from stepgap.report import run_figures as made; made.draw_figure = lambda *_: made.Missing('left out')"
 """Code that leaves out the figures of a report."""
 
 PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; {UNDRAWN}; from stepgap.cli.app import main; main()"]

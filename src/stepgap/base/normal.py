@@ -12,7 +12,7 @@ INTERVAL_95: Final = 1.96
 
 
 def std_interval_95(std: ArrayLike, freedom: ArrayLike) -> NDArray[np.float64]:
-    """95 % confidence interval of a standard deviation: σ² is freedom · std² / χ² with so many degrees of freedom.
+    """95 % confidence interval of a standard deviation: σ² is freedom · std² / χ², with `freedom` degrees of freedom.
 
     Args:
         std: Estimates, which broadcast with `freedom`; shape (…).

@@ -111,7 +111,7 @@ def add_verb(app: App, name: str, verb: Callable[..., None]) -> None:
 
 
 def values_by_name(option: str, text: str | None, quantities: "Sequence[Quantity]", defaults: "Array") -> "list[float]":
-    """NamedValues of quantities from text such as `speed=0.2,height=0.58`; those that are not named have their default.
+    """Values of quantities from text such as `speed=0.2,height=0.58`; those that are not named have their default.
 
     Raises:
         InputError: A name or a number is wrong.

@@ -60,7 +60,6 @@ class RunProgress:
         self._last = 0
         self._errors: list[np.ndarray] = []
         self._executed: list[LoggedStep] = []
-        self._status = StepStatus.OK
 
     @property
     def observer(self) -> Observer:
@@ -77,9 +76,6 @@ class RunProgress:
             self._console.print("stopped: the error no longer decreases (learning.tolerance)", soft_wrap=True)
 
     def _on_step(self, logged: LoggedStep) -> None:
-        if not self._executed:
-            self._errors = []
-        self._status = logged.record.status
         if logged.record.status == StepStatus.OK:
             self._errors.append(logged.record.next_state - logged.target)
         error = self._describe(np.sqrt(np.mean(np.square(self._errors), axis=0))) if self._errors else ""
@@ -97,10 +93,11 @@ class RunProgress:
     def _on_deployment(self, deployment: Deployment) -> None:
         if len(self._executed) < COMPARED_STEPS:
             self._warn_of_far_states()
-        self._executed = []
+        status = self._executed[-1].record.status if self._executed else StepStatus.OK
+        self._executed, self._errors = [], []
         self._last = deployment.iteration
         if not self._quiet:
-            end = f", then it {ending_of(self._status)}" if deployment.falls else ""
+            end = f", then it {ending_of(status)}" if deployment.falls else ""
             error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"
             self._console.print(
                 f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "

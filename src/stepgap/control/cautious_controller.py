@@ -125,8 +125,8 @@ class CautiousController:
         if not self.settings.cautious:
             return commands
         starts = np.array([start, *commands])
-        nearest = starts[np.argsort(self._expected_squares(state, target, starts))[0]]  # NaN comes last
-        return [*commands, self._local_minimum(state, target, nearest)]
+        better = starts[np.argsort(self._expected_squares(state, target, starts))[0]]  # NaN comes last
+        return [*commands, self._local_minimum(state, target, better)]
 
     def _local_minimum(self, state: Array, target: Array, start: Array) -> Array:
         """The command of least expected squared distance that is found from `start`; shape (m,)."""

@@ -100,7 +100,7 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float,
                 step, change, trial = fraction * step, fraction * change, shorter
                 expected = cost - _square(value + change)
         failed = not np.isfinite(trial).all()
-        gain = -np.inf if failed else cost - trial @ trial
+        gain = -np.inf if failed else cost - _square(trial)
         if not failed:
             matrix = matrix + (trial - value - change)[:, None] * (step / (step @ step))
         before = point

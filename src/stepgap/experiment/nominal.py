@@ -148,12 +148,18 @@ def _read_map(kind: str, path: Path, space: StepSpace) -> StepMap:
         if kind == FROM_TEMPLATE:
             return read_template(path, space)
         if kind == FROM_LOG:
-            return fit_log_map(read_step_log(path, space))
+            return _log_map(path, space)
         return _read_surrogate(path, space)
     except (OSError, RecordError, StepGapError) as error:
-        message = message_of(error)
-        named = message if message.startswith(str(path)) else f"{path}: {message}"
-        raise InputError(f"nominal.file: {named}") from None
+        raise InputError(f"nominal.file: {message_of(error)}") from None
+
+
+def _log_map(path: Path, space: StepSpace) -> StepMap:
+    log = read_step_log(path, space)
+    try:
+        return fit_log_map(log)
+    except StepGapError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def _read_surrogate(path: Path, space: StepSpace) -> SurrogateMap:

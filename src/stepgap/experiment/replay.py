@@ -14,6 +14,7 @@ from stepgap.experiment.settings import PROCESS, Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.compiled_rig import Rows
 from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.stream import numbered
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
@@ -140,7 +141,7 @@ def _replayed_steps(folder: Path, settings: Experiment, steps: Sequence[LoggedSt
     units, names, rows = tick_units_of(settings), settings.robot.space.state_names, list[Array]()
 
     def on_ticks(ticks: Rows, step: int) -> None:
-        rows.extend(np.array([*row, step + steps[0].step - 1], float) for row in ticks)
+        rows.extend(numbered(ticks, step + steps[0].step - 1))
 
     def drained() -> TickTable:
         table = TickTable(units, np.array(rows, float).reshape(len(rows), len(units)))

@@ -14,21 +14,12 @@ from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import write_experiment
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.step_log import StepLog
+from stepgap.records.run_folder import INPUT_FILES
 from stepgap.records.steps_csv import read_step_log
 from stepgap.records.summary import read_summary
 from stepgap.step import StepFailed, StepMap
 
-ALSO_WRITTEN = (
-    "reference.csv",
-    "warm_start.csv",
-    "nominal_map.json",
-    "nominal_map.toml",
-    "nominal_map.csv",
-    "report.html",
-    "figures",
-    "replay",
-    "ticks",
-)
+ALSO_WRITTEN = (*INPUT_FILES, "report.html", "figures", "replay", "ticks")
 """Other files and folders that a run may write into its folder."""
 
 
@@ -97,7 +88,7 @@ def extended(folder: Path, settings: Experiment, redeployments: int) -> Experime
         InputError: The run is not finished, or its record cannot be read.
     """
     if redeployments < 1:
-        raise InputError(f"--extend: {redeployments} redeployments; give a whole number from 1 on")
+        raise InputError(f"--extend: {redeployments} redeployments; give an integer from 1 on")
     space, remedy = settings.robot.space, f"finish it by: stepgap run --out {folder} --resume"
     try:
         done = len(read_summary(folder / "summary.json", space.state_names).deployments)

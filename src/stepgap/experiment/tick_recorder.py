@@ -8,7 +8,7 @@ import numpy as np
 from stepgap.experiment.loop import Observer
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.compiled_rig import Rows
-from stepgap.plants.ticks.stream import OnTicks, thinned
+from stepgap.plants.ticks.stream import OnTicks, numbered, thinned
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.summary import Deployment
 from stepgap.step import Array
@@ -55,7 +55,7 @@ class TickRecorder:
         rows = self._rows = list[Array]()
 
         def keep(kept: Rows, step: int) -> None:
-            rows.append(np.column_stack([np.asarray(kept, float), np.full(len(kept), float(step))]))
+            rows.append(numbered(kept, step))
 
         self._executed = 0
         self._keep: OnTicks = thinned(keep, self._every)

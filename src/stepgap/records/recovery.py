@@ -12,18 +12,9 @@ from stepgap.base.files import naming
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.model_files import model_path, read_model
+from stepgap.records.run_folder import INPUT_FILES
 from stepgap.records.steps_csv import digest, recover_steps, space_of_header, text_of
 from stepgap.records.summary import read_summary, write_summary
-
-RUN_INPUTS = (
-    "experiment.toml",
-    "reference.csv",
-    "warm_start.csv",
-    "nominal_map.json",
-    "nominal_map.toml",
-    "nominal_map.csv",
-)
-"""Files of a run folder that were written before its first step."""
 
 
 def recover_file(path: Path, out: Path) -> list[str]:
@@ -68,7 +59,7 @@ def _recover_run(folder: Path, out: Path) -> list[str]:
     steps, fault = _intact_steps(folder / "steps.csv")
     with naming(out):
         out.mkdir()
-    for name in RUN_INPUTS:
+    for name in ("experiment.toml", *INPUT_FILES):
         if (folder / name).is_file():
             copyfile(folder / name, out / name)
     lines = [fault] if fault else []

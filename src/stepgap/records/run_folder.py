@@ -20,6 +20,9 @@ from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log
 from stepgap.records.summary import LARGEST_NUMBER, Deployment, NoiseFloor, Summary, read_summary
 from stepgap.step import Array, StepSpace
 
+INPUT_FILES = ("reference.csv", "warm_start.csv", "nominal_map.json", "nominal_map.toml", "nominal_map.csv")
+"""Files of a run folder, besides `experiment.toml`, that are written before the first step."""
+
 
 @dataclass(frozen=True)
 class SettingsFile:

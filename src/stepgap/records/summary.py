@@ -85,7 +85,7 @@ class NoiseFloor(NamedTuple):
         same_yaw: If only the noise differs; shape (n,). Key `repeatability_same_yaw`.
         any_yaw_freedom: Degrees of freedom of `any_yaw`, NaN where they are not known; shape (n,) or a number. Key
             `repeatability_freedom`.
-        same_yaw_freedom: The same of `same_yaw`. Key `repeatability_same_yaw_freedom`.
+        same_yaw_freedom: Degrees of freedom of `same_yaw`. Key `repeatability_same_yaw_freedom`.
         steps: Number of steps from which both were computed; 0 if it is not known. Key `repeatability_steps`.
     """
 

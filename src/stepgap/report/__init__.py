@@ -3,10 +3,11 @@
 A report is made from a finished record alone: the run folder as `records.run_folder` reads it, and a `run_context` with
 the nominal map and the motions. Nothing here builds a plant or a twin.
 
-`learned` reads the learned residual; `reference_gait` computes the limit cycles. `figures`, `learned_figure` and `gait`
-make the figures, `error_table`, `learned_table` and `settings_table` the tables, `sentences` the text, `replay_view`
-the replay. `page` puts all on one page, next to the paper's results, and `missing_parts` lists the missing parts.
-`comparison` makes the page of several runs, and the package `sweep` the report of a sweep.
+`learned` reads the learned residual; `reference_gait` computes the limit cycles. `run_figures` draws the figures, which
+`figures` and the modules named after a figure make; `error_table`, `learned_table` and `settings_table` make the
+tables, `sentences` the text, `replay_view` the replay. `page` puts all on one page, next to the paper's results, and
+`missing_parts` lists the missing parts. `comparison` makes the page of several runs, and the package `sweep` the report
+of a sweep.
 """
 
 from pathlib import Path
@@ -16,13 +17,13 @@ from stepgap.base.files import write_whole
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.report.comparison import comparison_html
-from stepgap.report.drawing import Drawing, draw_figure, write_figures
+from stepgap.report.drawing import write_figures
 from stepgap.report.learned import LearnedResidual, read_learned_residual
 from stepgap.report.missing_parts import missing_parts
 from stepgap.report.page import report_html
-from stepgap.report.reference_gait import ReferenceGait, centre_of, reference_gait
+from stepgap.report.reference_gait import ReferenceGait, reference_gait
 from stepgap.report.run_context import NO_CONTEXT, RunContext
-from stepgap.step import StepSpace
+from stepgap.report.run_figures import draw_run_figures
 
 __all__ = [
     "NO_CONTEXT",
@@ -63,7 +64,7 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
     learned, damage = _learned(record)
     gait = _gait(record, context, learned)
     bounds = None if isinstance(context.nominal, Missing) else context.nominal.space
-    drawings = _drawings(record, learned, gait, bounds)
+    drawings = draw_run_figures(record, learned, gait, bounds)
     wanted = {f"map_{index}": f"map_{name}" for index, name in enumerate(record.space.state_names)}
     write_figures(record.folder, {wanted.get(name, name): drawing for name, drawing in drawings.items()})
     path = record.folder / "report.html"
@@ -86,66 +87,3 @@ def _gait(record: RunRecord, context: RunContext, learned: LearnedResidual | Non
     if not len(record.steps.of_iteration(record.shown_iterations[-1]).tracking()):
         return Missing("no target was tracked yet")
     return reference_gait(record, context.nominal, learned)
-
-
-def _drawings(
-    record: RunRecord, learned: LearnedResidual | None, gait: ReferenceGait | Missing, bounds: StepSpace | None
-) -> dict[str, Drawing | Missing]:
-    """All figures of a run by their names in `report_html`."""
-
-    def tracking() -> object:
-        from stepgap.report.figures import tracking_figure
-
-        return tracking_figure(record)
-
-    def commands() -> object:
-        from stepgap.report.figures import command_figure
-
-        return command_figure(record, bounds)
-
-    def errors() -> object:
-        from stepgap.report.figures import error_figure
-
-        return error_figure(record)
-
-    def map_of(index: int) -> object:
-        from stepgap.report.figures import map_figure
-
-        return map_figure(record, index)
-
-    def state_errors() -> object:
-        from stepgap.report.state_figure import state_error_figure
-
-        return state_error_figure(record)
-
-    drawings = {
-        "tracking": draw_figure(tracking, "the tracking"),
-        "commands": draw_figure(commands, "the commands"),
-        "errors": draw_figure(errors, "the errors"),
-        "state_errors": draw_figure(state_errors, "the errors against state and command"),
-    }
-    for index, name in enumerate(record.space.state_names):
-        drawings[f"map_{index}"] = draw_figure(lambda index=index: map_of(index), f"the map of {name}")
-    if learned is not None and learned.steps:
-
-        def left_out() -> object:
-            from stepgap.report.learned_figure import left_out_figure
-
-            return left_out_figure(record.space, learned)
-
-        def surface() -> object:
-            from stepgap.report.surface_figure import surface_figure
-
-            return surface_figure(record.space, learned, centre_of(learned, gait))
-
-        drawings["left_out"] = draw_figure(left_out, "the leave-one-out residuals")
-        drawings["surface"] = draw_figure(surface, "the correction")
-    if isinstance(gait, ReferenceGait) and (len(gait.space.state), len(gait.space.command)) == (2, 2):
-
-        def reachable() -> object:
-            from stepgap.report.gait import reference_gait_figure
-
-            return reference_gait_figure(gait)
-
-        drawings["gait"] = draw_figure(reachable, "the reachable set")
-    return drawings

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.plants.compiled_rig import Rows
-from stepgap.plants.ticks.stream import OnTicks, thinned
+from stepgap.plants.ticks.stream import OnTicks, numbered, thinned
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY
 from stepgap.robots.scene import Kinematics, Scene
@@ -99,9 +99,8 @@ class Camera:
         """Function that keeps the ticks of `FRAMES_PER_SECOND` pictures with finite numbers, and drops the others."""
 
         def keep(rows: Rows, step: int) -> None:
-            found = np.asarray(rows, float)
-            numbered = np.column_stack([found, np.full(len(found), float(step))])
-            self._rows.extend(numbered[np.isfinite(numbered).all(axis=1)])
+            found = numbered(rows, step)
+            self._rows.extend(found[np.isfinite(found).all(axis=1)])
 
         return thinned(keep, self._kinematics.every(1 / FRAMES_PER_SECOND))
 

@@ -14,11 +14,14 @@ from stepgap.report.reference_gait import MapGait, Multipliers, ReferenceGait
 from stepgap.step import Array
 
 
-def measured_sentences(record: RunRecord) -> list[str]:
+def measured_loops(record: RunRecord) -> list[MeasuredLoop | None]:
+    """The measured closed loop of each finished deployment; None where it is not known."""
+    return [measured_loop(record.steps.of_iteration(deployment.iteration)) for deployment in record.deployments]
+
+
+def measured_sentences(loops: Sequence[MeasuredLoop | None]) -> list[str]:
     """Sentence on the measured stability of the closed loop in the last deployment; empty if it is not known."""
-    if not record.deployments:
-        return []
-    found = measured_loop(record.steps.of_iteration(record.deployments[-1].iteration))
+    found = loops[-1] if loops else None
     if found is None:
         return []
     verdict = {
@@ -33,11 +36,9 @@ def measured_sentences(record: RunRecord) -> list[str]:
     ]
 
 
-def measured_table(record: RunRecord) -> str:
+def measured_table(loops: Sequence[MeasuredLoop | None]) -> str:
     """Table of the measured multipliers of the closed loop by deployment; empty if none is known."""
-    numbers = [deployment.iteration for deployment in record.deployments]
-    found = [measured_loop(record.steps.of_iteration(number)) for number in numbers]
-    rows = [_measured_row(each) for each in found if each is not None]
+    rows = [_measured_row(each) for each in loops if each is not None]
     if not rows:
         return ""
     return table(

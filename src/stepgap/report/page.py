@@ -13,7 +13,7 @@ from stepgap.report.diagnosis_sentences import diagnosis_sentences
 from stepgap.report.drawing import Drawing
 from stepgap.report.error_table import band_table, error_table
 from stepgap.report.file_list import file_list
-from stepgap.report.gait_table import gait_sentences, gait_table, measured_sentences, measured_table
+from stepgap.report.gait_table import gait_sentences, gait_table, measured_loops, measured_sentences, measured_table
 from stepgap.report.html import absence, bullets, page, paragraph, picture, safe, section
 from stepgap.report.learned import LearnedResidual
 from stepgap.report.learned_table import coverage_table, learned_sentences, learned_tables
@@ -87,7 +87,7 @@ def report_html(
     """
     title = f"StepGap report: {record.folder.resolve().name}"
     links = "".join(f'<a href="#{name}">{heading}</a>' for name, heading in CONTENTS.items())
-    plant = context.plant
+    plant, loops = context.plant, measured_loops(record)
     parts_by_name = {
         "figures": [picture(drawings[name], f"{name}-", text) for name, text in captions(record).items()],
         "numbers": [
@@ -104,9 +104,9 @@ def report_html(
             picture(drawings["surface"], "surface-", SURFACE_CAPTION) if "surface" in drawings else "",
             picture(drawings["left_out"], "left-out-", LEFT_OUT_CAPTION) if "left_out" in drawings else "",
         ],
-        "gait": [measured_table(record), absence("gait", gait)] if isinstance(gait, Missing) else [
+        "gait": [measured_table(loops), absence("gait", gait)] if isinstance(gait, Missing) else [
             bullets(gait_sentences(gait)),
-            measured_table(record),
+            measured_table(loops),
             picture(drawings["gait"], "gait-", GAIT_CAPTION) if "gait" in drawings else "",
             gait_table(gait),
         ],
@@ -115,7 +115,7 @@ def report_html(
     }  # fmt: skip
     top = (
         f'<h1>{safe(title)}</h1>\n<nav>{links}</nav>\n<p class="headline">{safe(headline(record))}</p>\n'
-        f"{bullets([*sentences(record, plant), *measured_sentences(record)])}"
+        f"{bullets([*sentences(record, plant), *measured_sentences(loops)])}"
     )
     parts = [section(name, CONTENTS[name], *parts) for name, parts in parts_by_name.items()]
     return page(title, [top, *parts], REPLAY_SCRIPT if not isinstance(context.replay, Missing) else "")

@@ -40,9 +40,8 @@ def _spread_table(records: Sequence[RunRecord], names: Sequence[str], index: int
     numbers = sorted({entry.iteration for record in records for entry in record.deployments})
     rows = []
     for number in numbers:
-        found = [entry.errors["rmse"][index] for each in records for entry in each.deployments]
-        of_number = [entry.iteration == number for each in records for entry in each.deployments]
-        errors = np.array(found)[of_number]
+        entries = [entry for record in records for entry in record.deployments if entry.iteration == number]
+        errors = np.array([entry.errors["rmse"][index] for entry in entries])
         rows.append([str(number), *_spread(errors[np.isfinite(errors)])])
     return table(
         f"Spread over seeds of the RMSE of {with_unit(records[0].space.state[index])}: {', '.join(names)}",

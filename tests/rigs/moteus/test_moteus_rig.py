@@ -382,6 +382,7 @@ def hops(rig: Rig) -> tuple[list[np.ndarray], list[Tick]]:
 
 
 def test_the_twin_hops_with_the_controllers_as_without_them() -> None:
+    hops(Twin(ROBOT, GAP, np.random.default_rng(0)))  # compiles the twin, which would keep the controllers waiting
     settings = fresh(HOPPER)
     with emulated(settings, TwinMachine(Twin(ROBOT, GAP, np.random.default_rng(0)))) as controllers:
         through, ticks = hops(hopper_on_moteus(settings, ROBOT))

@@ -22,8 +22,8 @@ STATE_TIMEOUT = 2.0
 REPLY_TIMEOUT = 20_000
 """Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the kernel is busy."""
 
-SEARCHES = 5
-"""Number of searches for missing slaves; where the kernel is busy, the frame of a search may come back too late."""
+SEARCH_TIME = 1.0
+"""Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may come back late."""
 
 WATCHDOG_ATTEMPTS = 5
 
@@ -98,13 +98,12 @@ class Bus:
         self._start(master)
 
     def _search(self, master: Any) -> int:
-        """Number of slaves that answer."""
-        count = 0
-        for _ in range(SEARCHES):
+        """Number of slaves that answer; missing ones are searched for again until `SEARCH_TIME` is over."""
+        until = monotonic() + SEARCH_TIME
+        while True:
             count = master.config_init()
-            if count >= len(self._settings.slaves):
-                break
-        return count
+            if count >= len(self._settings.slaves) or monotonic() > until:
+                return count
 
     def set_outputs(self, number: int, values: dict[str, int]) -> None:
         """Sets the outputs of a slave for the next frame; more bytes than its own would overwrite the next slave's."""
