@@ -23,7 +23,7 @@ REPLY_TIMEOUT = 20_000
 """Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the kernel is busy."""
 
 SEARCH_TIME = 1.0
-"""Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may come back late."""
+"""Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may be late."""
 
 WATCHDOG_ATTEMPTS = 5
 
