@@ -1,4 +1,5 @@
 import fcntl
+import gc
 import os
 import re
 import signal
@@ -64,6 +65,11 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         with (folder / "tests.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             compile_hops()
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays until the end; the garbage collector need not look at it again and again."""
+    gc.freeze()
 
 
 def compile_hops() -> None:

@@ -25,6 +25,11 @@ def leave_out_repeats(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("stepgap.experiment.plants.measure_noise_floor", measure_noise_floor)
 
 
+def repeat_less(patch: pytest.MonkeyPatch) -> None:
+    """The noise floor is measured at two yaw angles instead of six."""
+    patch.setattr("stepgap.experiment.noise_floor.YAWS", 2)
+
+
 def leave_out_report(patch: pytest.MonkeyPatch) -> None:
     """A run writes an empty report."""
 

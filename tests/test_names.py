@@ -3,10 +3,15 @@
 import ast
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "src" / "stepgap"
-MODULES = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
+
+
+@cache
+def modules() -> dict[str, ast.Module]:
+    return {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
 
 
 def names_in(target: ast.expr) -> Iterator[str]:
@@ -28,7 +33,7 @@ def defined(module: ast.Module) -> set[str]:
 
 def test_no_public_name_is_defined_in_two_modules() -> None:
     modules_of: dict[str, list[str]] = defaultdict(list)
-    for path, module in sorted(MODULES.items()):
+    for path, module in sorted(modules().items()):
         for name in defined(module):
             modules_of[name].append(path)
     twice = {name: paths for name, paths in modules_of.items() if len(paths) > 1}
@@ -54,7 +59,7 @@ def is_setter(node: ast.FunctionDef | ast.ClassDef) -> bool:
 def test_every_public_object_has_a_docstring() -> None:
     found = [
         where
-        for path, module in MODULES.items()
+        for path, module in modules().items()
         for where in [
             *([] if ast.get_docstring(module) else [path]),
             *without_docstring(module.body, f"{path}: "),

@@ -17,7 +17,7 @@ def hop(settings):
     twin = RecordedTwin(hopper.parameters, hopper.gap, np.random.default_rng(1))
     with RigPlant(twin, hopper.control()) as plant:
         plant.start()
-        for _ in range(20):
+        for _ in range(8):
             plant.take_step(np.array([-7.0, -6.0]))
 
 

@@ -25,6 +25,7 @@ from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.step import Outcome, StepRecord
 from tests.cli.command_line import Command, CommandResult, refused
 from tests.full_disk import FILE_TOO_LARGE, largest_file
+from tests.quick_runs import repeat_less
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 SHORT = 'seed = 5\nreference = "targets.csv"\n[learning]\niterations = 1\n'
@@ -36,8 +37,15 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("finished")
     (folder / "targets.csv").write_text(TARGETS)
     (folder / "short.toml").write_text(SHORT)
-    main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
+    with pytest.MonkeyPatch.context() as patch:
+        repeat_less(patch)
+        main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
     return folder
+
+
+@pytest.fixture(autouse=True)
+def fewer_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
+    repeat_less(monkeypatch)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -37,7 +37,7 @@ ARRAYS = ("SLURM_ARRAY_TASK_ID", "LSB_JOBINDEX", "SGE_TASK_ID", "PBS_ARRAY_INDEX
 
 def write_inputs(folder: Path) -> None:
     """Writes a sweep of four short experiments."""
-    targets = "".join(f"{target}\n" for target in ["0,0.55"] * 2 + ["0.17,0.58"] * 4)
+    targets = "".join(f"{target}\n" for target in ["0,0.55"] + ["0.17,0.58"] * 2)
     (folder / "short.csv").write_text(f"speed,height\n{targets}")
     (folder / "short.toml").write_text('reference = "short.csv"\n[learning]\niterations = 1\n')
     (folder / "s.toml").write_text(SWEEP)

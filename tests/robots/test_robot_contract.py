@@ -163,10 +163,10 @@ def test_sweep(
 ) -> None:
     leave_out_sweep_report(monkeypatch)
     Path("e.toml").write_text(f"robot = '{robot.name}'\nreference = 'targets.csv'\n[learning]\niterations = 1\n")
-    Path("sweep.toml").write_text("base = 'e.toml'\nseeds = [1, 2]\n[axes]\n'learning.residual' = ['none', 'linear']\n")
+    Path("sweep.toml").write_text("base = 'e.toml'\nseeds = [1]\n[axes]\n'learning.residual' = ['none', 'linear']\n")
     result = stepgap("sweep", "sweep.toml", "--out", "sweep", "--quiet", "--processes", "1")
     assert result.code == 0, result.err
-    assert (Path("sweep") / "results.csv").read_text().count("\n") > 4
+    assert (Path("sweep") / "results.csv").read_text().count("\n") == 5
 
 
 def test_gymnasium(robot: Robot) -> None:

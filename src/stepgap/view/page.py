@@ -16,7 +16,7 @@ from stepgap.step import StepStatus
 from stepgap.view.learned import curve_along
 from stepgap.view.player import Player
 from stepgap.view.plots import BAND, INK, LearnedPlot, TrackingPlot, add_legend, named
-from stepgap.view.robot_scene import Ground, RobotScene
+from stepgap.view.robot_scene import Ground, RobotScene, light
 from stepgap.view.source import Source
 
 NO_OVERLAY = "nothing"
@@ -126,6 +126,7 @@ class Page:
         if source.kinematics is None:
             return
         scene = source.kinematics.scene
+        light(api)
         self._ground = Ground(api, "/world/ground", scene)
         self._robot = RobotScene(api, "/world/robot", scene)
         self._ghost = RobotScene(api, "/world/ghost", scene, ghost=True)

@@ -23,6 +23,9 @@ SHADES: dict[Shade, Colour] = {"body": DARK_RGB, "near": BLUE_RGB, "far": SKY_RG
 TRACK_WIDTH, MARK_EVERY = 0.16, 0.1
 """Width of the marks on the track, and their distance [m]."""
 
+AMBIENT_LIGHT = 2.0
+"""Intensity of the light that comes from all sides, beside viser's lamps."""
+
 TRACK_MARKS = 400
 """Number of marks on a straight track on either side of the start."""
 
@@ -70,6 +73,12 @@ class RobotScene:
     def hide(self) -> None:
         """Hides the robot."""
         self._root.visible = False
+
+
+def light(api: SceneApi) -> None:
+    """Lights the scene from all sides, instead of by viser's environment map, which takes seconds without a graphics card."""
+    api.configure_environment_map(None)
+    api.add_light_ambient("/light", intensity=AMBIENT_LIGHT)
 
 
 class Ground:
