@@ -76,7 +76,7 @@ class RobotScene:
 
 
 def light(api: SceneApi) -> None:
-    """Lights the scene from all sides, instead of by viser's environment map, which takes seconds without a graphics card."""
+    """Lights the scene from all sides; an environment map would take seconds without a graphics card."""
     api.configure_environment_map(None)
     api.add_light_ambient("/light", intensity=AMBIENT_LIGHT)
 
