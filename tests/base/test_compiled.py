@@ -57,6 +57,7 @@ def run(code: str, folder: Path, **environment: str | None) -> str:
     changed = {
         "PYTHONPATH": os.pathsep.join([str(SOURCE), str(folder)]),
         "NUMBA_CACHE_DIR": str(folder / "cache"),
+        "PYTHONDONTWRITEBYTECODE": "1",  # of a file that changes twice within a second, it would remain the old one
         **environment,
     }
     everything = {name: value for name, value in {**os.environ, **changed}.items() if value is not None}
