@@ -9,13 +9,13 @@ import pytest
 from stepgap.records.motion_file import read_motion, write_motion
 from stepgap.robots.scene import Link, Motion, Scene
 
-SCENE = Scene({"body": 0.1, "foot": 0.02}, (Link("body", "foot", 0.01),), "body", ("foot",))
+SCENE = Scene({"body": 0.1, "foot": 0.02}, (Link("body", "foot", 0.01),), "body", ("foot",), signals={"torque": "N·m"})
 
 
 def motion(frames: int) -> Motion:
     time = np.arange(frames) / 100
     positions = np.stack([np.outer(np.sin(7 * time), [1.0, 2.0, 3.0]), np.outer(time, [3.0, 2.0, 1.0])], axis=1)
-    return Motion(time, np.floor(time), positions, np.zeros((frames, 1)), np.zeros(frames))
+    return Motion(time, np.floor(time), positions, np.zeros((frames, 1)), np.zeros(frames), np.sin(time)[:, None])
 
 
 def test_a_kept_motion_is_that_of_its_origin(tmp_path: Path) -> None:

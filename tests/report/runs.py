@@ -112,7 +112,9 @@ def write_summary(folder: Path, names: tuple[str, ...], steps: int, iterations: 
     (folder / "summary.json").write_text(json.dumps(content), encoding="utf-8")
 
 
-SCENE = Scene({"body": 0.03, "foot": 0.01}, (Link("body", "foot", 0.01, "near"),), "body", ("foot",), "height", 1.5)
+SIGNALS = {"leg length": "m", "torque": "N·m"}
+LINK = Link("body", "foot", 0.01, "near")
+SCENE = Scene({"body": 0.03, "foot": 0.01}, (LINK,), "body", ("foot",), "height", 1.5, SIGNALS)
 """A body on a circle, and a foot below it."""
 
 
@@ -123,7 +125,8 @@ def motion(frames: int) -> Motion:
     body = np.column_stack([1.5 * np.sin(yaw), -1.5 * np.cos(yaw), height])
     foot = body - np.column_stack([np.zeros((frames, 2)), np.minimum(height, 0.3)])
     touching = (foot[:, 2:] <= 0).astype(float)
-    return Motion(time, np.floor(time / 0.8), np.stack([body, foot], axis=1), touching, np.zeros(frames))
+    signals = np.column_stack([height, 10 * np.cos(7 * time)])
+    return Motion(time, np.floor(time / 0.8), np.stack([body, foot], axis=1), touching, np.zeros(frames), signals)
 
 
 def report_of(folder: Path, context: RunContext = NO_CONTEXT, space: StepSpace | None = None) -> Path:

@@ -29,6 +29,15 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) ->
     slider.fill(str(last // 2))
     expect(moment).not_to_have_text(text)
     watched_page.wait_for_change(take_picture, before)
+    legend = page.locator(".signal-legend", has_text="torque of motor 1")
+    expect(legend).to_contain_text("N·m")
+    curves = page.locator("#replay-signals canvas").last
+    take_picture = partial(watched_page.picture_of, curves)
+    curves.scroll_into_view_if_needed()
+    before = take_picture()
+    slider.fill(str(last // 2 + 5))
+    watched_page.wait_for_change(take_picture, before)
+    slider.scroll_into_view_if_needed()
     watched_page.keep_screenshot("report_replay")
 
     slider.fill("0")

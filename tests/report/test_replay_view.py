@@ -44,10 +44,12 @@ def test_channels_are_read_back(folder: Path, frames: int) -> None:
     step, *rest = channels
     near = {"rtol": 0, "atol": 1e-4}
     np.testing.assert_allclose(step, shown.step[::every], rtol=0, atol=0.01 + frames / LEVELS / 80)
-    body, relative, (touching,) = np.array(rest[:3]).T, np.array(rest[3:9]).T.reshape(-1, 2, 3), rest[9:]
+    body, relative, (touching,) = np.array(rest[:3]).T, np.array(rest[3:9]).T.reshape(-1, 2, 3), rest[9:10]
     np.testing.assert_allclose(relative[:, 0], 0, **near)
     np.testing.assert_allclose(body[:, None] + relative, shown.positions[::every], **near)
     np.testing.assert_allclose(touching, shown.touching[::every, 0], **near)
+    np.testing.assert_allclose(np.array(rest[10:]).T, shown.signals[::every], rtol=0, atol=1e-3)
+    assert data["signals"] == [["leg length", "m"], ["torque", "N·m"]]
     assert [step[0] for step in entry["steps"]] == list(range(1, 41))
 
 

@@ -7,6 +7,7 @@
   const canvas = at("canvas"), slider = at("slider"), play = at("play"), moment = at("moment");
   const choice = at("deployment"), speed = at("speed"), zoom = at("zoom"), follow = at("follow");
   const radius = data.circle, MARKS = 12, TRAIL = 120, TICKS = 144;
+  const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a5195", "#999999"];
   const SHADES = {body: "#555", near: "#004a75", far: "#0072b2"};
   let motion = null, frame = 0, reach = 0.45, playing = false, before = 0, azimuth = -1.15, elevation = 0.22, drag = null;
 
@@ -25,7 +26,9 @@
     found.step = channels[0].map(Math.round);
     found.body = channels.slice(1, 4);
     found.parts = data.points.map((_, point) => channels.slice(4 + 3 * point, 7 + 3 * point));
-    found.contacts = channels.slice(4 + 3 * data.points.length);
+    const contacts = 4 + 3 * data.points.length, signals = contacts + data.feet.length;
+    found.contacts = channels.slice(contacts, signals);
+    found.signals = channels.slice(signals);
     found.steps = new Map(source.steps.map(([step, target, reached, command]) => [step, {target, reached, command}]));
     found.ends = new Map();
     for (let i = 1; i < source.frames; i++) if (found.step[i] !== found.step[i - 1]) found.ends.set(found.step[i - 1], i - 1);
@@ -137,6 +140,74 @@
         `reached ${entry.reached.includes(null) ? "no end of the step" : named(entry.reached, data.state)}; ` +
         `command ${named(entry.command, data.command)}.`
       : "before the first step.");
+    charts.forEach(drawChart);
+  }
+
+  // Curves of the signals with the same unit, over the step that is shown.
+  function makeChart(unit) {
+    const rows = data.signals.flatMap(([, other], row) => (other === unit ? [row] : []));
+    const chart = {unit, rows, canvas: document.createElement("canvas"), legend: document.createElement("p")};
+    chart.legend.className = "signal-legend";
+    at("signals").append(chart.legend, chart.canvas);
+    return chart;
+  }
+
+  function drawChart({unit, rows, canvas, legend}) {
+    const wide = canvas.clientWidth, high = canvas.clientHeight, dots = window.devicePixelRatio || 1;
+    canvas.width = Math.round(wide * dots);
+    canvas.height = Math.round(high * dots);
+    const pen = canvas.getContext("2d"), left = 56, right = wide - 8, top = 6, bottom = high - 22;
+    const step = motion.step[frame], first = motion.step.indexOf(step), last = motion.step.lastIndexOf(step);
+    const lows = rows.map((row) => motion.limits[row][0]), highs = rows.map((row) => motion.limits[row][1]);
+    const low = Math.min(...lows), range = Math.max(...highs) - low || 1;
+    const x = (i) => left + (right - left) * (i - first) / Math.max(1, last - first);
+    const y = (value) => bottom - (bottom - top) * (value - low) / range;
+    pen.setTransform(dots, 0, 0, dots, 0, 0);
+    pen.fillStyle = "#fff";
+    pen.fillRect(0, 0, wide, high);
+    pen.font = "12px system-ui, sans-serif";
+    const stroke = (colour, width, points) => {
+      pen.beginPath();
+      points.forEach(([across, up], i) => (i ? pen.lineTo(across, up) : pen.moveTo(across, up)));
+      pen.strokeStyle = colour;
+      pen.lineWidth = width;
+      pen.stroke();
+    };
+    pen.fillStyle = "#444";
+    pen.textAlign = "right";
+    pen.textBaseline = "middle";
+    const decimals = Math.max(0, Math.ceil(-Math.log10(range / 4)));
+    for (const value of roundValues(low, low + range, 4)) {
+      stroke("#ddd", 1, [[left, y(value)], [right, y(value)]]);
+      pen.fillText(value.toFixed(decimals).replace("-", "\u2212"), left - 6, y(value));
+    }
+    pen.textAlign = "center";
+    pen.textBaseline = "top";
+    const seconds = (last - first) / motion.rate;
+    for (const time of roundValues(0, seconds, Math.max(2, wide / 110))) {
+      stroke("#ddd", 1, [[x(first + time * motion.rate), top], [x(first + time * motion.rate), bottom]]);
+      pen.fillText(`${Number(time.toFixed(3))} s`, Math.min(x(first + time * motion.rate), right - 14), bottom + 5);
+    }
+    rows.forEach((row, i) => {
+      const points = [];
+      for (let k = first; k <= last; k++) points.push([x(k), y(motion.signals[row][k])]);
+      stroke(COLOURS[i % COLOURS.length], 1.6, points);
+    });
+    stroke("#000", 1, [[x(frame), top], [x(frame), bottom]]);
+    legend.replaceChildren(...rows.map((row, i) => {
+      const entry = document.createElement("span"), mark = document.createElement("i");
+      mark.style.background = COLOURS[i % COLOURS.length];
+      entry.append(mark, `${data.signals[row][0]} ${motion.signals[row][frame].toFixed(decimals + 1).replace("-", "\u2212")} ${unit}`);
+      return entry;
+    }));
+  }
+
+  // About `count` round numbers in an interval.
+  function roundValues(from, to, count) {
+    const raw = (to - from) / count || 1, power = Math.pow(10, Math.floor(Math.log10(raw)));
+    const by = power * [1, 2, 5, 10].find((each) => each * power >= raw), values = [];
+    for (let k = Math.ceil(from / by); k * by <= to + 1e-9 * by; k++) values.push(k * by);
+    return values;
   }
 
   function named(values, quantities) {
@@ -148,6 +219,7 @@
 
   function choose() {
     motion = unpacked(data.motions[choice.selectedIndex]);
+    motion.limits = motion.signals.map((values) => [Math.min(...values), Math.max(...values)]);
     motion.last = Math.max(...motion.steps.keys());
     motion.middle = (motion.body[0][0] + motion.body[0][motion.frames - 1]) / 2;
     slider.max = motion.frames - 1;
@@ -183,6 +255,7 @@
   reach = Math.max(0.1, ...data.motions.map((each) => each.ranges[3][1])) * 0.75;
   data.motions.forEach((each) => choice.add(new Option(each.deployment)));
   choice.selectedIndex = data.motions.length - 1;
+  const charts = [...new Set(data.signals.map(([, unit]) => unit))].map(makeChart);
   choice.addEventListener("change", choose);
   play.addEventListener("click", () => run(!playing));
   slider.addEventListener("input", () => go(Number(slider.value)));

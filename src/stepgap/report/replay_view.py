@@ -11,7 +11,7 @@ from stepgap.learning.step_log import StepLog
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.html import absence, safe
-from stepgap.report.motion import Replay
+from stepgap.report.motion import INTERVAL, Replay
 from stepgap.robots.scene import Motion, Scene
 from stepgap.step import Array, Quantity
 
@@ -36,6 +36,8 @@ CONTROLS: Final = """<div id="replay-view">
 <label><input id="replay-follow" type="checkbox" checked> follow the robot</label></p>
 </div>"""
 
+CHARTS: Final = '<div id="replay-signals" role="img" aria-label="Curves over the step that is shown"></div>'
+
 
 def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
     """Canvas, controls and data of the replay, or the reason why there are none."""
@@ -51,24 +53,27 @@ def replay_view(record: RunRecord, replay: Replay | Missing) -> str:
         "feet": [names.index(foot) for foot in scene.feet],
         "height": space.state_names.index(scene.height) if known else None,
         "circle": scene.circle,
+        "signals": list(scene.signals.items()),
         "state": [_described(quantity) for quantity in space.state],
         "command": [_described(quantity) for quantity in space.command],
         "motions": [_packed(number, motion, scene, record.steps) for number, motion in replay.motions.items()],
     }
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     kept = f'<script type="application/json" id="replay-data">{text}</script>'
-    return f'{CONTROLS}\n<p class="note">{safe(_legend(known))}</p>\n{kept}'
+    signals = f"{CHARTS}\n" if scene.signals else ""
+    return f'{CONTROLS}\n{signals}<p class="note">{safe(_legend(known, bool(scene.signals)))}</p>\n{kept}'
 
 
-def _legend(height: bool) -> str:
+def _legend(height: bool, signals: bool) -> str:
     marks = (
         " Dashed: target height at the end of the step. Circles: measured heights at the ends of steps; bars: their "
         "targets."
     )
+    curves = f" Curves: the step that is shown, one value every {1000 * INTERVAL:g} ms; shorter peaks may be missing."
     return (
         "Drag to rotate; the keys ← and → move by one frame. A foot is filled while it touches the ground."
-        f"{marks if height else ''} The motion was measured by the sensors of the robot; motion that they cannot "
-        "measure, such as the bending of a boom, is not shown."
+        f"{marks if height else ''}{curves if signals else ''} The motion was measured by the sensors of the robot; "
+        "motion that they cannot measure, such as the bending of a boom, is not shown."
     )
 
 
@@ -80,13 +85,13 @@ def _described(quantity: Quantity) -> list[str | int]:
 def _packed(number: int, motion: Motion, scene: Scene, log: StepLog) -> dict[str, Any]:
     """JSON data of a motion: its channels as consecutive 16-bit integers, and its steps.
 
-    The channels are the step, the position of the body, those of all points relative to it, and the contacts. Of a
-    channel that is constant, only the value is there.
+    The channels are the step, the position of the body, those of all points relative to it, the contacts and the
+    signals. Of a channel that is constant, only the value is there.
     """
     every = -(-len(motion.time) // MOST_FRAMES)
     body = motion.positions[:, scene.index(scene.body), :]
     relative = (motion.positions - body[:, None]).reshape(len(body), -1)
-    channels = np.column_stack([motion.step, body, relative, motion.touching])[::every].T
+    channels = np.column_stack([motion.step, body, relative, motion.touching, motion.signals])[::every].T
     ranges = [[float(channel.min()), float(channel.max())] for channel in channels]
     packed = b"".join(_levels(channel).astype("<u2").tobytes() for channel in channels if np.ptp(channel))
     steps = [

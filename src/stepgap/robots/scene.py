@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from math import isfinite
 from typing import Literal, NamedTuple
 
@@ -42,6 +42,7 @@ class Scene:
         feet: Points that may touch the ground.
         height: Name of the state coordinate that is the height of the body; empty if there is none.
         circle: Radius of the circle on which the body moves counter-clockwise, from (0, −circle) on [m]; 0: along x.
+        signals: Quantities that are drawn over time beside the robot, such as torques, with their units.
 
     Raises:
         ValueError: A link, the body or a foot is not one of the points, or a length is negative.
@@ -53,6 +54,7 @@ class Scene:
     feet: tuple[str, ...] = ()
     height: str = ""
     circle: float = 0.0
+    signals: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         used = {self.body, *self.feet, *(end for link in self.links for end in link[:2])}
@@ -98,6 +100,7 @@ class Motion:
         positions: Positions of the points of the scene; shape (F, P, 3) [m].
         touching: 1 where a foot of the scene touches the ground, else 0; shape (F, feet).
         ground: Height of the ground under the robot; shape (F,) [m].
+        signals: Values of the signals of the scene; shape (F, signals).
 
     Raises:
         ValueError: There is no frame, the lengths differ, or a value is not finite.
@@ -108,6 +111,7 @@ class Motion:
     positions: Array
     touching: Array
     ground: Array
+    signals: Array
 
     def __post_init__(self) -> None:
         arrays = [getattr(self, field.name) for field in fields(self)]

@@ -169,9 +169,12 @@ class Source:
 
     def _still(self, state: Array) -> Motion:
         """The robot at rest in a state at the section; a pause if it is not drawn."""
-        points = self.kinematics.at_section(state) if self.kinematics else np.zeros((1, 3))
-        feet = len(self.kinematics.scene.feet) if self.kinematics else 0
-        return Motion(np.array([0.0, STILL]), np.zeros(2), np.stack([points, points]), np.zeros((2, feet)), np.zeros(2))
+        points, feet, signals = np.zeros((1, 3)), 0, 0
+        if self.kinematics:
+            scene = self.kinematics.scene
+            points, feet, signals = self.kinematics.at_section(state), len(scene.feet), len(scene.signals)
+        positions, at_rest = np.stack([points, points]), np.zeros(2)
+        return Motion(np.array([0.0, STILL]), at_rest, positions, np.zeros((2, feet)), at_rest, np.zeros((2, signals)))
 
     def _read_steps(self) -> bool:
         path = self.folder / "steps.csv"

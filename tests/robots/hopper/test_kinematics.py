@@ -116,7 +116,7 @@ def test_a_measured_motion_is_read_from_counts() -> None:
     kinematics = HopperKinematics(replace(ROBOT, boom_length=1.5), Gains(), sensors)
     units = {**dict.fromkeys(TICK_UNITS, ""), "step": ""}
     rows = {"boom_horizontal": [0, 1000], "boom_vertical": [0, 8000 / 12], "alpha_1": [0.1, 0.2], "alpha_2": [0.9, 1.0]}
-    rows |= {"contact_force": [0, 50], "step": [3, 4], "time": [0, 0.01]}
+    rows |= {"contact_force": [0, 50], "step": [3, 4], "time": [0, 0.01], "applied_1": [7, -7], "applied_2": [2, 5]}
     table = TickTable(units, np.array([rows.get(name, [0, 0]) for name in units], float).T)
     shown, scene = kinematics.motion(table), kinematics.scene
     hip = shown.positions[:, scene.index("hip")]
@@ -125,6 +125,10 @@ def test_a_measured_motion_is_read_from_counts() -> None:
     assert scene.progress(shown.positions).tolist() == pytest.approx([0, np.pi / 2])
     assert shown.step.tolist() == [3, 4]
     assert shown.touching.tolist() == [[0], [1]]
+    lengths = [four_bar(leg_of(ROBOT), alpha_2).length for alpha_2 in rows["alpha_2"]]
+    signals = dict(zip(scene.signals, shown.signals.T.tolist(), strict=True))
+    assert signals.pop("leg length") == pytest.approx(lengths)
+    assert signals == {"leg angle": [0.1, 0.2], "torque of motor 1": [7, -7], "torque of motor 2": [2, 5]}
     with pytest.raises(ValueError, match="finite"):
         kinematics.motion(TickTable(units, np.full((1, len(units)), np.nan)))
 

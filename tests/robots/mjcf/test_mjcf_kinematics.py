@@ -78,6 +78,7 @@ def test_points_are_where_mujoco_has_the_geoms() -> None:
     for _ in range(20):
         data.qpos[:] = rng.normal(size=model.nq)
         mujoco.mj_normalizeQuat(model, data.qpos)
+        data.ctrl[:] = rng.normal(size=model.nu)
         mujoco.mj_forward(model, data)
         rows.append((*tick_row(data), 5))
         expected.append([data.body("trunk").xpos.copy(), data.geom("foot").xpos.copy(), data.geom("box").xpos.copy()])
@@ -92,6 +93,9 @@ def test_points_are_where_mujoco_has_the_geoms() -> None:
     rod = [at(kinematics, motion.positions, f"rod_{side}") for side in "ab"]
     np.testing.assert_allclose(rod[0 if np.allclose(rod[0], foot) else 1], foot, **near)
     assert set(motion.step) == {5}
+    names = {"position of hip": "rad", "position of knee": "m", "control of hip": "", "control of 1": ""}
+    assert kinematics.scene.signals == names
+    np.testing.assert_array_equal(motion.signals, np.array(rows)[:, -5:-1])
 
 
 def test_the_motion_of_a_step_ends_when_the_foot_touches_the_ground() -> None:

@@ -59,6 +59,14 @@ LINKS = (
     Link("rear_knee", "foot", 0.006, "far"),
 )
 
+LEG_SIGNALS: Mapping[str, str] = {
+    "leg length": "m",
+    "leg angle": "rad",
+    "torque of motor 1": "N·m",
+    "torque of motor 2": "N·m",
+}
+"""What is drawn over time: the measured leg from the hip to the ankle, and the torques that were applied."""
+
 TOUCHING_FORCE = 1.0
 """Ground force above which the foot is drawn as touching the ground [N]."""
 
@@ -98,7 +106,7 @@ class HopperKinematics(Kinematics):
     @property
     def scene(self) -> Scene:
         """Boom and leg on their circle."""
-        return Scene(JOINTS, LINKS, "hip", ("foot",), "height", self._robot.boom_length)
+        return Scene(JOINTS, LINKS, "hip", ("foot",), "height", self._robot.boom_length, LEG_SIGNALS)
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -125,6 +133,7 @@ class HopperKinematics(Kinematics):
             joint_positions(self._robot, self._sensors.pivot_height, pose),
             np.asarray(ticks["contact_force"] > TOUCHING_FORCE, float)[:, None],
             ticks["ground_height"] if seen else np.zeros(len(ticks)),
+            self._signals(ticks),
         )
 
     def at_section(self, state: Array) -> Array:
@@ -134,6 +143,13 @@ class HopperKinematics(Kinematics):
         alpha_1 = self._gains.speed_gain * (speed - self._gains.speed_setpoint)
         alpha_2 = knee_angle(leg_of(self._robot), self._gains.landing_length)
         return joint_positions(self._robot, self._sensors.pivot_height, HopperPose(0.0, pitch, alpha_1, alpha_2))
+
+    def _signals(self, ticks: TickTable) -> Array:
+        """Measured values of `LEG_SIGNALS`; shape (F, 4)."""
+        top, bottom = self._robot.top_length, self._robot.bottom_length
+        alpha_1, alpha_2 = ticks["alpha_1"], ticks["alpha_2"]
+        length = top * np.cos(alpha_2) + np.sqrt(bottom**2 - (top * np.sin(alpha_2)) ** 2)
+        return np.column_stack([length, alpha_1, ticks["applied_1"], ticks["applied_2"]])
 
     def _measured_pose(self, ticks: TickTable) -> HopperPose:
         yaw = ticks["boom_horizontal"] * tau / self._sensors.boom_counts_horizontal

@@ -25,6 +25,8 @@ _PLANE, _HFIELD, _SPHERE, _CAPSULE, _CYLINDER = (
 _DRAWN_GROUPS = 3
 """Geoms of the first groups are drawn, as in MuJoCo's viewer."""
 
+_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
 _JOINT_UNITS = {int(mujoco.mjtJoint.mjJNT_SLIDE): "m", int(mujoco.mjtJoint.mjJNT_HINGE): "rad"}
 
 
@@ -59,6 +61,7 @@ class MjcfKinematics(Kinematics):
         drawn = [geom for geom in range(self._model.ngeom) if _is_drawn(self._model, geom)]
         self._ends = {name: end for geom in drawn for name, end in _ends(self._model, geom).items()}
         self._feet = tuple(name for name, end in self._ends.items() if _can_touch(self._model, end.geom))
+        self._signals = _signals(self._model)
         self._links = tuple(link for geom in drawn for link in _links(self._model, geom, self._data.geom_xpos[geom, 1]))
 
     @property
@@ -67,7 +70,8 @@ class MjcfKinematics(Kinematics):
         linked = {link.start for link in self._links} | {link.end for link in self._links}
         points = {"body": 0.0} | {name: 0.0 if name in linked else end.radius for name, end in self._ends.items()}
         height = "height" if "height" in self._robot.space.state_names else ""
-        return Scene(points, self._links, "body", self._feet, height)
+        signals = dict(self._signals.values())
+        return Scene(points, self._links, "body", self._feet, height, signals=signals)
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -91,7 +95,9 @@ class MjcfKinematics(Kinematics):
         feet = [1 + ends.index(foot) for foot in self._feet]
         radii = np.array([self._ends[foot].radius for foot in self._feet])
         touching = positions[:, feet, 2] - radii < TOUCHING_DISTANCE
-        return Motion(ticks["time"], ticks["step"], positions, touching.astype(float), np.zeros(len(ticks)))
+        signals = np.array([ticks[column] for column in self._signals]).reshape(-1, len(ticks)).T
+        ground = np.zeros(len(ticks))
+        return Motion(ticks["time"], ticks["step"], positions, touching.astype(float), ground, signals)
 
     def at_section(self, state: Array) -> Array:
         """Positions after `MjcfRobot.place`."""
@@ -114,6 +120,17 @@ def tick_units(model: Any) -> dict[str, str]:
         name, unit = model.joint(number).name or number, _JOINT_UNITS.get(int(model.jnt_type[number]), "")
         units |= {f"qpos_{name}{f'_{index}' if size > 1 else ''}": unit for index in range(size)}
     return units | {f"ctrl_{model.actuator(number).name or number}": "" for number in range(model.nu)}
+
+
+def _signals(model: Any) -> dict[str, tuple[str, str]]:
+    """Name and unit of each signal, by its column: positions of the joints that are driven, and control signals."""
+    units = tick_units(model)
+    driven = model.actuator_trnid[np.isin(model.actuator_trntype, _JOINT_TRANSMISSIONS), 0]
+    joints = [model.joint(int(number)).name or number for number in driven]
+    actuators = [model.actuator(number).name or number for number in range(model.nu)]
+    columns = {f"qpos_{joint}": f"position of {joint}" for joint in joints}
+    columns |= {f"ctrl_{actuator}": f"control of {actuator}" for actuator in actuators}
+    return {column: (name, units[column]) for column, name in columns.items() if column in units}
 
 
 def tick_row(data: Any) -> Sequence[float]:
