@@ -1,8 +1,12 @@
 """Bounded least squares: damped Gauss–Newton steps from a start, for one problem and for many at once.
 
 The point sought lies within a box; a vector-valued function is zero or of least norm there. Each step minimises
-the norm of the linearised function within the box (`box_step`, `box_steps`), with Levenberg's damping after a step
-that did not help. Broyden's rank-one updates keep the Jacobian, because a new one costs several evaluations.
+the norm of the linearised function within the box (`box_step`, `box_steps`), with Levenberg's damping. Broyden's
+rank-one updates keep the Jacobian, because a new one costs several evaluations.
+
+Far from zero the squared norm has a curvature that the linearised function lacks. `minimise` estimates it as the weight
+of the damping with which the model would have predicted the last trial, a scalar form of the secant estimates of
+Dennis, Gay and Welsch (An adaptive nonlinear least-squares algorithm, 1981). Near a zero that weight vanishes.
 
 `minimise` solves one problem and evaluates the Jacobian again where the updated one is poor. `minimise_many` takes
 the steps of many problems together, so that each round is one large batch of evaluations, and never evaluates the
@@ -36,7 +40,11 @@ NEARBY = 1e-3
 MOST_TRIALS = 25
 MOST_ROUNDS = 20
 MOST_DAMPING = 1e4
+"""A search ends with a larger damping, relative to the squared norm of the Jacobian."""
 LEAST_DAMPING = 1e-2
+"""Damping after a trial without a value, relative to the squared norm of the Jacobian; it grows eightfold with each."""
+NO_DAMPING = 1e-6
+"""A smaller damping is neglected, relative to the squared norm of the Jacobian."""
 ACCEPTED = 1e-4
 """A step is taken if the squared norm falls by this fraction of what was expected."""
 (_gesv,) = get_lapack_funcs(("gesv",), dtype=np.float64)
@@ -80,41 +88,38 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float,
     if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
         return Solution(point, float(norms(value)), converged=False)
     for _ in range(MOST_TRIALS):
-        cost = _square(value)
-        if cost <= TOLERANCE**2 or damping > MOST_DAMPING:
+        cost, size = _square(value), float(np.sum(matrix**2))
+        if cost <= TOLERANCE**2 or damping > MOST_DAMPING * size:
             break
-        weight = damping * np.sum(matrix**2) if damping else 0.0
-        step = box_step(matrix, value, -bound - point, bound - point, weight)
+        damping = damping if damping > NO_DAMPING * size else 0.0
+        step = box_step(matrix, value, -bound - point, bound - point, damping)
         change = matrix @ step
-        expected = cost - _square(value + change)
+        expected = cost - _square(value + change) - damping * _square(step)
         if expected <= improvement * cost:
             if _is_near(point, origin):
                 return Solution(point, float(norms(value)), converged=True)
-            matrix, origin, damping = _renewed(jacobian, point, matrix), point, 0.0
+            matrix, origin = _renewed(jacobian, point, matrix), point
             continue
         trial = function(point + step)
+        if not np.isfinite(trial).all():
+            damping = max(8 * damping, LEAST_DAMPING * size)
+            continue
         if cost - _square(trial) <= ACCEPTED * expected and cost > REACHED**2:
             fraction = _least_on_parabola(cost, 2 * float(value @ change), _square(trial))
             shorter = function(point + fraction * step)
             if _square(shorter) < cost:
                 step, change, trial = fraction * step, fraction * change, shorter
                 expected = cost - _square(value + change)
-        failed = not np.isfinite(trial).all()
-        gain = -np.inf if failed else cost - _square(trial)
-        if not failed:
-            matrix = matrix + (trial - value - change)[:, None] * (step / (step @ step))
-        before = point
+        gain = cost - _square(trial)
+        damping = max(0.0, (_square(trial) - _square(value + change)) / _square(step))
+        matrix = matrix + (trial - value - change)[:, None] * (step / _square(step))
+        stays_near = _is_near(point, origin)
         if gain > ACCEPTED * expected:
             point, value = point + step, trial
         elif cost <= REACHED**2:
             break
-        if gain > 0.75 * expected:
-            damping = damping / 8 if damping > LEAST_DAMPING else 0.0
-        elif gain < 0.25 * expected:
-            if failed or _is_near(before, origin):
-                damping = max(8 * damping, LEAST_DAMPING)
-            else:
-                matrix, origin = _renewed(jacobian, point, matrix), point
+        if gain < 0.25 * expected and not stays_near:
+            matrix, origin = _renewed(jacobian, point, matrix), point
     distance = float(norms(value))
     return Solution(point, distance, converged=distance <= REACHED)
 
@@ -172,8 +177,9 @@ def box_step(matrix: Array, value: Array, lower: Array, upper: Array, damping: f
         damping: Not negative.
     """
     k = len(lower)
-    if damping == 0.0 and matrix.shape == (k, k):
-        _, _, step, failure = _gesv(matrix, -value)
+    if damping or matrix.shape == (k, k):
+        normal = (matrix.T @ matrix + damping * np.eye(k), -matrix.T @ value) if damping else (matrix, -value)
+        _, _, step, failure = _gesv(*normal)
         if not failure and ((lower <= step) & (step <= upper)).all():
             return step
     matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(k)])
