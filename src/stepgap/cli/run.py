@@ -257,11 +257,12 @@ def _execute(
     ready: Prepared, plants: "Plants", recorder: "TickRecorder", live: "LiveView | None", display: Display
 ) -> None:
     """Runs the experiment and displays its progress."""
+    from stepgap.base.settled_heap import settled_heap
     from stepgap.cli.progress import RunProgress, printing_events
     from stepgap.experiment.loop import run_experiment
 
     space, learning = ready.nominal.map.space, ready.settings.learning
-    with RunProgress(space, len(ready.reference), learning.iterations, display.quiet) as progress:
+    with RunProgress(space, len(ready.reference), learning.iterations, display.quiet) as progress, settled_heap():
         observer = printing_events(progress.observer, space) if display.json else progress.observer
         observer = recorder.observing(observer)
         run_experiment(
