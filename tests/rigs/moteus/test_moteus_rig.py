@@ -119,7 +119,7 @@ def test_it_can_be_connected_again(bench: tuple[Controllers, MoteusRig]) -> None
     ids=["one", "two", "three"],
 )
 def test_missing_answers_are_tolerated_within_the_limit(mute: dict[int, set[int]], survives: bool) -> None:
-    settings = fresh(replace(SETTINGS, reply_timeout=0.04))
+    settings = fresh()
     with emulated(settings, Recorder()) as controllers, hopper_on_moteus(settings, ROBOT) as rig:
         controllers.mute = mute
         ticks, message = ticks_until_fault(rig, 15)
