@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import openturns as ot
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -64,6 +63,8 @@ def central_difference(function: Callable[[Array], Any], at: Array, step: Array)
 
 class TestAtFixedHyperParameters:
     def test_agrees_with_openturns(self) -> None:
+        import openturns as ot  # takes long, and few of the processes that share the tests need it
+
         points, values = sample(60)
         queries, _ = sample(25, seed=1)
         process = condition(points, values, SCALE, FIXED)
@@ -147,6 +148,8 @@ class TestAtFixedHyperParameters:
         np.testing.assert_allclose(process.std(queries), std, rtol=1e-8)
 
     def test_with_wide_slopes_it_agrees_with_the_linear_basis_of_openturns(self) -> None:
+        import openturns as ot  # takes long, and few of the processes that share the tests need it
+
         points, values = sample(60)
         queries, _ = sample(25, seed=1)
         process = condition(points, values, SCALE, replace(FIXED, slope_std=100.0))

@@ -6,18 +6,17 @@ Only the robot's parameters are shared with `stepgap.robots.hopper.dynamics`.
 from functools import cache
 
 import numpy as np
-import sympy as sp
 
 from stepgap.robots.hopper import RobotParameters
-
-Q = sp.symbols("x y a1 a2")
-QD = sp.symbols("xd yd a1d a2d")
 
 
 @cache
 def oracle(robot: RobotParameters):
     """Functions of (q, qd): mass matrix, bias N, foot Jacobian J, J̇q̇, energy; and foot position of q."""
-    x, y, a1, a2 = Q
+    import sympy as sp  # takes long, and few of the processes that share the tests need it
+
+    positions = x, y, a1, a2 = sp.symbols("x y a1 a2")
+    rates = sp.symbols("xd yd a1d a2d")
 
     def along(angle):
         return sp.Matrix([sp.sin(angle), -sp.cos(angle)])
@@ -32,11 +31,11 @@ def oracle(robot: RobotParameters):
         links.append((knee + robot.bottom_com * along(bottom), bottom, robot.bottom_mass, robot.bottom_inertia))
         foot = knee + (robot.bottom_length + robot.foot_length) * along(bottom)  # the rear knee's comes last
 
-    q, qd = sp.Matrix(Q), sp.Matrix(QD)
+    q, qd = sp.Matrix(positions), sp.Matrix(rates)
     boom_x = robot.boom_inertia_horizontal / robot.boom_length**2
     boom_y = robot.boom_inertia_vertical / robot.boom_length**2
     half = sp.Rational(1, 2)
-    kinetic = half * ((robot.body_mass + boom_x) * QD[0] ** 2 + (robot.body_mass + boom_y) * QD[1] ** 2)
+    kinetic = half * ((robot.body_mass + boom_x) * rates[0] ** 2 + (robot.body_mass + boom_y) * rates[1] ** 2)
     potential = robot.body_mass * robot.gravity * y
     for position, angle, mass, inertia in links:
         velocity = position.jacobian(q) * qd
@@ -49,7 +48,7 @@ def oracle(robot: RobotParameters):
     bias = momentum.jacobian(q) * qd - sp.Matrix([kinetic - potential]).jacobian(q).T
     jacobian = foot.jacobian(q)
     drift = (jacobian * qd).jacobian(q) * qd
-    arguments = [*Q, *QD]
+    arguments = [*positions, *rates]
     functions = [
         sp.lambdify(arguments, expression, "numpy", cse=True)
         for expression in (mass_matrix, bias, jacobian, drift, kinetic + potential, foot)
