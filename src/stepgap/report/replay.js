@@ -179,7 +179,7 @@
     const decimals = Math.max(0, Math.ceil(-Math.log10(range / 4)));
     for (const value of roundValues(low, low + range, 4)) {
       stroke("#ddd", 1, [[left, y(value)], [right, y(value)]]);
-      pen.fillText(value.toFixed(decimals).replace("-", "\u2212"), left - 6, y(value));
+      pen.fillText(written(value, decimals), left - 6, y(value));
     }
     pen.textAlign = "center";
     pen.textBaseline = "top";
@@ -196,8 +196,8 @@
     stroke("#000", 1, [[x(frame), top], [x(frame), bottom]]);
     legend.replaceChildren(...rows.map((row, i) => {
       const entry = document.createElement("span"), mark = document.createElement("i");
-      mark.style.background = COLOURS[i % COLOURS.length];
-      entry.append(mark, `${data.signals[row][0]} ${motion.signals[row][frame].toFixed(decimals + 1).replace("-", "\u2212")} ${unit}`);
+      mark.style.borderColor = COLOURS[i % COLOURS.length];
+      entry.append(mark, `${data.signals[row][0]} ${written(motion.signals[row][frame], decimals + 1)} ${unit}`);
       return entry;
     }));
   }
@@ -210,10 +210,16 @@
     return values;
   }
 
+  // A number with a minus sign; zero has none.
+  function written(value, decimals) {
+    const digits = value.toFixed(decimals);
+    return Number(digits) === 0 ? (0).toFixed(decimals) : digits.replace("-", "\u2212");
+  }
+
   function named(values, quantities) {
     return values.map((value, i) => {
       const [name, unit, decimals] = quantities[i];
-      return `${name} ` + (value === null ? "unknown" : `${value.toFixed(decimals).replace("-", "\u2212")} ${unit}`.trim());
+      return `${name} ` + (value === null ? "unknown" : `${written(value, decimals)} ${unit}`.trim());
     }).join(", ");
   }
 
