@@ -10,9 +10,9 @@ from stepgap.step import Array
 @pytest.mark.parametrize("start", [-0.3, 0.1, 0.4])
 @pytest.mark.parametrize("curvature", [-1.5, -2.0, -4.0, -8.0])
 def test_a_minimum_is_found_from_which_gauss_newton_diverges(curvature: float, start: float) -> None:
-    """The norm of (x + 1, λx² + x − 1) is least at 0; for λ < −1 undamped steps lead away from there.
+    """The norm of (x + 1, λx² + x − 1) is least at 0 for λ < 1.
 
-    The example is that of Fletcher, Practical Methods of Optimization, Sec. 6.1.
+    Near there an undamped step leads from x to λx, because Jᵀr ≈ 2 (1 − λ) x and JᵀJ ≈ 2.
     """
     evaluations = 0
 
