@@ -94,7 +94,8 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float,
         damping = damping if damping > NO_DAMPING * size else 0.0
         step = box_step(matrix, value, -bound - point, bound - point, damping)
         change = matrix @ step
-        expected = cost - _square(value + change) - damping * _square(step)
+        linear = _square(value + change)
+        expected = cost - linear - damping * _square(step)
         if expected <= improvement * cost:
             if _is_near(point, origin):
                 return Solution(point, float(norms(value)), converged=True)
@@ -109,9 +110,10 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float,
             shorter = function(point + fraction * step)
             if _square(shorter) < cost:
                 step, change, trial = fraction * step, fraction * change, shorter
-                expected = cost - _square(value + change)
+                linear = _square(value + change)
+                expected = cost - linear
         gain = cost - _square(trial)
-        damping = max(0.0, (_square(trial) - _square(value + change)) / _square(step))
+        damping = max(0.0, (_square(trial) - linear) / _square(step))
         matrix = matrix + (trial - value - change)[:, None] * (step / _square(step))
         stays_near = _is_near(point, origin)
         if gain > ACCEPTED * expected:

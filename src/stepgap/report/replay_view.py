@@ -69,7 +69,9 @@ def _legend(height: bool, signals: bool) -> str:
         " Dashed: target height at the end of the step. Circles: measured heights at the ends of steps; bars: their "
         "targets."
     )
-    curves = f" Curves: the step that is shown, one value every {1000 * INTERVAL:g} ms; shorter peaks may be missing."
+    curves = (
+        f" Curves: the step that is shown, with at most {1 / INTERVAL:g} values per second; short peaks may be missing."
+    )
     return (
         "Drag to rotate; the keys ← and → move by one frame. A foot is filled while it touches the ground."
         f"{marks if height else ''}{curves if signals else ''} The motion was measured by the sensors of the robot; "

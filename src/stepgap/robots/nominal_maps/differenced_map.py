@@ -10,7 +10,7 @@ from stepgap.robots.nominal_maps.smoothness import STEPS, suitable_step
 from stepgap.step import Array, Outcome, StepMap, StepSpace, difference_jacobian
 
 MOST_EVALUATIONS = 400
-"""Number of evaluations for the choice of a step, unless the coordinates are so many that it takes more."""
+"""Number of evaluations for the choice of a step, unless the number of coordinates requires more."""
 
 COMPARED_POINTS = 3, 12
 """Smallest and largest number of points at which slopes are compared."""
