@@ -64,7 +64,7 @@ class RunProgress:
     @property
     def observer(self) -> Observer:
         """Observer whose callbacks update the display."""
-        return Observer(self._on_step, self._on_deployment, self._on_fault, self._show)
+        return Observer(self._on_step, self._on_deployment, self._on_fault, self._show, self._on_outliers)
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -104,6 +104,11 @@ class RunProgress:
                 f"{deployment.steps} {'step' if deployment.steps == 1 else 'steps'}{end}{error}",
                 soft_wrap=True,  # without a terminal, do not wrap lines
             )
+
+    def _on_outliers(self, count: int) -> None:
+        if count and not self._quiet:
+            steps = "step with an improbable error is" if count == 1 else "steps with improbable errors are"
+            self._console.print(f"{count} {steps} not learned from (learning.reject_outliers)", soft_wrap=True)
 
     def _on_fault(self, message: str) -> None:
         if not self._quiet:

@@ -71,6 +71,7 @@ def describe_fit_data(data: FitData, folds: Folds) -> str:
             f"nominal     {data.nominal}",
             f"held out    {folds.count} {parts}, one at a time",
             f"disturbance {_disturbance(data)}",
+            f"outliers    {'not learned from' if data.learning.reject_outliers else 'learned from, as other steps'}",
         ]
     )
 

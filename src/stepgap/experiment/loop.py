@@ -48,12 +48,14 @@ class Observer:
         on_fault: Called with the plant's message about a deployment that was aborted.
         on_phase: Called with the name of what is done between deployments, and its progress (done, total); the total is
             0 where it is not known.
+        on_outliers: Called before a deployment with the number of recorded steps that are not learned from.
     """
 
     on_step: Callable[[LoggedStep], None] = lambda logged: None
     on_deployment: Callable[[Deployment], None] = lambda deployment: None
     on_fault: Callable[[str], None] = lambda message: None
     on_phase: Callable[[str, int, int], None] = lambda name, done, total: None
+    on_outliers: Callable[[int], None] = lambda count: None
 
 
 def run_experiment(
@@ -103,6 +105,7 @@ def run_experiment(
             iteration = len(deployments)
             observer.on_phase("learning", 0, 0)
             learner = Learner.start(nominal, past + log, learning, iteration)
+            observer.on_outliers(len(learner.residual.outliers))
             if iteration > 0 or len(past):
                 write_model(folder, learner.iteration, learner.residual, nominal)
             execute = partial(_execute, learner, make_plant, reference, seed, observer, control)

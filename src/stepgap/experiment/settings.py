@@ -43,7 +43,12 @@ FROM_TEMPLATE, FROM_LOG = "template", "log"
 """Kinds of nominal map that every robot has, each with a file."""
 
 PAPER_LEARNING = LearningSettings(
-    residual="fitrgp", early_stop=False, drift=False, remove_yaw_dependence=False, monitor=False
+    residual="fitrgp",
+    early_stop=False,
+    drift=False,
+    remove_yaw_dependence=False,
+    reject_outliers=False,
+    monitor=False,
 )
 PAPER_CONTROL = ControlSettings(cautious=False, viability=False, avoid_failures=False)
 METHODS: Mapping[str, tuple[LearningSettings, ControlSettings]] = {

@@ -10,6 +10,7 @@ from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.disturbance import DisturbanceFilter
 from stepgap.learning.observations import error_of, history_after, next_history, observe
+from stepgap.learning.outliers import is_improbable
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
@@ -87,6 +88,8 @@ class Learner:
         steps_to_learn: Number of further steps of this deployment that will be learned from.
         disturbance: Estimate of the error that depends on time and yaw, not on state and command.
         monitor: Comparison of the correction with the nominal map.
+        outliers: Deployment and number of each step of this deployment that was an outlier when it was executed.
+        improbable: Whether the error of the latest step was improbable.
         refit: The fit that is running, if there is one.
         refit_from: Number of known steps from which the next fit may begin.
     """
@@ -101,6 +104,8 @@ class Learner:
     steps_to_learn: float
     disturbance: DisturbanceFilter
     monitor: Monitor
+    outliers: tuple[tuple[int, int], ...]
+    improbable: bool
     refit: Refit | None
     refit_from: float
 
@@ -135,6 +140,8 @@ class Learner:
             steps_to_learn=settings.steps_to_learn(iteration),
             disturbance=DisturbanceFilter.initial(len(space.state)),
             monitor=Monitor(),
+            outliers=(),
+            improbable=False,
             refit=None,
             refit_from=max(1.0, REFIT_GROWTH * len(log)),
         )
@@ -178,15 +185,24 @@ class Learner:
         residual, scale = self.residual, self.nominal.space.state_scale
         remaining = error - residual.mean(point)
         innovation = remaining - self.disturbance.offset(self.yaw)  # of the deployed correction, with its offset
-        filtered = self.settings.drift and residual.kind != "none"
-        learner = replace(
-            learner,
-            monitor=self.monitor.updated(error / scale, innovation / scale),
-            disturbance=self.disturbance.updated(remaining, self.yaw) if filtered else self.disturbance,
-        )
+        improbable = self._is_improbable(innovation, residual.std(point))
+        monitor = self.monitor.updated(error / scale, innovation / scale)
+        learner = replace(learner, improbable=improbable, monitor=monitor)
+        if improbable and not self.improbable:
+            return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
+        if self.settings.drift and residual.kind != "none":
+            learner = replace(learner, disturbance=self.disturbance.updated(remaining, self.yaw))
         if self.steps_to_learn > 0:
             learner = learner._updated(self.history, point, error)
         return learner._with_refit()
+
+    def _is_improbable(self, innovation: Array, std: Array) -> bool:
+        """Whether a step is improbable, given its innovation and the standard deviation of the residual (n,)."""
+        residual, scale = self.residual, self.nominal.space.state_scale
+        if not self.settings.reject_outliers or residual.kind == "none":
+            return False
+        total = np.sqrt(std**2 + (1 + self.disturbance.std(self.yaw) ** 2) * residual.noise_std**2)
+        return is_improbable(innovation / scale, total / scale, len(residual.regressions[0].points))
 
     def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
         """Learns a step: it updates the present residual or that of a fit that is due, or ends with a fit to all."""

@@ -30,6 +30,7 @@ class Observations:
         history: History of each step; shape (N, 2n + m + 1). None: only the order of the steps is known.
         yaw: Yaw at which each step started [rad], NaN where it is unknown; shape (N,). None: all are unknown.
         deployment: Number of the deployment of each step; shape (N,). None: all belong to one.
+        number: Number of each step in its deployment; shape (N,). None: they are consecutive, from 0.
 
     Raises:
         ValueError: A wrong shape, or a number that is not finite.
@@ -42,6 +43,7 @@ class Observations:
     history: Array | None = None
     yaw: Array | None = None
     deployment: Labels | None = None
+    number: Labels | None = None
 
     def __post_init__(self) -> None:
         state, command = self.space.state_names, self.space.command_names
@@ -51,15 +53,28 @@ class Observations:
         if self.history is not None:
             errors = (f"error of {name}" for name in state)
             _check_rows(self.history, "history", (*errors, *command, *state, "steps before"))
-        parts = (self.state, self.command, self.error, self.history, self.yaw, self.deployment)
+        parts = (self.state, self.command, self.error, self.history, self.yaw, self.deployment, self.number)
         sizes = [len(part) for part in parts if part is not None]
         if len(set(sizes)) != 1:
             raise ValueError(
-                f"states, commands, errors, histories, yaws and deployments must have one length, not {sizes}"
+                f"states, commands, errors, histories, yaws, deployments and numbers must have one length, not {sizes}"
             )
 
     def __len__(self) -> int:
         return len(self.state)
+
+    def selected(self, rows: Labels) -> "Observations":
+        """Returns the observations in some rows, given by ascending indices."""
+        optional = ("history", "yaw", "deployment", "number")
+        known = {name: part[rows] for name in optional if (part := getattr(self, name)) is not None}
+        return Observations(self.space, self.state[rows], self.command[rows], self.error[rows], **known)
+
+    @property
+    def labels(self) -> Labels:
+        """Deployment and number of each step; shape (N, 2)."""
+        deployment = np.zeros(len(self), np.intp) if self.deployment is None else self.deployment
+        number = np.arange(len(self)) if self.number is None else self.number
+        return np.stack([deployment, number], axis=1)
 
     def points(self, history_inputs: HistoryInputs) -> Array:
         """State, command and history inputs; shape (N, n + m + c)."""
@@ -85,8 +100,8 @@ def observe(log: StepLog, nominal: StepMap) -> Observations:
     before = np.where(log.follows[:, None], np.roll(lagged, 1, axis=0), 0.0)
     history = np.hstack([before, np.arange(float(len(log)))[:, None]])
     known = np.isfinite(error).all(axis=1)
-    rows = log.state[known], log.requested[known], error[known], history[known], log.yaw[known], log.deployment[known]
-    return Observations(nominal.space, *rows)
+    rows = log.state[known], log.requested[known], error[known], history[known], log.yaw[known]
+    return Observations(nominal.space, *rows, log.deployment[known], log.number[known])
 
 
 def next_history(log: StepLog, nominal: StepMap, iteration: int) -> Array:

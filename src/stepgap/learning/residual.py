@@ -60,6 +60,7 @@ class Residual:
         command_size: m.
         history_inputs: Which c inputs there are besides state and command.
         history_values: The values of those c inputs; None until they are known.
+        outliers: Deployment and number of each step to which it was not fitted because it is an outlier.
     """
 
     model: ResidualModel
@@ -67,6 +68,7 @@ class Residual:
     command_size: int
     history_inputs: HistoryInputs = HistoryInputs()
     history_values: Array | None = None
+    outliers: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         n, m = self.sizes
@@ -152,6 +154,7 @@ class Residual:
             "lagged_inputs": self.history_inputs.lagged_inputs,
             "forgetting_time": self.history_inputs.forgetting_time if self.history_inputs.timed else None,
             "regressions": [regression.to_dict() for regression in self.regressions],
+            "outliers": [list(label) for label in self.outliers],
         }
 
     def _inputs(self, point: ArrayLike) -> Array:

@@ -2,16 +2,19 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import inf
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stepgap.base.json_data import integer, number
+from stepgap.base.json_data import integer, number, numbers
 from stepgap.base.normal import log_density
 from stepgap.learning.disturbance import without_yaw_dependence
 from stepgap.learning.entry_points import load_residual_model, residual_models
 from stepgap.learning.observations import Observations
+from stepgap.learning.outliers import LEAST_KNOWN, MOST_OUTLIERS, outliers_among
 from stepgap.learning.regression import Regression, ResidualModel, TrainingData
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
 from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs, LearningSettings
@@ -67,17 +70,39 @@ def fit_residual(
 def learned_residual(
     observations: Observations, settings: LearningSettings, present: int, start: Residual | None = None
 ) -> Residual:
-    """Fits the residual of the settings as a deployment does: without the yaw-dependent part of the errors, if wanted.
+    """Fits the residual of the settings as a deployment does.
+
+    If the settings want it, outliers are left out, and so is the yaw-dependent part of the errors.
 
     Args:
         observations: Observations to learn from; if there are none, the residual is zero.
-        settings: Which residual model is used, and whether the yaw-dependent part is removed.
+        settings: Which residual model is used, and what is left out.
         present: Number of the deployment that is running, from whose errors nothing is removed.
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
 
     Raises:
         InputError: There is no model of this name, or it cannot be used.
     """
+    residual = _learned_residual(observations, settings, present, start)
+    if not settings.reject_outliers:
+        return residual
+    kept, without_outliers = np.arange(len(observations)), residual
+    while len(kept) >= LEAST_KNOWN and without_outliers.kind != "none":
+        outliers = _outliers_of(without_outliers, observations.selected(kept))
+        if not outliers.any():
+            break
+        kept = kept[~outliers]
+        if len(kept) < (1 - MOST_OUTLIERS) * len(observations):
+            return residual
+        without_outliers = _learned_residual(observations.selected(kept), settings, present, without_outliers)
+    left_out = np.delete(observations.labels, kept, axis=0)
+    return replace(without_outliers, outliers=tuple((int(deployment), int(number)) for deployment, number in left_out))
+
+
+def _learned_residual(
+    observations: Observations, settings: LearningSettings, present: int, start: Residual | None
+) -> Residual:
+    """Fits the residual of the settings to all observations, which may include outliers."""
     kind = settings.residual if len(observations) else "none"
     if settings.remove_yaw_dependence and kind != "none":
         cleaned = without_yaw_dependence(observations, present)
@@ -86,6 +111,17 @@ def learned_residual(
             return residual
         kind = "none"  # without a correction no disturbance is estimated: it counts as noise
     return fit_residual(kind, observations, settings.lagged_inputs, settings.forgetting_time, start)
+
+
+def _outliers_of(residual: Residual, observations: Observations) -> NDArray[np.bool_]:
+    """Which of the steps that a residual was fitted to are outliers, each predicted from the others; shape (N,)."""
+    labels, scale = observations.labels, observations.space.state_scale
+    each = [slice(row, row + 1) for row in range(len(labels))]
+    predictions = [regression.left_out(each) for regression in residual.regressions]
+    error = [one.values - predicted.mean for one, predicted in zip(residual.regressions, predictions, strict=True)]
+    same, next_one = np.diff(labels, axis=0, prepend=labels[:1]).T
+    std = np.stack([predicted.std for predicted in predictions], axis=1)
+    return outliers_among(np.stack(error, axis=1) / scale, std / scale, (same == 0) & (next_one == 1))
 
 
 def held_out_score(residual: Residual, observations: Observations, folds: int = SELECTION_FOLDS) -> float:
@@ -127,7 +163,11 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     regressions = tuple(_regression(model, item, f"regressions[{i}]") for i, item in enumerate(saved))
     forgetting_time = inf if data.get("forgetting_time", 0) is None else number(data, "forgetting_time")
     history_inputs = HistoryInputs(data.get("lagged_inputs"), forgetting_time)  # pyright: ignore[reportArgumentType] it checks them
-    return Residual(model, regressions, integer(data, "command_size"), history_inputs)
+    labels = numbers(data, "outliers", 2) if data.get("outliers") else np.empty((0, 2))
+    if labels.shape[1] != 2:
+        raise ValueError("outliers must be pairs of the numbers of a deployment and a step")
+    outliers = tuple((int(deployment), int(step)) for deployment, step in labels)
+    return Residual(model, regressions, integer(data, "command_size"), history_inputs, outliers=outliers)
 
 
 def names_without_lagged_inputs() -> tuple[str, ...]:

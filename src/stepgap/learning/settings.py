@@ -37,6 +37,7 @@ class LearningSettings:
         drift: Whether a correction is shifted during a deployment by its recent errors and those near the same yaw.
         remove_yaw_dependence: Whether the yaw-dependent part of the errors of earlier deployments is removed before a
             residual is fitted to them.
+        reject_outliers: Whether single steps with improbable errors, such as those of a push, are not learned from.
         monitor: Whether a correction that predicted the latest steps worse than the nominal map is not used.
         online: Whether to learn after every step, from the first one on.
         exploration: Number of steps before the first deployment's tracking whose commands are the most informative.
@@ -50,6 +51,7 @@ class LearningSettings:
     early_stop: bool = True
     drift: bool = True
     remove_yaw_dependence: bool = True
+    reject_outliers: bool = True
     monitor: bool = True
     online: bool = False
     exploration: int = field(default=0, metadata={FORMER_NAME: "calibration"})

@@ -89,14 +89,18 @@ class StepLog:
     @property
     def follows(self) -> NDArray[np.bool_]:
         """Whether each step directly followed the one before it in this log; shape (N,)."""
-        numbers = self.deployment, np.array([logged.step for logged in self._steps], int)
-        same, next_one = (np.diff(number, prepend=number[:1]) for number in numbers)
+        same, next_one = (np.diff(label, prepend=label[:1]) for label in (self.deployment, self.number))
         return (same == 0) & (next_one == 1)
 
     @property
     def deployment(self) -> NDArray[np.intp]:
         """Number of the deployment that each step belongs to; shape (N,)."""
         return np.array([logged.iteration for logged in self._steps], np.intp)
+
+    @property
+    def number(self) -> NDArray[np.intp]:
+        """Number of each step in its deployment; shape (N,)."""
+        return np.array([logged.step for logged in self._steps], np.intp)
 
     @property
     def state(self) -> Array:

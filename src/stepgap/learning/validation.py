@@ -21,6 +21,7 @@ from scipy.special import stdtrit
 from stepgap.base.normal import INTERVAL_95, log_density
 from stepgap.learning.disturbance import DisturbanceFilter
 from stepgap.learning.observations import Observations
+from stepgap.learning.outliers import is_improbable
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
@@ -257,24 +258,29 @@ def _hold_out(steps: StepTable, folds: Folds, learning: LearningSettings, on_fit
         seconds += perf_counter() - begin
         for deployment in np.unique(steps.deployment[held]):
             rows = held & (steps.deployment == deployment)
-            mean[rows], std[rows] = _predict(residual, steps.selected(rows), learning.drift)
+            mean[rows], std[rows] = _predict(residual, steps.selected(rows), learning)
         on_fit()
     return HeldOut(learning.residual, steps.error, mean, std, seconds / folds.count)
 
 
-def _predict(residual: Residual, steps: StepTable, drift: bool) -> tuple[Array, Array]:
+def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -> tuple[Array, Array]:
     """Means and standard deviations, with noise, of the errors of consecutive steps; shapes (N, n).
 
-    With `drift`, each step is predicted with the disturbance in the steps before it.
+    With `learning.drift`, each step is predicted with the disturbance in the steps before it that are no outliers.
     """
     points = join_points(steps.state, steps.command)
     mean, std = residual.mean(points), residual.std(points, include_noise=True)
-    if not drift or residual.kind == "none":
+    if not learning.drift or residual.kind == "none":
         return mean, std
     yaw = np.full(len(steps), np.nan) if steps.yaw is None else steps.yaw
     disturbance = DisturbanceFilter.initial(mean.shape[1])
-    remaining, offset, offset_std = steps.error - mean, np.empty_like(mean), np.empty_like(mean)
+    remaining, offset, total = steps.error - mean, np.empty_like(mean), np.empty_like(mean)
+    known, scale, improbable = len(residual.regressions[0].points), steps.space.state_scale, False
     for row in range(len(steps)):
-        offset[row], offset_std[row] = disturbance.offset(yaw[row]), disturbance.std(yaw[row])
-        disturbance = disturbance.updated(remaining[row], yaw[row])
-    return mean + offset, np.hypot(std, offset_std * residual.noise_std)
+        offset[row] = disturbance.offset(yaw[row])
+        total[row] = np.hypot(std[row], disturbance.std(yaw[row]) * residual.noise_std)
+        before, innovation = improbable, remaining[row] - offset[row]
+        improbable = learning.reject_outliers and is_improbable(innovation / scale, total[row] / scale, known)
+        if before or not improbable:
+            disturbance = disturbance.updated(remaining[row], yaw[row])
+    return mean + offset, total

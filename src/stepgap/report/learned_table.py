@@ -1,5 +1,6 @@
 """Tables of the learned residual: its parameters with units, and the coverage of its 95 % intervals."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -35,8 +36,21 @@ def learned_sentences(record: RunRecord, learned: LearnedResidual | None) -> lis
     return [
         f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of the "
         f"previous {learned.steps} steps; the yaw-dependent part of the error was removed where it was significant.",
+        *_outliers(learned.residual.outliers),
         *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]
+
+
+def _outliers(outliers: Sequence[tuple[int, int]]) -> list[str]:
+    """Sentence on the steps that were not learned from, if there are any."""
+    if not outliers:
+        return []
+    by_deployment = {
+        deployment: [str(step) for other, step in outliers if other == deployment] for deployment, _ in outliers
+    }
+    lists = [f"{', '.join(steps)} of deployment {deployment}" for deployment, steps in by_deployment.items()]
+    verb = "has a single, improbable error and was" if len(outliers) == 1 else "have single, improbable errors and were"
+    return [f"{'Step' if len(outliers) == 1 else 'Steps'} {'; '.join(lists)} {verb} not learned from."]
 
 
 def learned_tables(record: RunRecord, learned: LearnedResidual | None) -> str:

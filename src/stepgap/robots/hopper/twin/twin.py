@@ -293,6 +293,10 @@ class Twin(CompiledRig):
         self._bind()
         self._set_floor_yaw(self._floor_yaw)
 
+    def push(self, speed: float) -> None:
+        """Changes the horizontal speed of the hip at once [m/s], as a short push does."""
+        self._data.qvel[0] += speed / (self._sensor_model.boom_length if self._gap.boom_arc else 1.0)
+
     def close(self) -> None:
         """Switches torque off; the twin can be connected again."""
         self._torque_off()
