@@ -59,11 +59,12 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     assert "held out    10 contiguous blocks, one at a time" in lines
     assert lines[-3:] == ["fit.json", "fit.png", "model.json"]
     sentences = dict(line.split(":", 1) for line in lines if line.startswith(("v:", "y:", "all together:")))
-    assert "constant is better than none by" in sentences["v"]
-    assert "no residual is better than the constant: nothing more to learn" in sentences["v"]
-    assert "nothing to learn: no residual is significantly better than none" in sentences["y"]
+    assert "smaller than without learning; no difference from the error of a constant correction" in sentences["v"]
+    assert "no difference from the error without learning is shown" in sentences["y"]
     report = json.loads(Path("fit.json").read_text())
-    assert report["best"] == {"v": "constant", "y": "none", "all": "constant"}
+    assert report["best"] == "constant"
+    assert sum(weights["v"] for weights in report["weights"].values()) == pytest.approx(1)
+    assert report["gain_over"]["v"]["none"]["value"] == pytest.approx(0.8, abs=0.1)
     assert report["verdict"]["v"] == sentences["v"].strip()
     assert [entry["kind"] for entry in report["residuals"]] == ["none", "constant", "gp"]
     constant = report["residuals"][1]
@@ -72,6 +73,18 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     assert Path("fit.png").read_bytes().startswith(b"\x89PNG")
     residual = residual_from_dict(json.loads(Path("model.json").read_text()))
     np.testing.assert_allclose(residual.mean(np.zeros((1, 4))), [[0.5, 0]], atol=0.06)
+
+
+def test_residuals_are_fitted_to_some_logs_and_scored_on_others(stepgap: Command) -> None:
+    write_log(Path("log.csv"), 0.5)
+    write_log(Path("other.csv"), 0.5, seed=1)
+    result = stepgap("fit", "log.csv", "--test", "other.csv", *FOREIGN, "--out", "fit.json")
+    assert (result.code, result.err) == (0, "")
+    assert "held out    40 steps of other logs" in result.out
+    constant = json.loads(Path("fit.json").read_text())["residuals"][1]
+    assert constant["rmse"]["v"] == pytest.approx(0.1, rel=0.4)
+    refused(stepgap("fit", "log.csv", "--test", "log.csv", *FOREIGN), "log.csv", "one of both")
+    refused(stepgap("fit", "log.csv", "--test", "other.csv", "--folds", 3, *FOREIGN), "--folds")
 
 
 def test_a_run_is_judged_against_the_nominal_map(stepgap: Command) -> None:
@@ -83,8 +96,8 @@ def test_a_run_is_judged_against_the_nominal_map(stepgap: Command) -> None:
     assert "nominal     the robot's nominal map with default settings" in result.out
     assert "held out    2 parts of whole deployments, one at a time" in result.out
     speed, height, _ = result.out.splitlines()[-3:]
-    assert "nothing to learn" in speed
-    assert "constant is better than none by" in height
+    assert "no difference from the error without learning is shown" in speed
+    assert "smaller than without learning" in height
     # The same rows as any CSV, by the names of their columns, without their deployments.
     columns = {"state": "speed,height", "next": "next_speed,next_height", "command": "fx=requested_fx,fy=requested_fy"}
     options = [part for name, text in columns.items() for part in (f"--{name}", text)]

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize
 from scipy.stats import norm, t
 
 from stepgap.learning.learner import Learner
+from stepgap.learning.model_averaging import averaged, correlation_of_successive, residual_weights, stacking_weights
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.learning.step_table import StepTable, tabulate
@@ -19,8 +21,10 @@ from stepgap.learning.validation import (
     Validation,
     contiguous_folds,
     deployment_folds,
+    fit_steps,
     reduction,
     validate,
+    validate_on,
 )
 from stepgap.step import Array, Quantity, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper
@@ -31,6 +35,7 @@ SPACE = StepSpace(
 )
 STATIC = LearningSettings(drift=False, remove_yaw_dependence=False)
 SIMPLE: tuple[str, ...] = ("none", "constant", "gp")
+MIXED = (("none", 0.0, 1.0), ("constant", 0.5, 0.7), ("linear", -0.4, 1.5))
 
 
 def steps_with(truth, count: int, seed: int) -> StepTable:
@@ -227,8 +232,10 @@ def test_no_difference_is_shown_where_the_interval_contains_zero() -> None:
     good, noise = rng.normal(size=(2, 200, 1))
     remaining = {"none": 3 * good, "constant": good, "linear": good + 0.02 * noise, "gp": 2 * good}
     validation = Validation(contiguous_folds(200), {kind: held_out(each) for kind, each in remaining.items()})
-    assert validation.best([0]) == "constant"
-    assert validation.indistinct("constant", [0]) == ["linear"]
+    weights = {kind: float(weight[0]) for kind, weight in residual_weights(validation).items()}
+    assert weights["constant"] + weights["linear"] > 0.9
+    average = reduction(averaged(validation), validation.held_out["constant"], validation.folds.block, [0])
+    assert abs(average.value) <= max(average.half_width, 0.01)
 
 
 def test_an_error_of_zero_cannot_be_reduced() -> None:
@@ -244,20 +251,22 @@ def test_an_error_of_zero_cannot_be_reduced() -> None:
 # What is concluded, where the truth is known
 
 
+def gain(steps: StepTable, other: str) -> Reduction:
+    """Reduction of the error by the averaged prediction, both coordinates together."""
+    validation = validate(SIMPLE, steps, contiguous_folds(60, 5))
+    return reduction(averaged(validation), validation.held_out[other], validation.folds.block, [0, 1])
+
+
 def test_in_noise_there_is_nothing_to_learn() -> None:
-    found = []
-    for seed in range(5):
-        steps = steps_with(lambda state, command: 0 * state, 60, seed)
-        found.append(validate(SIMPLE, steps, contiguous_folds(60, 5)).best([0, 1]))
-    assert found.count("none") >= 4
+    found = [gain(steps_with(lambda state, command: 0 * state, 60, seed), "none") for seed in range(5)]
+    assert sum(each.certain for each in found) <= 1
+    assert np.mean([each.value for each in found]) == pytest.approx(0, abs=0.05)
 
 
 def test_an_offset_is_a_constant() -> None:
-    found = []
-    for seed in range(3):
-        steps = steps_with(lambda state, command: np.array([0.2, -0.02]), 60, seed)
-        found.append(validate(SIMPLE, steps, contiguous_folds(60, 5)).best([0, 1]))
-    assert found.count("constant") >= 2
+    steps = [steps_with(lambda state, command: np.array([0.2, -0.02]), 60, seed) for seed in range(3)]
+    assert all(gain(each, "none").certain for each in steps)
+    assert sum(gain(each, "constant").certain for each in steps) <= 1
 
 
 def bent(state: Array, command: Array) -> Array:
@@ -266,17 +275,68 @@ def bent(state: Array, command: Array) -> Array:
 
 def test_a_nonlinear_error_needs_a_gaussian_process() -> None:
     validation = validate(SIMPLE, steps_with(bent, 120, 0), contiguous_folds(120))
-    for coordinates in ([0], [1], [0, 1]):
-        assert validation.best(coordinates) == "gp"
-        assert validation.nearest("none", coordinates) == "gp"
+    assert (residual_weights(validation)["gp"] > 0.9).all()
     assert (validation.held_out["gp"].rmse < 0.5 * validation.held_out["constant"].rmse).all()
 
 
 def test_each_coordinate_is_judged_separately() -> None:
     steps = steps_with(lambda state, command: bent(state, command) * [1, 0], 120, 1)
     validation = validate(SIMPLE, steps, contiguous_folds(120))
-    assert validation.best([0]) == "gp"
-    assert validation.best([1]) == "none"
+    weights = residual_weights(validation)
+    assert weights["gp"][0] > 0.9
+    assert weights["gp"][1] < 0.5
+    average = averaged(validation)
+    by = [reduction(average, validation.held_out["none"], validation.folds.block, [index]) for index in (0, 1)]
+    assert by[0].certain
+    assert not by[1].certain
+
+
+def test_stacking_weights_maximise_the_density_of_the_mixture() -> None:
+    """Against SciPy's constrained optimiser."""
+    log_densities = np.random.default_rng(7).normal(size=(200, 4)) * 2 + [0, 0.3, -1, 0.2]
+
+    def cost(weights: Array) -> float:
+        return -float(np.mean(np.log(np.exp(log_densities) @ weights)))
+
+    constraint = {"type": "eq", "fun": lambda weights: weights.sum() - 1}
+    best = minimize(cost, np.full(4, 0.25), bounds=[(0, 1)] * 4, constraints=constraint, tol=1e-10)
+    weights = stacking_weights(log_densities)
+    assert weights.sum() == pytest.approx(1)
+    assert cost(weights) == pytest.approx(best.fun, abs=1e-5)
+
+
+def test_the_averaged_prediction_is_that_of_the_mixture() -> None:
+    rng = np.random.default_rng(8)
+    error = rng.normal(size=(40, 1))
+    parts = {kind: HeldOut(kind, error, 0 * error + mean, 0 * error + std, 1.0) for kind, mean, std in MIXED}
+    validation = Validation(contiguous_folds(40), parts)
+    average, drawn = averaged(validation), []
+    row = 0
+    outside = validation.folds.block != validation.folds.block[row]
+    weights = stacking_weights(np.stack([norm.logpdf(error[outside, 0], mean, std) for _, mean, std in MIXED], axis=1))
+    for weight, (_, mean, std) in zip(weights, MIXED, strict=True):
+        drawn.append(rng.normal(mean, std, round(weight * 400_000)))
+    assert average.mean[row, 0] == pytest.approx(np.concatenate(drawn).mean(), abs=0.01)
+    assert average.std[row, 0] == pytest.approx(np.concatenate(drawn).std(), rel=0.01)
+
+
+def test_errors_that_last_show_that_the_state_lacks_something() -> None:
+    rng, error = np.random.default_rng(9), np.zeros((300, 2))
+    for row in range(1, 300):
+        error[row] = [0.6, 0.0] * error[row - 1] + rng.normal(size=2)
+    correlation, half = correlation_of_successive(held_out(error), np.arange(300) > 0)
+    assert correlation[0] == pytest.approx(0.6, abs=0.12)
+    assert abs(correlation[1]) < half == pytest.approx(1.96 / np.sqrt(299))
+    assert correlation_of_successive(held_out(error), np.zeros(300, bool))[1] == np.inf
+
+
+def test_other_steps_are_predicted_by_a_fit_to_all() -> None:
+    steps, other = (steps_with(bent, count, seed) for count, seed in ((80, 0), (40, 1)))
+    found = validate_on(("none", "gp"), steps, other, STATIC)
+    residual = fit_steps(steps, replace(STATIC, residual="gp"))
+    points = np.hstack([other.state, other.command])
+    np.testing.assert_allclose(found.held_out["gp"].mean, residual.mean(points), rtol=1e-12)
+    assert found.folds.count == 1
 
 
 def test_progress_is_reported_fit_by_fit() -> None:

@@ -4,7 +4,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -25,7 +25,7 @@ class Results:
     Attributes:
         out: New JSON file for all numbers.
         plot: New file for a figure of predicted against actual errors.
-        save: New JSON file for the best residual, fitted to all steps.
+        save: New JSON file for the residual with the largest weight, fitted to all steps.
     """
 
     out: Path | None = None
@@ -48,6 +48,7 @@ NO_RESULTS = Results()
 
 def fit(
     *log: Path,
+    test: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
     columns: Path | None = None,
     names: ColumnNames = NO_COLUMNS,
     nominal: Literal["map", "predicted", "target", "state"] | None = None,
@@ -60,6 +61,8 @@ def fit(
 
     Args:
         log: Folders of runs or their steps.csv; or CSV files of any origin, if their columns are named.
+        test: Logs on which the residuals are scored; then they are fitted to all others. [default: parts of LOG are
+            held out in turn]
         columns: TOML file that names columns; its keys are the options from here to --step, and units and factors.
         nominal: Source of the nominal next state: the robot's map, the predictions, the target, or the state.
         experiment: TOML file of settings of the robot's map and of learning. [default: the settings of the runs]
@@ -69,10 +72,10 @@ def fit(
     from threadpoolctl import threadpool_limits
 
     from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.fit import choose_folds, read_fit_data
+    from stepgap.experiment.fit import choose_folds, read_fit_data, read_test_data
     from stepgap.experiment.fit_results import describe_fit_data, show_validation, verdicts
     from stepgap.learning.residual_fit import names_without_lagged_inputs
-    from stepgap.learning.validation import validate
+    from stepgap.learning.validation import validate, validate_on
     from stepgap.records.columns import read_columns
 
     if not log:
@@ -80,14 +83,22 @@ def fit(
     if given := [*names.given(), *(["columns"] if columns else [])]:
         for run in filter(Path.is_dir, log):
             raise InputError(f"{run}: a run, whose columns are known; leave out --{', --'.join(given)}")
+    if test and folds is not None:
+        raise InputError("--folds: nothing is held out of LOG if --test is given; leave one of them out")
     results.check()
-    data = read_fit_data(log, read_columns(columns, names.given()), nominal, experiment, overrides or [])
+    meaning, kinds = read_columns(columns, names.given()), names_without_lagged_inputs()
+    data = read_fit_data(log, meaning, nominal, experiment, overrides or [])
+    tested = read_test_data(data, log, test, meaning, nominal, experiment, overrides or []) if test else None
     parts = choose_folds(data.steps, folds)
-    print(describe_fit_data(data, parts), flush=True)
+    print(describe_fit_data(data, parts, tested), flush=True)
     with threadpool_limits(limits=1, user_api="blas"), progress_bar("fits") as progress:
-        validation = validate(names_without_lagged_inputs(), data.steps, parts, data.learning, progress)
+        if tested is None:
+            validation = validate(kinds, data.steps, parts, data.learning, progress)
+        else:
+            validation = validate_on(kinds, data.steps, tested, data.learning, progress)
     show_validation(data, validation, sys.stdout)
-    print(verdicts(data.steps.space.state, validation))
+    follows = (data.steps if tested is None else tested).follows
+    print(verdicts(data.steps.space.state, validation, follows))
     _write(results, log, data, validation)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
+from stepgap.learning.model_averaging import residual_weights
 from stepgap.learning.residual import Residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog, joined
@@ -155,7 +156,45 @@ def choose_folds(steps: StepTable, count: int | None) -> Folds:
     return contiguous_folds(len(steps), count or FOLDS)
 
 
+def read_test_data(
+    data: FitData,
+    logs: Sequence[Path],
+    test: Sequence[Path],
+    columns: Columns | None,
+    nominal: str | None,
+    experiment: Path | None,
+    overrides: Settings,
+) -> StepTable:
+    """Reads the steps on which the residuals that are fitted to `data` are scored.
+
+    Args:
+        data: Steps to fit.
+        logs: The logs from which they were read.
+        test: Logs of the same kind.
+        columns: As of `read_fit_data`.
+        nominal: As of `read_fit_data`.
+        experiment: As of `read_fit_data`.
+        overrides: As of `read_fit_data`.
+
+    Raises:
+        InputError: A log is used for both, or is not of the same robot and nominal map; or as of `read_fit_data`.
+        RecordError: As of `read_fit_data`.
+    """
+    if both := {log.resolve() for log in logs} & {log.resolve() for log in test}:
+        raise InputError(f"--test {min(both)}: also fitted to; a log may be used for one of both only")
+    if columns is None and experiment is None:
+        _common_experiment([log / "steps.csv" if log.is_dir() else log for log in (*logs, *test)])
+    found = read_fit_data(test, columns, nominal, experiment, overrides)
+    return replace(found.steps, space=data.steps.space)
+
+
+def heaviest_residual(validation: Validation) -> str:
+    """Name of the residual with the largest weight, averaged over the coordinates; the simplest of equal ones."""
+    weights = residual_weights(validation)
+    return max(weights, key=lambda kind: round(float(weights[kind].mean()), 6))
+
+
 def best_residual(data: FitData, validation: Validation) -> Residual:
-    """The best residual for all coordinates together, fitted to all steps as before a further deployment of a run."""
-    kind = validation.best(range(len(data.steps.space.state)))
+    """The residual with the largest weight, fitted to all steps as before a further deployment of a run."""
+    kind = heaviest_residual(validation)
     return fit_steps(data.steps, replace(data.learning, residual=kind, lagged_inputs="none"))

@@ -5,49 +5,82 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from stepgap.experiment.fit import FitData
-from stepgap.learning.step_table import describe_left_out
-from stepgap.learning.validation import Folds, Reduction, Validation
+from stepgap.experiment.fit import FitData, heaviest_residual
+from stepgap.learning.model_averaging import averaged, correlation_of_successive, residual_weights
+from stepgap.learning.step_table import StepTable, describe_left_out
+from stepgap.learning.validation import Folds, Reduction, Validation, reduction
 from stepgap.step import Array, Quantity
 
-FIT_SCHEMA = 2
+FIT_SCHEMA = 3
 """Version of the JSON file."""
 
 BASELINES: tuple[str, ...] = ("none", "constant")
 """Residuals with which all others are compared, besides that of the run."""
 
 
-def verdicts(state: Sequence[Quantity], validation: Validation) -> str:
-    """One sentence for each state coordinate, and one for all together."""
+def verdicts(state: Sequence[Quantity], validation: Validation, follows: NDArray[np.bool_]) -> str:
+    """Weights and correlation of the remaining errors; a sentence for each state coordinate, and for all together.
+
+    Args:
+        state: State coordinates.
+        validation: Predictions of held-out steps.
+        follows: Whether each of these is the step after the one in the row above; shape (N,).
+    """
     lines = [f"{quantity.name + ':':16}{verdict(validation, [index])}" for index, quantity in enumerate(state)]
     together = [f"{'all together:':16}{verdict(validation, range(len(state)))}"] if len(state) > 1 else []
-    return "\n".join(lines + together)
+    weights = f"{'weights:':16}{weight_sentence(state, validation)}"
+    return "\n".join([weights, f"{'successive:':16}{lacking(state, validation, follows)}", *lines, *together])
+
+
+def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduction]:
+    """Reduction of the error of these state coordinates by the averaged prediction, over that of each baseline."""
+    average, block = averaged(validation), validation.folds.block
+    return {kind: reduction(average, validation.held_out[kind], block, coordinates) for kind in BASELINES}
 
 
 def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
-    """Sentence on the best residual for these state coordinates, and how much better it is than the baselines."""
-    chosen = validation.best(coordinates)
-    others = validation.indistinct(chosen, coordinates)
-    if chosen in BASELINES:
-        nearest = validation.nearest(chosen, coordinates)
-        closest = f"the closest, {nearest}, is {_compared(validation.reduction(nearest, chosen, coordinates), chosen)}"
-        if chosen == "none":
-            return f"nothing to learn: no residual is significantly better than none ({closest})"
-        better = _compared(validation.reduction("constant", "none", coordinates), "none")
-        return f"constant is {better}; no residual is better than the constant: nothing more to learn ({closest})"
-    constant, none = (_compared(validation.reduction(chosen, other, coordinates), other) for other in BASELINES[::-1])
-    rest = f"no difference shown from {', '.join(others)}" if others else "every other residual is worse"
-    return f"{chosen} is {constant}, {none}; {rest}"
+    """Sentence on how much learning reduces the error of these state coordinates, in all and beyond a constant."""
+    by = gains(validation, coordinates)
+    return f"{_gain(by['none'], 'without learning')}; {_gain(by['constant'], 'of a constant correction')}"
 
 
-def _compared(by: Reduction, other: str) -> str:
-    """A reduction as text, with its 95 % interval."""
-    return f"{'better' if by.value >= 0 else 'worse'} than {other} by {_percent(abs(by.value), by.half_width)}"
+def _gain(by: Reduction, other: str) -> str:
+    """Sentence on a reduction of another error, with its 95 % interval."""
+    if abs(by.value) <= by.half_width or not np.isfinite(by.half_width):
+        return f"no difference from the error {other} is shown ({_percent(by.value, by.half_width)})"
+    size = _percent(abs(by.value), by.half_width)
+    return f"the error is {size} {'smaller' if by.value > 0 else 'larger'} than {other}"
+
+
+def lacking(state: Sequence[Quantity], validation: Validation, follows: NDArray[np.bool_]) -> str:
+    """Sentence on whether the remaining errors show that the state lacks something."""
+    correlation, half = correlation_of_successive(averaged(validation), follows)
+    names = [
+        f"{quantity.name} {value:.2f} ± {half:.2f}"
+        for quantity, value in zip(state, correlation, strict=True)
+        if abs(value) > half
+    ]
+    if not np.isfinite(half):
+        return "too few successive steps to see whether the state lacks something that lasts"
+    if not names:
+        return f"remaining errors of successive steps are not correlated (within ± {half:.2f})"
+    return f"remaining errors of successive steps are correlated ({', '.join(names)}): the state lacks what causes them"
+
+
+def weight_sentence(state: Sequence[Quantity], validation: Validation) -> str:
+    """The largest weights of the residuals in the averaged prediction, by state coordinate."""
+    weights, parts = residual_weights(validation), []
+    for index, quantity in enumerate(state):
+        ranked = sorted(weights, key=lambda kind: -weights[kind][index])[:3]
+        shown = [f"{kind} {weights[kind][index]:.2f}" for kind in ranked if weights[kind][index] >= 0.05]
+        parts.append(f"{quantity.name}: {', '.join(shown)}")
+    return "; ".join(parts)
 
 
 def _percent(value: float, half_width: float) -> str:
@@ -57,11 +90,12 @@ def _percent(value: float, half_width: float) -> str:
     return f"{100 * value:{form}} ± {100 * half_width:{form}} %"
 
 
-def describe_fit_data(data: FitData, folds: Folds) -> str:
-    """A few lines on the steps that were read, and on the parts that are held out."""
+def describe_fit_data(data: FitData, folds: Folds, test: StepTable | None = None) -> str:
+    """A few lines on the steps that were read, and on those that are held out: parts of them, or other steps."""
     steps, space = data.steps, data.steps.space
     deployments = len(np.unique(steps.deployment))
     parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
+    held_out = f"{folds.count} {parts}, one at a time" if test is None else f"{len(test)} steps of other logs"
     return "\n".join(
         [
             f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
@@ -69,7 +103,7 @@ def describe_fit_data(data: FitData, folds: Folds) -> str:
             f"state       {', '.join(map(_with_unit, space.state))}",
             f"command     {', '.join(map(_with_unit, space.command))}",
             f"nominal     {data.nominal}",
-            f"held out    {folds.count} {parts}, one at a time",
+            f"held out    {held_out}",
             f"disturbance {_disturbance(data)}",
             f"outliers    {'not learned from' if data.learning.reject_outliers else 'learned from, as other steps'}",
         ]
@@ -177,9 +211,10 @@ def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> d
             }
             for kind, held in validation.held_out.items()
         ],
-        "best": {name: validation.best(part) for name, part in parts.items()},
-        "no_difference_shown": {
-            name: validation.indistinct(validation.best(part), part) for name, part in parts.items()
+        "weights": {kind: named(weight) for kind, weight in residual_weights(validation).items()},
+        "best": heaviest_residual(validation),
+        "gain_over": {
+            name: {kind: _numbers(by) for kind, by in gains(validation, part).items()} for name, part in parts.items()
         },
         "verdict": {name: verdict(validation, part) for name, part in parts.items()},
     }

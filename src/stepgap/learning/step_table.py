@@ -49,6 +49,12 @@ class StepTable:
             raise ValueError("these steps have no predictions")
         return self.next_state - self.predicted
 
+    @property
+    def follows(self) -> NDArray[np.bool_]:
+        """Whether each step starts from the state in which the step in the row above ended; shape (N,)."""
+        starts = (self.state[1:] == self.next_state[:-1]).all(axis=1)
+        return np.append(False, starts & (self.deployment[1:] == self.deployment[:-1]))[: len(self)]
+
     def selected(self, rows: Labels | NDArray[np.bool_]) -> "StepTable":
         """Returns some of the steps, given by their indices or by a mask (N,)."""
         return replace(

@@ -198,25 +198,6 @@ class Validation:
         """Computes by how much one residual is better than another in these state coordinates."""
         return reduction(self.held_out[kind], self.held_out[other], self.folds.block, coordinates)
 
-    def best(self, coordinates: Sequence[int]) -> str:
-        """Selects the residual: starts with `none` and takes each more complex one that is certainly better."""
-        chosen, *others = self.held_out
-        for kind in others:
-            if self.reduction(kind, chosen, coordinates).certain:
-                chosen = kind
-        return chosen
-
-    def indistinct(self, chosen: str, coordinates: Sequence[int]) -> list[str]:
-        """The residuals from which `chosen` has a difference whose 95 % interval contains zero."""
-        others: list[str] = [kind for kind in self.held_out if kind != chosen]
-        by = [self.reduction(chosen, other, coordinates) for other in others]
-        return [other for other, each in zip(others, by, strict=True) if abs(each.value) <= each.half_width]
-
-    def nearest(self, other: str, coordinates: Sequence[int]) -> str:
-        """The residual with the least error, without `other`."""
-        others: list[str] = [kind for kind in self.held_out if kind != other]
-        return max(others, key=lambda kind: self.reduction(kind, other, coordinates).value)
-
 
 def validate(
     kinds: Sequence[str],
@@ -241,6 +222,34 @@ def validate(
     return Validation(folds, held_out)
 
 
+def validate_on(
+    kinds: Sequence[str],
+    steps: StepTable,
+    test: StepTable,
+    learning: LearningSettings = DEFAULT_LEARNING,
+    on_fit: Callable[[int, int], None] = lambda done, total: None,
+) -> Validation:
+    """Fits every residual to some steps and predicts others, such as those of another day or robot.
+
+    Args:
+        kinds: Names of the residuals, from simple to complex.
+        steps: Steps to fit, with predictions of the nominal map.
+        test: Steps to predict, with predictions of the same map.
+        learning: As of `validate`.
+        on_fit: As of `validate`.
+    """
+    held_out = {}
+    for done, kind in enumerate(kinds, 1):
+        settings = replace(learning, residual=kind, lagged_inputs="none")
+        begin = perf_counter()
+        residual = fit_steps(steps, settings)
+        seconds = perf_counter() - begin
+        held_out[kind] = HeldOut(kind, test.error, *_predict_deployments(residual, test, settings), seconds)
+        on_fit(done, len(kinds))
+    one_fold = contiguous_folds(len(test))
+    return Validation(replace(one_fold, fold=np.zeros(len(test), np.intp)), held_out)
+
+
 def fit_steps(steps: StepTable, learning: LearningSettings) -> Residual:
     """Fits the residual of the settings to the steps, as before a further deployment."""
     arrays = steps.state, steps.command, steps.error
@@ -256,11 +265,18 @@ def _hold_out(steps: StepTable, folds: Folds, learning: LearningSettings, on_fit
         begin = perf_counter()
         residual = fit_steps(steps.selected(~held), learning)
         seconds += perf_counter() - begin
-        for deployment in np.unique(steps.deployment[held]):
-            rows = held & (steps.deployment == deployment)
-            mean[rows], std[rows] = _predict(residual, steps.selected(rows), learning)
+        mean[held], std[held] = _predict_deployments(residual, steps.selected(held), learning)
         on_fit()
     return HeldOut(learning.residual, steps.error, mean, std, seconds / folds.count)
+
+
+def _predict_deployments(residual: Residual, steps: StepTable, learning: LearningSettings) -> tuple[Array, Array]:
+    """As `_predict`, for the steps of several deployments."""
+    mean, std = np.empty_like(steps.error), np.empty_like(steps.error)
+    for deployment in np.unique(steps.deployment):
+        rows = steps.deployment == deployment
+        mean[rows], std[rows] = _predict(residual, steps.selected(rows), learning)
+    return mean, std
 
 
 def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -> tuple[Array, Array]:
