@@ -60,7 +60,7 @@ def fit(
     """Fit every residual to recorded steps, score it on held-out steps, and summarise how much can be learned.
 
     Args:
-        log: Folders of runs or their steps.csv; or CSV files of any origin, if their columns are named.
+        log: Folders of runs or their steps.csv; or logs of any origin (docs/logs.md), if their columns are named.
         test: Logs on which the residuals are scored; then they are fitted to all others. [default: parts of LOG are
             held out in turn]
         columns: TOML file that names columns; its keys are the options from here to --step, and units and factors.
@@ -79,9 +79,9 @@ def fit(
     from stepgap.records.columns import read_columns
 
     if not log:
-        raise InputError("LOG: none given; give folders of runs, or CSV files and the names of their columns")
+        raise InputError("LOG: none given; give folders of runs, or logs and the names of their columns")
     if given := [*names.given(), *(["columns"] if columns else [])]:
-        for run in filter(Path.is_dir, log):
+        for run in (one for one in log if one.is_dir() and not (one / "metadata.yaml").is_file()):  # no ROS 2 bag
             raise InputError(f"{run}: a run, whose columns are known; leave out --{', --'.join(given)}")
     if test and folds is not None:
         raise InputError("--folds: nothing is held out of LOG if --test is given; leave one of them out")

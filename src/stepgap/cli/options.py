@@ -74,7 +74,7 @@ Program = Annotated[list[str] | None, Parameter(parse=False)]
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ColumnNames:
-    """Columns of a CSV file that was not written by StepGap.
+    """Columns of a log that was not written by StepGap.
 
     Attributes:
         state: Columns of the state before the step, as NAME,NAME or as NAME=COLUMN,NAME=COLUMN.

@@ -1,4 +1,4 @@
-"""The meaning of a CSV file's columns: which of them hold the state, the command and the other parts of a step."""
+"""The meaning of a log's columns: which of them hold the state, the command and the other parts of a step."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -8,6 +8,7 @@ from typing import Any
 
 from stepgap.base.errors import InputError
 from stepgap.base.settings_file import read_toml
+from stepgap.records.log_tables.text_format import AS_FOUND, TextFormat
 from stepgap.records.steps_csv import MOST_COORDINATES, RecordError
 from stepgap.step import Array, Quantity, StepSpace
 
@@ -20,7 +21,7 @@ ROLES = ("state", "next", "command", "target", "predicted")
 
 @dataclass(frozen=True)
 class Columns:
-    """The meaning of a CSV file's columns; a row is a step.
+    """The meaning of a log's columns; a row is a step.
 
     A column is given by its name, or as NAME=COLUMN to call its coordinate NAME. If only one of `state` and `next` is
     given, rows are chained: the state after a step is the state before the step of the following row.
@@ -39,6 +40,7 @@ class Columns:
         yaw: Column with the yaw of the robot [rad], measured together with the state. Empty if there is none.
         units: Units of columns, after multiplication by their factors.
         factors: Factors by which columns are multiplied.
+        format: How the numbers of a text file are written, where the file does not tell.
     """
 
     state: tuple[str, ...] = ()
@@ -51,6 +53,7 @@ class Columns:
     yaw: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
+    format: TextFormat = AS_FOUND
 
     def __post_init__(self) -> None:
         if not (self.state or self.next):
@@ -117,6 +120,7 @@ def read_columns(file: Path | None, options: Mapping[str, str]) -> Columns | Non
     if not entries:
         return None
     try:
+        entries["format"] = TextFormat(**entries.get("format", {}))
         return Columns(**entries)
     except ValueError as error:
         raise RecordError(f"{f'{file}: ' if file else '--'}{error}") from None
@@ -142,6 +146,9 @@ def _checked(key: str, value: Any, file: Path) -> Any:
         fits, right = _is_table(value, str), "a table of strings, by column"
     elif key == "factors":
         fits, right = _is_table(value, int | float), "a table of numbers, by column"
+    elif key == "format":
+        keys = [entry.name for entry in fields(TextFormat)]
+        fits, right = _is_table(value, str) and set(value) <= set(keys), f"a table of strings, {', '.join(keys)}"
     else:
         close = get_close_matches(key, known, n=1)
         hint = f"did you mean {close[0]}?" if close else f"the keys are {', '.join(known)}"

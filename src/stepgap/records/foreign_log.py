@@ -1,29 +1,24 @@
-"""Steps from any CSV file whose columns are described by `Columns`."""
+"""Steps from any log whose columns are described by `Columns`."""
 
-import csv
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.learning.step_table import Labels, StepTable, describe_left_out
-from stepgap.records.columns import LARGEST_VALUE, ROLES, Columns, column_of, unknown_column
+from stepgap.records.columns import ROLES, Columns, column_of
+from stepgap.records.log_tables.files import LARGEST_LOG
+from stepgap.records.log_tables.log_table import LogTable
+from stepgap.records.log_tables.reading import chosen_table, read_log_tables
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array, StepRecord, StepStatus
 
-LARGEST_LOG = 64 * 2**20
-"""Largest log that is read [bytes]."""
-
-MISSING = {"", "na", "n/a", "nan", "null", "none", "inf", "-inf"}
-"""Contents of a cell, in lower case, that mean a missing number."""
-
 
 def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
-    """Reads the steps of CSV files that have the same columns; each file begins a new deployment.
+    """Reads the steps of logs that have the same columns, in any format; each file begins a new deployment.
 
     Rows in which a number is missing are left out, and so are the ends of chained rows.
 
@@ -117,64 +112,20 @@ class _Rows:
 
 def _read(path: Path, columns: Columns) -> _Rows:
     """Reads the needed columns of a file."""
-    lines = _cells(path)
-    _, header = next(lines, (1, []))
-    if not header:
-        raise RecordError(f"{path}: empty; it must have a line of column names and rows below it")
-    indices = {column: _index(header, column, role, path) for column, role in columns.numbers.items()}
-    deployment = _index(header, columns.deployment, "deployment", path) if columns.deployment else None
-    labels: dict[str, int] = {}
-    numbers: list[list[float]] = []
-    deployments: list[int] = []
-    for line, cells in lines:
-        if len(cells) != len(header):
-            raise RecordError(f"{path}, line {line}: {len(cells)} values; it must have {len(header)}, as the header")
-        numbers.append([_number(cells[at], f"{path}, line {line}, column {name!r}") for name, at in indices.items()])
-        deployments.append(labels.setdefault(cells[deployment] if deployment is not None else "", len(labels)))
-    table = np.array(numbers, float).reshape(len(numbers), len(indices))
-    scaled = {name: table[:, i] * columns.factors.get(name, 1.0) for i, name in enumerate(indices)}
-    return _Rows(scaled, np.array(deployments, np.intp))
+    roles = columns.numbers | ({columns.deployment: "deployment"} if columns.deployment else {})
+    tables = read_log_tables(path, columns.format, LARGEST_LOG)
+    table = chosen_table(path, tables, list(roles), roles)
+    numbers = {name: table.numbers(name) * columns.factors.get(name, 1.0) for name in columns.numbers}
+    return _Rows(numbers, _deployments(table, columns.deployment))
 
 
-def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yields the rows that are not empty, with line numbers; the separator is the commonest one in the first line."""
-    try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_LOG + 1)
-        if len(content) > LARGEST_LOG:
-            raise RecordError(f"{path}: larger than {LARGEST_LOG} bytes, so it is not read")
-        text = content.decode("utf-8-sig")
-    except OSError as error:
-        raise RecordError(f"{path}: {error.strerror}; give an existing CSV file, or the folder of a run") from None
-    except UnicodeDecodeError:
-        raise RecordError(f"{path}: not a text file; a log is a CSV file in UTF-8") from None
-    first = text.partition("\n")[0]
-    rows = csv.reader(StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True)
-    try:
-        for row in rows:
-            if len(row) > 1 or any(cell.strip() for cell in row):
-                yield rows.line_num, [cell.strip() for cell in row]
-    except csv.Error as error:
-        raise RecordError(f"{path}, line {rows.line_num}: {error}; it must be a CSV file") from None
-
-
-def _index(header: Sequence[str], column: str, role: str, path: Path) -> int:
-    """Index of a column in the header."""
-    if header.count(column) != 1:
-        found = "more than one such column" if column in header else unknown_column(column, header)
-        raise RecordError(f"{path}, line 1: {role} {column!r}: {found}")
-    return list(header).index(column)
-
-
-def _number(cell: str, source: str) -> float:
-    """The number in a cell, NaN if it is missing."""
-    if cell.lower() in MISSING:
-        return np.nan
-    try:
-        value = float(cell)
-    except ValueError:
-        value = np.inf
-    if not abs(value) <= LARGEST_VALUE:
-        right = f"a number within ±{LARGEST_VALUE:g}, such as 0.5, or empty"
-        raise RecordError(f"{source}: {cell!r:.40}; it must be {right}")
-    return value
+def _deployments(table: LogTable, column: str) -> Labels:
+    """Number of the deployment of each row, in the order in which they occur; without a column all rows are of one."""
+    if not column:
+        return np.zeros(len(table), np.intp)
+    labels = table.columns[column]
+    if labels.dtype.kind == "f" and (inexact := np.abs(labels) >= 2**53).any():
+        row = table.row(int(inexact.argmax()))
+        raise RecordError(f"{row}, column {column!r}: too large for the number of a deployment")
+    _, first, label = np.unique(labels, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[label].astype(np.intp)

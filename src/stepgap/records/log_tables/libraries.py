@@ -1,0 +1,39 @@
+"""Libraries that read binary formats: they are optional, and every error of theirs becomes one line about the file."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from stepgap.base.versions import INSTALL
+from stepgap.records.steps_csv import RecordError
+
+
+def library(name: str, path: Path, extra: str = "logs") -> Any:
+    """A module of an optional package.
+
+    Raises:
+        RecordError: It is not installed; the message says which extra of this package installs it.
+    """
+    try:
+        return import_module(name)
+    except ImportError:
+        package = name.partition(".")[0]
+        raise RecordError(f"{path}: this format needs {package}: {INSTALL} 'stepgap[{extra}]'") from None
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """Turns any error of a library that reads untrusted bytes into one line.
+
+    Raises:
+        RecordError: An exception was raised inside; those that are a `RecordError` stay as they are.
+    """
+    try:
+        yield
+    except RecordError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise RecordError(f"{path}: not a readable {kind} file, damaged or incomplete ({reason:.120})") from None
