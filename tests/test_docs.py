@@ -23,6 +23,7 @@ RUN_ELSEWHERE = {
     "own_rig.md": "rigs/test_own_rig.py",
     "own_residual.md": "learning/test_own_residual.py",
     "data.md": "test_docs_data.py",
+    "model_file.md": "experiment/portable/test_model_file.py",
     "tutorial.md": "test_docs_tutorial.py",
 }
 """Pages whose blocks need more around them."""

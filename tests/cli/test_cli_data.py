@@ -23,6 +23,8 @@ from scipy.io import loadmat
 
 from stepgap.cli.app import main
 from stepgap.cli.doctor import _packages_of, doctor
+from stepgap.experiment.loaded_run import load_run
+from stepgap.experiment.portable.model_reading import read_last_filter, read_portable
 from stepgap.experiment.replay import replay
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLog, read_ticks
@@ -398,3 +400,25 @@ def test_doctor_knows_a_machine_that_has_nothing(
         "to install it: ./go uv pip install 'stepgap[parquet]'",
     ):
         assert parts in found
+
+
+def test_what_was_learned_is_exported_for_other_programs(run: Path, stepgap: Command) -> None:
+    result = stepgap("export", run, "--to", "model", "--deployment", 1)
+    assert (result.code, result.out) == (0, "run/export/model_1.json\n")
+    assert "nominal map → polynomial" in result.err, "what was replaced"
+    found = read_portable(Path("run/export/model_1.json"))
+    state, command = SPACE.state_centre, SPACE.command_centre
+    assert np.abs(found.map(state, command) - load_run(run).corrected(1)(state, command)).max() < 1e-4
+    last = read_last_filter(Path("run/export/model_1.json"))
+    assert last is not None
+    assert last.weight == pytest.approx(1 + 0.98 + 0.98**2), "three steps"
+    refused(stepgap("export", run, "--to", "model", "--deployment", 7), "has no deployment 7")
+
+
+@pytest.mark.parametrize("name", ["onnx", "casadi"])
+def test_without_its_library_an_export_says_what_to_install(
+    name: str, run: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, name, None)
+    refused(stepgap("export", run, "--to", name, "--deployment", 1), f"--to {name} needs {name}:", f"stepgap[{name}]")
+    assert not list(run.glob("export/*"))

@@ -59,8 +59,8 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     assert "held out    10 contiguous blocks, one at a time" in lines
     assert lines[-3:] == ["fit.json", "fit.png", "model.json"]
     sentences = dict(line.split(":", 1) for line in lines if line.startswith(("v:", "y:", "all together:")))
-    assert "smaller than without learning; no difference from the error of a constant correction" in sentences["v"]
-    assert "no difference from the error without learning is shown" in sentences["y"]
+    assert "less error than without a correction; no difference shown from the error with a constant" in sentences["v"]
+    assert "no difference shown from the error without a correction" in sentences["y"]
     report = json.loads(Path("fit.json").read_text())
     assert report["best"] == "constant"
     assert sum(weights["v"] for weights in report["weights"].values()) == pytest.approx(1)
@@ -96,8 +96,8 @@ def test_a_run_is_judged_against_the_nominal_map(stepgap: Command) -> None:
     assert "nominal     the robot's nominal map with default settings" in result.out
     assert "held out    2 parts of whole deployments, one at a time" in result.out
     speed, height, _ = result.out.splitlines()[-3:]
-    assert "no difference from the error without learning is shown" in speed
-    assert "smaller than without learning" in height
+    assert "no difference shown from the error without a correction" in speed
+    assert "less error than without a correction" in height
     # The same rows as any CSV, by the names of their columns, without their deployments.
     columns = {"state": "speed,height", "next": "next_speed,next_height", "command": "fx=requested_fx,fy=requested_fy"}
     options = [part for name, text in columns.items() for part in (f"--{name}", text)]

@@ -630,7 +630,7 @@ class TestSaved:
 
     def test_a_missing_entry_is_named(self) -> None:
         saved = condition(*sample(3), SCALE, FIXED).to_dict()
-        for key in saved:
+        for key in saved.keys() - {"kernel"}:  # which former versions did not write
             with pytest.raises(ValueError, match=f"^{key} must be .* missing"):
                 ExactGaussianProcess.from_dict({name: entry for name, entry in saved.items() if name != key})
 

@@ -10,10 +10,13 @@ from stepgap.base.versions import INSTALL
 from stepgap.cli.execution import usable_cores
 
 PURPOSES = {
+    "casadi": "stepgap export --to casadi",
     "cluster": "the option --dask of stepgap sweep",
     "ethercat": "robots with drives and encoders on an EtherCAT bus, and emulated rings",
     "gym": "the Gymnasium environment stepgap/Step-v0",
+    "logs": "logs in Parquet, HDF5, MAT 7.3, ROS bags and MCAP with protobuf or ROS 2 messages",
     "moteus": "robots with mjbots moteus controllers on a CAN-FD bus",
+    "onnx": "stepgap export --to onnx",
     "parquet": "stepgap export --to parquet, and the table of a sweep",
     "sysid": "method sysid of stepgap bench learning",
 }

@@ -7,6 +7,7 @@ from cyclopts import Parameter, validators
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import check_new, free_name, write_new, writing
+from stepgap.cli.export_controller import CONTROLLER_FILES, controller_file
 from stepgap.cli.options import Integer
 from stepgap.cli.terminal import announces_compilation
 
@@ -19,19 +20,23 @@ def export(
     folder: Path,
     /,
     *,
-    to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf"],
+    to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf", "model", "onnx", "casadi", "fmu"],
     iteration: Annotated[
         Integer | None, Parameter(name=("--deployment", "--iteration"), validator=validators.Number(gte=0))
     ] = None,
+    fmi: Literal[2, 3] = 2,
     out: Path | None = None,
 ) -> None:
-    """Convert a run for other programs: MATLAB, data frames, players of tick logs, viewers of MuJoCo models.
+    """Convert a run for other programs: MATLAB, data frames, players of tick logs, viewers, controllers.
 
     Args:
         folder: Folder of the run.
         to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; foxglove: a layout with
-            plots of the ticks; mjcf: the model of the hopper's twin.
-        iteration: Number of the only deployment to export. [default: all of them; for mcap the last one]
+            plots of the ticks; mjcf: the model of the hopper's twin; model: what was learned, as a documented JSON
+            file; onnx, casadi: the corrected map; fmu: the controller for co-simulation.
+        iteration: Number of the only deployment to export. [default: all of them; for mcap the last one; for what was
+            learned the one after the last]
+        fmi: For fmu, the version of FMI.
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
     if to == "mjcf":
@@ -40,6 +45,8 @@ def export(
         _export_ticks(folder, iteration, out)
     elif to == "foxglove":
         _export_layout(folder, iteration, out)
+    elif to in CONTROLLER_FILES:
+        _export_controller(folder, to, iteration, fmi, out)
     else:
         _export_steps(folder, to, iteration, out)
 
@@ -136,6 +143,12 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
         target.mkdir()
     for name, content in files.items():
         write_new(target / name, "--out", content)
+
+
+def _export_controller(folder: Path, to: str, iteration: int | None, fmi: Literal[2, 3], out: Path | None) -> None:
+    content = controller_file(folder, to, iteration, fmi)
+    name = Path(CONTROLLER_FILES[to])
+    write_new(_target(folder, f"{name.stem}{_suffix(iteration)}{name.suffix}", out), "--out", content)
 
 
 def _read_run(folder: Path) -> "RunRecord":

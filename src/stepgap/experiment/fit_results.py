@@ -47,15 +47,15 @@ def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduc
 def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
     """Sentence on how much learning reduces the error of these state coordinates, in all and beyond a constant."""
     by = gains(validation, coordinates)
-    return f"{_gain(by['none'], 'without learning')}; {_gain(by['constant'], 'of a constant correction')}"
+    return f"{_gain(by['none'], 'without a correction')}; {_gain(by['constant'], 'with a constant')}"
 
 
 def _gain(by: Reduction, other: str) -> str:
     """Sentence on a reduction of another error, with its 95 % interval."""
     if abs(by.value) <= by.half_width or not np.isfinite(by.half_width):
-        return f"no difference from the error {other} is shown ({_percent(by.value, by.half_width)})"
+        return f"no difference shown from the error {other} ({_percent(by.value, by.half_width)})"
     size = _percent(abs(by.value), by.half_width)
-    return f"the error is {size} {'smaller' if by.value > 0 else 'larger'} than {other}"
+    return f"{size} {'less' if by.value > 0 else 'more'} error than {other}"
 
 
 def lacking(state: Sequence[Quantity], validation: Validation, follows: NDArray[np.bool_]) -> str:

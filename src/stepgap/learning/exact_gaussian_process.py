@@ -14,6 +14,7 @@ from stepgap.learning.covariance import covariance_matrix
 from stepgap.learning.gaussian_process import (
     GaussianProcess,
     HyperParameters,
+    check_kernel,
     check_sizes,
     checked_data,
     saved_data,
@@ -57,7 +58,7 @@ class ExactGaussianProcess(GaussianProcess):
         new_point, new_value, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
         points, values = np.concatenate([self.points, new_point]), np.concatenate([self.values, new_value])
         row = self._whiten(new_point)[:, 0]
-        prior = self._covariance.prior_variance(points)
+        prior = self.covariance.prior_variance(points)
         noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2 + solved.factor.jitter
         squared_pivot = float(prior[-1] + noise - row @ row)
         if not is_safe(squared_pivot, prior):
@@ -97,22 +98,24 @@ class ExactGaussianProcess(GaussianProcess):
         """Restores the process that `to_dict` saved.
 
         Raises:
-            ValueError: A key is missing, or its value is not finite numbers of the right size and sign.
+            ValueError: A key is missing, its value is not finite numbers of the right size and sign, or the data are
+                of another kernel.
         """
+        check_kernel(data, kernel)
         hyper_parameters = saved_hyper_parameters(data)
         return condition(*saved_data(data), hyper_parameters, kernel)
 
     def _solve_weights(self) -> tuple[Array, Array]:
         weights = self.least_squares.weights
-        return weights, self._covariance.centre_features.T @ weights
+        return weights, self.covariance.centre_features.T @ weights
 
     def _variance(self, query: Array) -> Array:
-        return self._covariance.prior_variance(query) - (self._whiten(query) ** 2).sum(axis=0)
+        return self.covariance.prior_variance(query) - (self._whiten(query) ** 2).sum(axis=0)
 
     def _kriging_variance(self, query: Array) -> Array:
         whitened, basis = self._whiten(query), self.least_squares.basis
         from_constant = (1 - basis @ whitened) ** 2 / (basis @ basis)  # variance due to the uncertainty of β
-        return self._covariance.prior_variance(query) - (whitened**2).sum(axis=0) + from_constant
+        return self.covariance.prior_variance(query) - (whitened**2).sum(axis=0) + from_constant
 
     def _half_variance_gradient(self, query: Array) -> Array:
         return self._gradient_of(query, self._whiten(query))
@@ -124,13 +127,13 @@ class ExactGaussianProcess(GaussianProcess):
 
     def _whiten(self, query: Array) -> Array:
         """Computes factor⁻¹ (covariance of data and queries / signal²); shape (N, Q)."""
-        covariance = self._covariance
+        covariance = self.covariance
         cross = covariance.cross_covariance(query) + covariance.linear_features(query) @ covariance.centre_features.T
         return self.least_squares.factor.solve(cross.T)
 
     def _gradient_of(self, query: Array, whitened: Array) -> Array:
         """½ ∂variance/∂query [signal²], given factorᵀ times the weights of the values (N, Q); shape (Q, d)."""
-        covariance, weights = self._covariance, self.least_squares.factor.solve_transposed(whitened).T
+        covariance, weights = self.covariance, self.least_squares.factor.solve_transposed(whitened).T
         linear = covariance.linear_features(query) - weights @ covariance.centre_features
         return linear * covariance.slope_scale - covariance.cross_covariance_gradient(query, weights)
 

@@ -121,7 +121,7 @@ class GaussianProcess(ABC):
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…) [unit of the values] (RW Eq. 2.38)."""
-        covariance, (weights, slopes) = self._covariance, self._weights
+        covariance, (weights, slopes) = self.covariance, self.weights
 
         def mean_of_block(query: Array) -> Array:
             return (
@@ -134,7 +134,7 @@ class GaussianProcess(ABC):
 
     def mean_gradient(self, point: ArrayLike) -> Array:
         """∂mean/∂point; shape (…, d) [unit of the values per unit of each input]."""
-        covariance, (weights, slopes) = self._covariance, self._weights
+        covariance, (weights, slopes) = self.covariance, self.weights
         slope = slopes * covariance.slope_scale
         return covariance.blockwise(lambda query: covariance.cross_covariance_gradient(query, weights) + slope, point)
 
@@ -145,7 +145,7 @@ class GaussianProcess(ABC):
             point: Shape (…, d).
             include_noise: False: of β + slopes · point + f. True: of a new noisy value, as MATLAB's `predict` returns.
         """
-        return self.hyper_parameters.std(self._covariance.blockwise(self._variance, point), include_noise)
+        return self.hyper_parameters.std(self.covariance.blockwise(self._variance, point), include_noise)
 
     def kriging_std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Standard deviation with the uncertainty of the estimated β (universal kriging, RW Eq. 2.42); shape (…).
@@ -154,11 +154,11 @@ class GaussianProcess(ABC):
             point: Shape (…, d).
             include_noise: False: of β + slopes · point + f. True: of a new noisy value.
         """
-        return self.hyper_parameters.std(self._covariance.blockwise(self._kriging_variance, point), include_noise)
+        return self.hyper_parameters.std(self.covariance.blockwise(self._kriging_variance, point), include_noise)
 
     def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """∂std/∂point; shape (…, d) [unit of the values per unit of each input]; see `kriging_std_gradient`."""
-        half = self._covariance.blockwise(self._half_variance_gradient, point)
+        half = self.covariance.blockwise(self._half_variance_gradient, point)
         return self.hyper_parameters.std_gradient(half, self.std(point, include_noise=include_noise))
 
     def kriging_std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
@@ -170,12 +170,13 @@ class GaussianProcess(ABC):
             point: Shape (…, d).
             include_noise: As for `kriging_std`.
         """
-        half = self._covariance.blockwise(self._half_kriging_variance_gradient, point)
+        half = self.covariance.blockwise(self._half_kriging_variance_gradient, point)
         return self.hyper_parameters.std_gradient(half, self.kriging_std(point, include_noise=include_noise))
 
     def to_dict(self) -> dict[str, Any]:
-        """Data and hyper-parameters as numbers for JSON; with the kernel, they define the process."""
+        """Kernel, data and hyper-parameters for JSON, which define the process."""
         return {
+            "kernel": self.kernel.name,
             "input_scale": self.input_scale.tolist(),
             "points": self.points.tolist(),
             "values": self.values.tolist(),
@@ -191,12 +192,13 @@ class GaussianProcess(ABC):
         return self.points
 
     @cached_property
-    def _covariance(self) -> Covariance:
+    def covariance(self) -> Covariance:
         """Covariance of queries and the centres."""
         return self.hyper_parameters.covariance(self.kernel, self._centres, self.input_scale)
 
     @cached_property
-    def _weights(self) -> tuple[Array, Array]:
+    def weights(self) -> tuple[Array, Array]:
+        """Weights in the mean: of the covariances with the centres (M,) and of the linear features (d,)."""
         return self._solve_weights()
 
     @abstractmethod
@@ -240,6 +242,11 @@ def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
     """Raises ValueError unless there is one length scale for each input."""
     same = hyper_parameters.length_scale.shape == input_scale.shape
     ensure(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
+
+
+def check_kernel(data: Mapping[str, Any], kernel: Kernel) -> None:
+    """Raises ValueError if the data name another kernel; those of former versions name none."""
+    ensure(data.get("kernel", kernel.name) == kernel.name, "kernel", f"{kernel.name}, not {data.get('kernel')!r:.40}")
 
 
 def saved_data(data: Mapping[str, Any]) -> tuple[Array, Array, Array]:

@@ -108,20 +108,20 @@ class Polynomial(Regression):
 
     def mean(self, point: ArrayLike) -> Array:
         """Expected value; shape (…)."""
-        return self._basis(point) @ self._weights
+        return self._basis(point) @ self.weights
 
     def mean_gradient(self, point: ArrayLike) -> Array:
         """∂mean/∂point; shape (…, d)."""
-        return np.einsum("...bd,b->...d", self._basis_gradient(point), self._weights)
+        return np.einsum("...bd,b->...d", self._basis_gradient(point), self.weights)
 
     def std(self, point: ArrayLike) -> Array:
         """Standard deviation; shape (…)."""
         basis = self._basis(point)
-        return np.sqrt(np.einsum("...a,ab,...b->...", basis, self._covariance, basis))
+        return np.sqrt(np.einsum("...a,ab,...b->...", basis, self.weight_covariance, basis))
 
     def std_gradient(self, point: ArrayLike) -> Array:
         """∂std/∂point; shape (…, d)."""
-        half = np.einsum("...ad,ab,...b->...d", self._basis_gradient(point), self._covariance, self._basis(point))
+        half = np.einsum("...ad,ab,...b->...d", self._basis_gradient(point), self.weight_covariance, self._basis(point))
         std = self.std(point)[..., None]
         return np.divide(half, std, out=np.zeros_like(half), where=std != 0)
 
@@ -161,11 +161,13 @@ class Polynomial(Regression):
         return weights, noise_variance * inverse, noise_variance
 
     @property
-    def _weights(self) -> Array:
+    def weights(self) -> Array:
+        """Expected weights of the monomials; shape (d_φ,)."""
         return self._posterior[0]
 
     @property
-    def _covariance(self) -> Array:
+    def weight_covariance(self) -> Array:
+        """Covariance of the weights; shape (d_φ, d_φ)."""
         return self._posterior[1]
 
     @property

@@ -23,6 +23,7 @@ from stepgap.learning.exact_gaussian_process import ExactGaussianProcess
 from stepgap.learning.gaussian_process import (
     GaussianProcess,
     HyperParameters,
+    check_kernel,
     check_sizes,
     checked_data,
     ensure,
@@ -140,8 +141,10 @@ class SparseGaussianProcess(GaussianProcess):
         """Restores the process that `to_dict` saved.
 
         Raises:
-            ValueError: A key is missing, or its value is not finite numbers of the right size and sign.
+            ValueError: A key is missing, its value is not finite numbers of the right size and sign, or the data are
+                of another kernel.
         """
+        check_kernel(data, kernel)
         arrays, inducing = saved_data(data), numbers(data, "inducing", 2)
         return condition_sparse(*arrays, saved_hyper_parameters(data), inducing, kernel)
 
@@ -179,7 +182,7 @@ class SparseGaussianProcess(GaussianProcess):
 
     def _gradient_of(self, query: Array, features: Array, whitened: Array) -> Array:
         """½ ∂variance/∂query [signal²], given factor⁻¹ φ, whose squares sum to a part of it (F, Q); shape (Q, d)."""
-        covariance, size = self._covariance, len(self.inducing)
+        covariance, size = self.covariance, len(self.inducing)
         response = self.posterior.factor.solve_transposed(whitened)
         weights = self.inducing_factor.solve_transposed(features[:size] - response[:size]).T
         linear = response[size:-1].T * covariance.slope_scale
@@ -187,7 +190,7 @@ class SparseGaussianProcess(GaussianProcess):
 
     def _features(self, query: Array) -> Array:
         """φ of queries (Q, d); shape (F, Q)."""
-        return _features(self._covariance, self.inducing_factor, query)
+        return _features(self.covariance, self.inducing_factor, query)
 
     def _unexplained(self, features: Array) -> Array:
         """Variance of f given f at the inducing points [signal²]; shape (Q,)."""

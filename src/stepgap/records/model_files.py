@@ -1,7 +1,7 @@
 """Model files `models/iteration_K.json`: the residual with which a deployment of a run began.
 
 Besides the residual, a file has a schema number, names and units of state and command, and some steps of the nominal
-map, by which another nominal map is noticed: its error is not the learned one.
+map, by which another nominal map is noticed: its error is not the learned one. docs/model_file.md has all keys.
 """
 
 import json
@@ -65,6 +65,8 @@ def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap 
         data = json.loads(text)
         if isinstance(data, dict) and "features" in data:
             raise ValueError("written by a former version; run the experiment again")
+        if data.get("schema", SCHEMA) != SCHEMA:
+            raise ValueError(f"schema must be {SCHEMA}, not {data['schema']!r:.40}")
         residual = residual_from_dict(data)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, np.linalg.LinAlgError) as error:
         short = " ".join(str(error).split())[:120]
@@ -74,9 +76,19 @@ def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap 
         raise ValueError(
             f"{path}: (state, command) sizes are {residual.sizes}, in steps.csv {wanted}; both must be of the same run"
         )
+    _check_names(path, data, space)
     if nominal is not None:
         _check_nominal(path, data, nominal)
     return residual
+
+
+def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
+    """Raises ValueError if the file names other coordinates."""
+    for key, names in (("state", space.state_names), ("command", space.command_names)):
+        pairs = data.get(key)
+        found = [str(pair[0]) for pair in pairs if isinstance(pair, list) and pair] if isinstance(pairs, list) else None
+        if pairs is not None and found != list(names):
+            raise ValueError(f"{path}: {key} must be {', '.join(names)}, as in steps.csv, not {pairs!r:.80}")
 
 
 def _steps_of(nominal: StepMap) -> list[list[float | None]]:

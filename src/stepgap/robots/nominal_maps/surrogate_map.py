@@ -36,7 +36,7 @@ WORTHWHILE = 0.85
 """The samples are doubled again if that made the error at most this part of the one before."""
 
 GOOD_ENOUGH = 1e-3
-"""Error in half ranges of the state below which no further samples are taken."""
+"""Error in half ranges of the state below which no further samples are taken, unless another one is given."""
 
 NEIGHBOURS = 3
 """Number of nearest sampled steps; a step fails if most of these failed (classification by nearest neighbours)."""
@@ -167,6 +167,7 @@ def fit_surrogate(
     rng: np.random.Generator,
     mapped: MapFunction = map,
     on_samples: Callable[[int, Array], None] = lambda count, error: None,
+    good_enough: float = GOOD_ENOUGH,
 ) -> SurrogateMap:
     """Samples a map and fits a surrogate to it.
 
@@ -175,6 +176,7 @@ def fit_surrogate(
         rng: Scrambles the Sobol sequence.
         mapped: How parts of the samples are computed, such as by an executor's `map`.
         on_samples: Called with the number of samples so far and the error of the surrogate [state units].
+        good_enough: Error in half ranges of the state below which no further samples are taken.
 
     Raises:
         StepGapError: Nearly all sampled steps fail.
@@ -190,7 +192,7 @@ def fit_surrogate(
     while True:
         on_samples(len(samples.status), found.error)
         scaled_error, judged = np.max(found.error / space.state_scale), _misjudged(samples) <= MISJUDGED
-        if len(samples.status) >= MOST_SAMPLES or (judged and scaled_error <= GOOD_ENOUGH):
+        if len(samples.status) >= MOST_SAMPLES or (judged and scaled_error <= good_enough):
             return found
         more = _sampled(step_map, sequence.random(len(samples.status)), centre, scale, mapped)
         samples = samples.plus(more)
@@ -271,12 +273,12 @@ def _legendre(points: Array, degree: int) -> Array:
 
 def _factors(values: Array, degree: int) -> list[Array]:
     """The factor of each coordinate in every product; (…, d, degree + 1) to d times (…, terms)."""
-    exponents = _exponents(values.shape[-2], degree)
+    exponents = exponents_of(values.shape[-2], degree)
     return [values[..., axis, exponents[:, axis]] for axis in range(values.shape[-2])]
 
 
 @cache
-def _exponents(d: int, degree: int) -> Codes:
+def exponents_of(d: int, degree: int) -> Codes:
     """Degree of each coordinate in all products up to a total degree; shape (terms, d)."""
     chosen = [which for size in range(degree + 1) for which in combinations_with_replacement(range(d), size)]
     return np.array([[which.count(axis) for axis in range(d)] for which in chosen])

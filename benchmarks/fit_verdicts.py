@@ -1,0 +1,119 @@
+"""How often the verdicts of `stepgap fit` on random subsets of logs contradict each other, before and now.
+
+The logs are parts of 40 steps of recorded runs. For random subsets of two to four of them, all residuals are validated
+and two verdicts are compared between all pairs of subsets:
+
+- *selection*, the rule of earlier versions: from simple to complex, the residual that is certainly better than the one
+  chosen before. One verdict contradicts another if it calls the residual worse that the other one chose.
+- *gain*, the present rule: the reduction of the error by the averaged prediction. Two verdicts contradict each other if
+  their 95 % intervals have no number in common.
+
+    ./go python benchmarks/fit_verdicts.py RUN… [--subsets 200]
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from stepgap.experiment.fit import read_fit_data
+from stepgap.experiment.fit_results import gains
+from stepgap.learning.step_table import StepTable
+from stepgap.learning.validation import Reduction, Validation, deployment_folds, validate
+
+KINDS = ("none", "constant", "linear", "quadratic", "gp", "gp_on_linear")
+PART = 40
+"""Number of steps of a log."""
+
+
+class Verdicts(NamedTuple):
+    """Both verdicts on one subset, all coordinates together.
+
+    Attributes:
+        chosen: Name of the residual by selection.
+        worse: Residuals that it calls worse.
+        gain: Reduction of the error without a correction by the averaged prediction.
+        more: Reduction of the error with a constant.
+    """
+
+    chosen: str
+    worse: frozenset[str]
+    gain: Reduction
+    more: Reduction
+
+
+def selection(validation: Validation, coordinates: Sequence[int]) -> tuple[str, frozenset[str]]:
+    """The rule of earlier versions."""
+    chosen, *others = KINDS
+    for kind in others:
+        if validation.reduction(kind, chosen, coordinates).certain:
+            chosen = kind
+    by = {kind: validation.reduction(chosen, kind, coordinates) for kind in KINDS if kind != chosen}
+    return chosen, frozenset(kind for kind, each in by.items() if each.certain)
+
+
+def verdicts(steps: StepTable) -> Verdicts:
+    """Both verdicts on some steps."""
+    validation = validate(KINDS, steps, deployment_folds(steps.deployment))
+    together = range(len(steps.space.state))
+    by = gains(validation, together)
+    return Verdicts(*selection(validation, together), by["none"], by["constant"])
+
+
+def subset(steps: StepTable, rng: np.random.Generator) -> StepTable:
+    """Two to four random logs."""
+    logs = np.unique(steps.deployment)
+    return steps.selected(np.isin(steps.deployment, rng.choice(logs, rng.integers(2, 5), replace=False)))
+
+
+def apart(one: Reduction, other: Reduction) -> bool:
+    """Whether two intervals have no number in common."""
+    return abs(one.value - other.value) > one.half_width + other.half_width
+
+
+def share(found: Sequence[Verdicts], contradict: Callable[[Verdicts, Verdicts], bool]) -> float:
+    """Part of the pairs of verdicts that contradict each other."""
+    return float(np.mean([contradict(*pair) for pair in combinations(found, 2)]))
+
+
+def summary(found: Sequence[Verdicts]) -> str:
+    """How often the verdicts differ and contradict each other."""
+    chosen = Counter(one.chosen for one in found).most_common()
+    other_name = share(found, lambda one, other: one.chosen != other.chosen)
+    worse = share(found, lambda one, other: one.chosen in other.worse or other.chosen in one.worse)
+    gain, more = (
+        share(found, lambda one, other, part=part: apart(getattr(one, part), getattr(other, part)))
+        for part in ("gain", "more")
+    )
+    return (
+        f"selection: {', '.join(f'{kind} {times}' for kind, times in chosen)}; "
+        f"two choose another residual {other_name:.1%}, contradict each other {worse:.1%}; gain: intervals apart {gain:.1%}, over a constant {more:.1%}"
+    )
+
+
+def main() -> None:
+    """Prints the shares of contradictions."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", nargs="+", type=Path)
+    parser.add_argument("--subsets", type=int, default=200)
+    options, rng = parser.parse_args(), np.random.default_rng(0)
+    found = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        steps = read_fit_data(options.run, None, None, None, []).steps
+        rows = np.arange(len(steps)) - np.searchsorted(steps.deployment, steps.deployment)  # within each deployment
+        steps = StepTable(**{**steps.__dict__, "deployment": 1000 * steps.deployment + rows // PART})
+        logs, count = np.unique(steps.deployment, return_counts=True)
+        steps = steps.selected(np.isin(steps.deployment, logs[count == PART]))
+        for done in range(1, options.subsets + 1):
+            found.append(verdicts(subset(steps, rng)))
+            if done % 20 == 0 or done == options.subsets:
+                print(f"{done} subsets: {summary(found)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

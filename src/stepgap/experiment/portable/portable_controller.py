@@ -1,0 +1,256 @@
+"""The controller that a run learned, in a portable form: a closed set of maps and regressions that have formulas.
+
+- The nominal map is an `AffineMap` or a `SurrogateMap`. Any other one, such as integrated equations of motion, is
+  replaced by a surrogate that is fitted to it.
+- The regressions of the residual are `Zero`, `Polynomial`, or `GaussianProcessRegression` with a
+  `SparseGaussianProcess`. An exact process of many steps is approximated by inducing points, since its Cholesky factor
+  would have as many numbers as half the square of its steps.
+
+What is replaced is compared with the original, and the differences are reported as `Approximation`. The map of a
+`PortableController` is again a `CorrectedMap`, so `CautiousController` computes the commands that an exported
+controller has to compute.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from stepgap.base.errors import InputError
+from stepgap.control.cautious_controller import CautiousController
+from stepgap.control.settings import ControlSettings
+from stepgap.experiment.loaded_run import LoadedRun
+from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.gaussian_process import GaussianProcess
+from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.polynomial import Polynomial
+from stepgap.learning.regression import Regression
+from stepgap.learning.residual import HistoryInputs, Residual, join_points
+from stepgap.learning.sparse_gaussian_process import SparseGaussianProcess, condition_sparse, spread_points
+from stepgap.learning.zero import Zero
+from stepgap.robots.nominal_maps.affine_map import AffineMap
+from stepgap.robots.nominal_maps.surrogate_map import WIDENED, Samples, SurrogateMap, fit_surrogate
+from stepgap.step import Array, StepMap, StepSpace, StepStatus
+
+SURROGATE_ERROR = 1e-5
+"""Error of the surrogate of a nominal map in half ranges of the state below which no further samples are taken."""
+
+EXPORTED_SIZES = (10, 20, 30, 40, 50, 60)
+"""Numbers of inducing points that are tried, in turn; with 60 and four inputs, a regression has 4,400 numbers."""
+
+SMALL_LOSS = 0.05
+"""No more inducing points are taken once mean and standard deviation differ by less than this from those of the exact
+process, in standard deviations of a step's noise."""
+
+COMPARISON_POINTS = 1000
+"""Number of random points at which a replacement is compared with the original."""
+
+SAMPLE_RESOLUTION = 2.0**-15
+"""Unit in which the sampled points of a surrogate are stored, in half ranges: they only locate the steps that fail."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Approximation:
+    """A part of a controller that was replaced, and by how much its results differ.
+
+    Attributes:
+        subject: What was replaced.
+        replacement: By what.
+        names: Names of the state coordinates that it concerns.
+        rms: Root-mean-square difference at random points of the range [half ranges]; one for each name.
+        worst: Largest difference there [half ranges]; one for each name.
+        noise: Standard deviation of a step's noise [half ranges], 0 if it is unknown; one for each name.
+    """
+
+    subject: str
+    replacement: str
+    names: tuple[str, ...]
+    rms: Array
+    worst: Array
+    noise: Array
+
+    def __str__(self) -> str:
+        parts = [
+            f"{name}: {rms:.1g} of a half range, at most {worst:.1g}"
+            + (f" ({worst / noise:.1g} of the noise of a step)" if noise > 0 else "")
+            for name, rms, worst, noise in zip(self.names, self.rms, self.worst, self.noise, strict=True)
+        ]
+        return f"{self.subject} → {self.replacement}; root-mean-square difference of {'; '.join(parts)}"
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PortableController:
+    """The controller before the first step of a deployment, of parts that have formulas.
+
+    Attributes:
+        map: The corrected map; its nominal map is an `AffineMap` or a `SurrogateMap`.
+        failures: Points (state, command) of steps that failed; shape (k, n + m).
+        settings: Settings of step control, without a table.
+        drift: Whether the disturbance of a deployment is estimated.
+        monitor: Whether a correction that predicted the latest steps worse than the nominal map is not used.
+        approximations: What was replaced, and by how much it differs.
+        notes: Sentences on what the portable form does not do.
+    """
+
+    map: CorrectedMap
+    failures: Array
+    settings: ControlSettings
+    drift: bool
+    monitor: bool
+    approximations: tuple[Approximation, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def space(self) -> StepSpace:
+        """Names, units and ranges."""
+        return self.map.space
+
+    @cached_property
+    def controller(self) -> CautiousController:
+        """The controller of the first step, before any disturbance is estimated."""
+        return CautiousController(self.map, self.map.nominal, self.failures, self.settings)
+
+
+def portable_controller(run: LoadedRun, deployment: int | None, rng: np.random.Generator) -> PortableController:
+    """Brings the controller at the start of a deployment into portable form.
+
+    Args:
+        run: The recorded run.
+        deployment: Number of the deployment; None for the one after the last.
+        rng: Draws the points at which maps are sampled and compared.
+
+    Raises:
+        InputError: There is no such deployment, or its controller has no portable form.
+    """
+    learner = run.learner(deployment)
+    residual = learner.residual
+    _check_inputs(residual)
+    noise = residual.noise_std / run.nominal.space.state_scale
+    nominal, replaced = _portable_nominal(run.nominal, noise, rng)
+    points = _random_points(nominal.space, rng)
+    names = nominal.space.state_names
+    found = [
+        _portable_regression(regression, name, scale, points)
+        for regression, name, scale in zip(residual.regressions, names, nominal.space.state_scale, strict=True)
+    ]
+    corrected = CorrectedMap(nominal, replace(residual, regressions=tuple(regression for regression, _ in found)))
+    learning = run.settings.learning
+    return PortableController(
+        corrected,
+        learner.failures,
+        replace(run.settings.control, table=0),
+        drift=learning.drift and residual.kind != "none",
+        monitor=learning.monitor,
+        approximations=(*replaced, *(loss for _, loss in found if loss)),
+        notes=_notes(run, learner.steps_to_learn),
+    )
+
+
+def _check_inputs(residual: Residual) -> None:
+    if residual.history_inputs != HistoryInputs():
+        raise InputError(
+            f"residual '{residual.name}': lagged inputs and a forgetting time cannot be exported; run with "
+            'learning.lagged_inputs = "none" and learning.forgetting_time = inf'
+        )
+
+
+def _notes(run: LoadedRun, steps_to_learn: float) -> tuple[str, ...]:
+    notes = []
+    if run.settings.control.table:
+        notes.append("control.table: the commands are solved for, not taken from a table")
+    if steps_to_learn > 0:
+        notes.append("learning.online: the residual is that of the start of the deployment; it learns no further step")
+    return tuple(notes)
+
+
+def _random_points(space: StepSpace, rng: np.random.Generator) -> Array:
+    """Random states of the sampled range of a surrogate, and commands within their bounds; shape (k, n + m)."""
+    unit = rng.uniform(-1, 1, (COMPARISON_POINTS, len(space.names)))
+    n = len(space.state)
+    return join_points(space.state_centre + WIDENED * space.state_scale * unit[:, :n], space.command_at(unit[:, n:]))
+
+
+def _portable_nominal(
+    nominal: StepMap, noise: Array, rng: np.random.Generator
+) -> tuple[AffineMap | SurrogateMap, tuple[Approximation, ...]]:
+    """The nominal map, or a surrogate of it and by how much that differs."""
+    if isinstance(nominal, AffineMap):
+        return nominal, ()
+    if isinstance(nominal, SurrogateMap):
+        return _with_small_samples(nominal), ()
+    surrogate = _with_small_samples(fit_surrogate(nominal, rng, good_enough=SURROGATE_ERROR))
+    points, n = _random_points(nominal.space, rng), len(nominal.space.state)
+    expected, found = (each.evaluate(points[:, :n], points[:, n:]) for each in (nominal, surrogate))
+    both = (expected.status == StepStatus.OK) & (found.status == StepStatus.OK)
+    error = (found.next_state - expected.next_state)[both] / nominal.space.state_scale
+    wrong = np.mean((expected.status == StepStatus.OK) != (found.status == StepStatus.OK))
+    replacement = (
+        f"polynomial of degree {surrogate.degree}, which misjudges whether a step fails at {wrong:.2%} of points"
+    )
+    return surrogate, (_approximation("nominal map", replacement, nominal.space.state_names, error, noise),)
+
+
+def _with_small_samples(surrogate: SurrogateMap) -> SurrogateMap:
+    """The surrogate with sampled points that need 16 bits, or with none if no step failed, as they say nothing then."""
+    points, next_state, status = surrogate.samples
+    if (status == StepStatus.OK).all():
+        return replace(surrogate, samples=Samples(points[:0], next_state[:0], status[:0]))
+    rounded = np.clip(np.round(points / SAMPLE_RESOLUTION), -(2**15), 2**15 - 1) * SAMPLE_RESOLUTION
+    return replace(surrogate, samples=Samples(rounded, next_state, status))
+
+
+def _approximation(subject: str, replacement: str, names: tuple[str, ...], error: Array, noise: Array) -> Approximation:
+    """Summary of differences (k, names) [half ranges]."""
+    size = np.abs(error) if len(error) else np.full((1, len(names)), np.nan)
+    return Approximation(subject, replacement, names, np.sqrt(np.mean(size**2, axis=0)), size.max(axis=0), noise)
+
+
+def _portable_regression(
+    regression: Regression, name: str, scale: float, points: Array
+) -> tuple[Regression, Approximation | None]:
+    """The regression of a state coordinate, or its approximation and by how much that differs at points (k, d)."""
+    if isinstance(regression, Zero | Polynomial):
+        return regression, None
+    if not isinstance(regression, GaussianProcessRegression):
+        raise InputError(
+            f"residual of {name}: a {type(regression).__name__} cannot be exported; run with learning.residual = "
+            '"none", "constant", "linear", "quadratic", "gp", "gp_on_linear" or "fitrgp"'
+        )
+    process, noise = regression.process, regression.noise_std
+    if noise == 0:
+        raise InputError(f"residual of {name}: a Gaussian process without noise cannot be exported; record more steps")
+    if isinstance(process, SparseGaussianProcess) and len(process.inducing) <= EXPORTED_SIZES[-1]:
+        return regression, None
+    sparse, error = _smallest_sparse(regression, np.vstack([points, regression.points]))
+    centres = len(sparse.inducing)
+    replacement = f"sparse Gaussian process, {centres} instead of {len(regression.values)} points"
+    relative_noise = np.array([noise / scale])
+    loss = _approximation(f"residual of {name}", replacement, (name,), error[:, None] / scale, relative_noise)
+    return GaussianProcessRegression(sparse, regression.plug_in), loss
+
+
+def _smallest_sparse(regression: GaussianProcessRegression, points: Array) -> tuple[SparseGaussianProcess, Array]:
+    """The process with the fewest inducing points that suffice, and its differences at points (k, d)."""
+    expected = np.stack([regression.mean(points), regression.std(points)])
+
+    def compared(count: int) -> tuple[SparseGaussianProcess, Array]:
+        sparse = _sparse(regression.process, count)
+        found = GaussianProcessRegression(sparse, regression.plug_in)
+        return sparse, np.abs(np.stack([found.mean(points), found.std(points)]) - expected).max(axis=0)
+
+    most = min(EXPORTED_SIZES[-1], len(regression.values))
+    for count in (size for size in EXPORTED_SIZES if size < most):
+        sparse, error = compared(count)
+        if error.max() <= SMALL_LOSS * regression.noise_std:
+            return sparse, error
+    return compared(most)
+
+
+def _sparse(process: GaussianProcess, count: int) -> SparseGaussianProcess:
+    """The process, approximated by a number of inducing points."""
+    known = process.points, process.values, process.input_scale, process.hyper_parameters
+    inducing = spread_points(process.points, process.input_scale, process.hyper_parameters, count, process.kernel)
+    return condition_sparse(*known, inducing, process.kernel)

@@ -1,0 +1,112 @@
+"""Files `models/iteration_K.json`: what is refused when one is read."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stepgap.learning.entry_points import load_residual_model
+from stepgap.learning.exact_gaussian_process import condition
+from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.residual import Residual
+from stepgap.records.model_files import model_path, read_model, write_model
+from tests.experiment.portable.learned import CENTRE, SCALE, SPACE, affine, regression
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    """A run folder with the model of deployment 1."""
+    rng = np.random.default_rng(0)
+    sparse = regression("gp", 0.2, rng)
+    assert isinstance(sparse, GaussianProcessRegression)
+    exact = GaussianProcessRegression(condition(sparse.points, sparse.values, SCALE, sparse.process.hyper_parameters))
+    (tmp_path / "models").mkdir()
+    write_model(tmp_path, 1, Residual(load_residual_model("gp"), (sparse, exact), 2), affine(rng))
+    return tmp_path
+
+
+def change(folder: Path, edit: Any) -> None:
+    path = model_path(folder, 1)
+    data = json.loads(path.read_text("utf-8"))
+    edit(data)
+    path.write_text(json.dumps(data), "utf-8")
+
+
+def refused(folder: Path, match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        read_model(folder, 1, SPACE)
+
+
+def test_the_kernel_is_named_and_checked(written: Path) -> None:
+    data = json.loads(model_path(written, 1).read_text("utf-8"))
+    assert [each["kernel"] for each in data["regressions"]] == ["Matérn 5/2", "Matérn 5/2"]
+    for index in (0, 1):
+        change(written, lambda data, index=index: data["regressions"][index].update(kernel="periodic"))
+        refused(written, "kernel must be Matérn 5/2, not 'periodic'")
+        change(written, lambda data, index=index: data["regressions"][index].pop("kernel"))
+    found = read_model(written, 1, SPACE)  # as former versions wrote it
+    assert found is not None
+    assert np.isfinite(found.mean(CENTRE)).all()
+
+
+def test_another_schema_is_refused(written: Path) -> None:
+    change(written, lambda data: data.update(schema=2))
+    refused(written, "schema must be 1, not 2")
+
+
+@pytest.mark.parametrize("wrong", [[["height", "m"], ["speed", "m/s"]], [["speed", "m/s"]], "speed", [3, 4], [[], []]])
+def test_other_names_are_refused(written: Path, wrong: Any) -> None:
+    change(written, lambda data: data.update(state=wrong))
+    refused(written, "state must be speed, height, as in steps.csv")
+
+
+def process_formula(saved: dict[str, Any], x: np.ndarray, *, constant_is_exact: bool) -> tuple[float, float]:
+    """Mean and standard deviation at x, by the formulas of docs/model_file.md for a Gaussian process of a run."""
+    X, y = np.array(saved["points"]), np.array(saved["values"])
+    scale, s = np.array(saved["input_scale"]), saved["signal_std"]
+    b = saved["slope_std"] / s / scale
+
+    def covariance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        r = np.sqrt(5 * ((((one[:, None] - other) / scale / saved["length_scale"]) ** 2).sum(axis=-1)))
+        return (1 + r + r**2 / 3) * np.exp(-r) + ((one - X[0]) * b) @ ((other - X[0]) * b).T
+
+    K = covariance(X, X) + (saved["noise_std"] / s) ** 2 * np.eye(len(X))
+    one, at = np.ones(len(X)), covariance(x[None], X)[0]
+    K_one, K_at = np.linalg.solve(K, one), np.linalg.solve(K, at)
+    beta = K_one @ y / (K_one @ one)
+    variance = covariance(x[None], x[None])[0, 0] - at @ K_at
+    if not constant_is_exact:
+        variance += (1 - one @ K_at) ** 2 / (K_one @ one)
+    return beta + K_at @ (y - beta), s * np.sqrt(variance)
+
+
+def polynomial_formula(saved: dict[str, Any], x: np.ndarray) -> tuple[float, float]:
+    """The same of a quadratic polynomial."""
+    y, (i, j) = np.array(saved["values"]), np.triu_indices(len(x))
+
+    def monomials(x: np.ndarray) -> np.ndarray:
+        z = (x - np.array(saved["centre"])) / saved["scale"]
+        return np.concatenate([np.ones((*z.shape[:-1], 1)), z, z[..., i] * z[..., j]], axis=-1)
+
+    Phi, phi = monomials(np.array(saved["points"])), monomials(x)
+    A = np.eye(len(phi)) / 30**2 + Phi.T @ Phi
+    w = np.linalg.solve(A, Phi.T @ y)
+    noise = (3 * (0.02 * saved["value_scale"]) ** 2 + y @ y - w @ Phi.T @ y) / (len(y) + 1)
+    return float(phi @ w), float(np.sqrt(noise * phi @ np.linalg.solve(A, phi)))
+
+
+@pytest.mark.parametrize("kind", ["quadratic", "gp", "gp_on_linear", "fitrgp"])
+def test_the_formulas_of_the_page_predict_what_was_learned(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    found = regression(kind, 0.2, rng)
+    if isinstance(found, GaussianProcessRegression):
+        process = condition(found.points, found.values, SCALE, found.process.hyper_parameters)
+        found = GaussianProcessRegression(process, found.plug_in)
+    for x in CENTRE + SCALE * rng.uniform(-1.5, 1.5, (20, 4)):
+        if isinstance(found, GaussianProcessRegression):
+            computed = process_formula(found.to_dict(), x, constant_is_exact=kind == "fitrgp")
+        else:
+            computed = polynomial_formula(found.to_dict(), x)
+        assert np.allclose(computed, (found.mean(x), found.std(x)), rtol=0, atol=1e-10)
