@@ -92,7 +92,8 @@ def summary(found: Sequence[Verdicts]) -> str:
     )
     return (
         f"selection: {', '.join(f'{kind} {times}' for kind, times in chosen)}; "
-        f"two choose another residual {other_name:.1%}, contradict each other {worse:.1%}; gain: intervals apart {gain:.1%}, over a constant {more:.1%}"
+        f"two choose another residual {other_name:.1%}, contradict each other {worse:.1%}; "
+        f"gain: intervals apart {gain:.1%}, over a constant {more:.1%}"
     )
 
 

@@ -20,11 +20,12 @@ def export(
     folder: Path,
     /,
     *,
-    to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf", "model", "onnx", "casadi", "fmu"],
+    to: Literal["mat", "csv", "parquet", "mcap", "foxglove", "mjcf", "model", "onnx", "casadi", "fmu", "c"],
     iteration: Annotated[
         Integer | None, Parameter(name=("--deployment", "--iteration"), validator=validators.Number(gte=0))
     ] = None,
     fmi: Literal[2, 3] = 2,
+    real: Literal["double", "float"] = "double",
     out: Path | None = None,
 ) -> None:
     """Convert a run for other programs: MATLAB, data frames, players of tick logs, viewers, controllers.
@@ -33,10 +34,12 @@ def export(
         folder: Folder of the run.
         to: mat: all numbers, for MATLAB and Octave; csv, parquet: the steps; mcap: the ticks; foxglove: a layout with
             plots of the ticks; mjcf: the model of the hopper's twin; model: what was learned, as a documented JSON
-            file; onnx, casadi: the corrected map; fmu: the controller for co-simulation.
+            file; onnx, casadi: the corrected map; fmu: the controller for co-simulation; c: the
+            controller as a C99 file and its header.
         iteration: Number of the only deployment to export. [default: all of them; for mcap the last one; for what was
             learned the one after the last]
         fmi: For fmu, the version of FMI.
+        real: For c, the type of the numbers.
         out: New file, or for mjcf a new folder. [default: a new one in the folder export/ of the run]
     """
     if to == "mjcf":
@@ -45,10 +48,22 @@ def export(
         _export_ticks(folder, iteration, out)
     elif to == "foxglove":
         _export_layout(folder, iteration, out)
+    elif to == "c":
+        _export_c(folder, iteration, real, out)
     elif to in CONTROLLER_FILES:
         _export_controller(folder, to, iteration, fmi, out)
     else:
         _export_steps(folder, to, iteration, out)
+
+
+def _export_c(folder: Path, iteration: int | None, real: Literal["double", "float"], out: Path | None) -> None:
+    from stepgap.cli.export_controller import c_files
+
+    target = out or _target(folder, "controller.c", None)
+    for name in (target, target.with_suffix(".h")):
+        check_new(name, "--out")
+    for name, content in c_files(folder, target, iteration, real).items():
+        write_new(name, "--out", content)
 
 
 def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None) -> None:

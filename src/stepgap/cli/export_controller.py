@@ -1,4 +1,4 @@
-"""What `stepgap export` writes of a learned controller: the model file, the map for ONNX and CasADi, an FMU."""
+"""What `stepgap export` writes of a learned controller: the model file, the map for ONNX and CasADi, an FMU, C code."""
 
 import sys
 from pathlib import Path
@@ -39,6 +39,34 @@ def controller_file(folder: Path, to: str, deployment: int | None, fmi: Literal[
     for sentence in (*map(str, controller.approximations), *controller.notes):
         print(sentence, file=sys.stderr)
     return content
+
+
+def c_files(folder: Path, target: Path, deployment: int | None, real: Literal["double", "float"]) -> dict[Path, str]:
+    """Contents of the C source and of its header, by path; what was replaced is printed as messages.
+
+    Args:
+        folder: Folder of the run.
+        target: Path of the C source; its stem begins the names of the functions.
+        deployment: As of `controller_file`.
+        real: Type of the numbers.
+
+    Raises:
+        InputError: As of `controller_file`, or the name of the file is not a C identifier followed by `.c`.
+    """
+    from stepgap.base.errors import InputError
+    from stepgap.base.random_streams import random_stream
+    from stepgap.experiment.loaded_run import load_run
+    from stepgap.experiment.portable.c_source import c_source
+    from stepgap.experiment.portable.portable_controller import portable_controller
+
+    if target.suffix != ".c":
+        raise InputError(f"--out {target}: the name must end with .c; the header beside it ends with .h")
+    run = load_run(folder)
+    controller = portable_controller(run, deployment, random_stream(run.settings.seed, 0, 3))
+    source = c_source(controller, target.stem, real)
+    for sentence in (*map(str, controller.approximations), *controller.notes):
+        print(sentence, file=sys.stderr)
+    return {target: source.code, target.with_suffix(".h"): source.header}
 
 
 def _content(

@@ -25,6 +25,7 @@ from stepgap.learning.gaussian_process_regression import GaussianProcessRegressi
 from stepgap.learning.kernel import MATERN_52, SQUARED_EXPONENTIAL
 from stepgap.learning.learner import MONITORED_STEPS, SIGNIFICANCE
 from stepgap.learning.observations import error_of
+from stepgap.learning.outliers import IMPROBABLE, LEAST_STD, improbable_errors
 from stepgap.learning.polynomial import Polynomial, monomials
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import join_points
@@ -65,6 +66,7 @@ def model_document(controller: PortableController, last: DisturbanceFilter | Non
             "regressions": [_regression(each) for each in residual.regressions],
         },
         "disturbance": _disturbance(controller.drift, len(controller.space.state), last),
+        "outliers": {"used": controller.reject_outliers, "improbable": IMPROBABLE, "least_std": LEAST_STD},
         "monitor": {"used": controller.monitor, "steps": MONITORED_STEPS, "significance": SIGNIFICANCE},
         "control": {
             "cautious": settings.cautious,
@@ -87,14 +89,18 @@ def model_text(controller: PortableController, last: DisturbanceFilter | None = 
 
 def filter_after(controller: PortableController, steps: Iterable[LoggedStep]) -> DisturbanceFilter:
     """The disturbance filter after the steps of one deployment, as an exported controller computes it."""
-    corrected, yaw = controller.map, nan
-    found = DisturbanceFilter.initial(len(controller.space.state))
+    corrected, yaw, improbable = controller.map, nan, False
+    found, scale = DisturbanceFilter.initial(len(controller.space.state)), controller.space.state_scale
     for record in (step.record for step in steps):
-        error = error_of(record, corrected.nominal) - corrected.residual.mean(
-            join_points(record.state, record.requested)
-        )
+        point = join_points(record.state, record.requested)
+        error = error_of(record, corrected.nominal) - corrected.residual.mean(point)
         if np.isfinite(error).all():
-            found = found.updated(error, yaw)
+            spread = np.hypot(1, found.std(yaw)) * corrected.noise_std
+            std = np.hypot(corrected.residual.std(point), spread)
+            before, innovation = improbable, (error - found.offset(yaw)) / scale
+            improbable = controller.reject_outliers and bool(improbable_errors(innovation, std / scale).any())
+            if before or not improbable:
+                found = found.updated(error, yaw)
         yaw = record.yaw_after
     return found
 

@@ -84,6 +84,7 @@ def _controller(saved: Mapping[str, Any]) -> PortableController:
         ControlSettings(**rules, evaluations=integer(control, "evaluations")),
         drift=boolean(saved["disturbance"], "used"),
         monitor=boolean(saved["monitor"], "used"),
+        reject_outliers=boolean(saved["outliers"], "used"),
         notes=tuple(map(str, (*saved["approximations"], *saved["notes"]))),
     )
 

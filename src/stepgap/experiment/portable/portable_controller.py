@@ -24,6 +24,7 @@ from stepgap.experiment.loaded_run import LoadedRun
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gaussian_process import GaussianProcess
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
+from stepgap.learning.outliers import LEAST_KNOWN
 from stepgap.learning.polynomial import Polynomial
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import HistoryInputs, Residual, join_points
@@ -91,6 +92,7 @@ class PortableController:
         settings: Settings of step control, without a table.
         drift: Whether the disturbance of a deployment is estimated.
         monitor: Whether a correction that predicted the latest steps worse than the nominal map is not used.
+        reject_outliers: Whether the disturbance is not estimated from single steps with improbable errors.
         approximations: What was replaced, and by how much it differs.
         notes: Sentences on what the portable form does not do.
     """
@@ -100,6 +102,7 @@ class PortableController:
     settings: ControlSettings
     drift: bool
     monitor: bool
+    reject_outliers: bool = False
     approximations: tuple[Approximation, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -144,6 +147,7 @@ def portable_controller(run: LoadedRun, deployment: int | None, rng: np.random.G
         replace(run.settings.control, table=0),
         drift=learning.drift and residual.kind != "none",
         monitor=learning.monitor,
+        reject_outliers=learning.reject_outliers and len(residual.regressions[0].points) >= LEAST_KNOWN,
         approximations=(*replaced, *(loss for _, loss in found if loss)),
         notes=_notes(run, learner.steps_to_learn),
     )
