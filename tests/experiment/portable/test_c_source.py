@@ -22,7 +22,7 @@ from tests.experiment.portable.learned import KINDS, SPACE, learned, steps
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
 
-STRICT = ("-std=c99", "-ffreestanding", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-O1")
+STRICT = ("-std=c99", "-ffreestanding", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-O2")
 SCALE = np.concatenate([SPACE.state_scale, SPACE.command_scale])
 TOLERANCE: dict[Real, float] = {"double": 1e-9, "float": 1e-4}
 

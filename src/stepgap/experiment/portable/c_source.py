@@ -239,11 +239,9 @@ class _Tables:
         side = min(cautious_controller.SEARCH_POINTS, max(2, affordable))
         half = settings.evaluations // 2
         centres = [len(_process(each).inducing) for each in regressions if isinstance(each, GaussianProcessRegression)]
-        terms = [len(each.moments.projection) for each in regressions if isinstance(each, Polynomial)]
         return {
             "DEGREE": nominal.degree if isinstance(nominal, SurrogateMap) else 1,
             "CENTRES": max(centres, default=1),
-            "MONOMIALS": max(terms, default=1),
             "MOST_TRIALS": gauss_newton.MOST_TRIALS,
             "BASINS": bounded_search.BASINS,
             "ZOOM_ROUNDS": bounded_search.ZOOM_ROUNDS,
