@@ -29,6 +29,7 @@ from stepgap.cli.report import report
 from stepgap.cli.rig import rig
 from stepgap.cli.run import run
 from stepgap.cli.settings import settings
+from stepgap.cli.steps import steps
 from stepgap.cli.sweep import sweep
 from stepgap.cli.terminal import warn
 from stepgap.cli.view import view
@@ -54,6 +55,7 @@ add_verb(app, "report", report)
 add_verb(app, "view", view)
 add_verb(app, "export", export)
 add_verb(app, "recover", recover)
+add_verb(app, "steps", steps)
 add_verb(app, "fit", fit)
 add_verb(app, "gait", gait)
 add_verb(app, "map", map_)

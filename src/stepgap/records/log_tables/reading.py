@@ -93,7 +93,7 @@ def chosen_table(
     """
     if not tables:
         raise RecordError(f"{path}: no table of numbers in this file")
-    named = {topic: _with_topic(topic, table) for topic, table in tables.items()}
+    named = {topic: with_topic(topic, table) for topic, table in tables.items()}
     missing = {topic: [name for name in wanted if table.fault_of(name)] for topic, table in named.items()}
     found = [topic for topic, names in missing.items() if not names]
     if len(found) == 1:
@@ -109,7 +109,7 @@ def chosen_table(
     raise RecordError(f"{table.heading or table.source}: {role}{tables[closest].fault_of(name)}{more}")
 
 
-def _with_topic(topic: str, table: LogTable) -> LogTable:
+def with_topic(topic: str, table: LogTable) -> LogTable:
     """The table with its columns also as TOPIC:COLUMN."""
     if not topic:
         return table
