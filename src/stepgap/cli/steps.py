@@ -97,7 +97,7 @@ def steps(
     """
     from stepgap.records.sections.section_settings import read_section_settings
     from stepgap.records.sections.step_extraction import extract_steps
-    from stepgap.records.sections.steps_table import columns_text, describe_steps, steps_table
+    from stepgap.records.sections.steps_table import columns_toml, describe_steps, steps_table
 
     if not log:
         raise InputError("LOG: none given; give logs of the robot's motion, such as log.csv or state.csv+encoder.csv")
@@ -114,7 +114,7 @@ def steps(
     if refusals := [each.refusal for each in found if each.refusal]:
         raise InputError(f"{'; '.join(refusals)}. {picture} shows them; nothing else was written")
     write_new(out, "--out", steps_table(found))
-    if text := columns_text(found[0], settings):
+    if text := columns_toml(found[0], settings):
         write_new(meaning, "--out", text)
         print(f"stepgap fit {out} --columns {meaning} shows what can be learned from these steps", file=sys.stderr)
     else:

@@ -14,7 +14,7 @@ from stepgap.step import Array
 GLITCH: Final = 0.2
 """A phase is a glitch if it is shorter than this part of a typical phase of its kind."""
 
-SHORT: Final = 0.4
+SHORT_PHASE: Final = 0.4
 """A phase is doubtful if it is shorter than this part of a typical phase of its kind."""
 
 HIGH, LOW = 0.3, 0.1
@@ -23,7 +23,7 @@ HIGH, LOW = 0.3, 0.1
 
 @final
 @dataclass(frozen=True)
-class Phase:
+class AerialPhase:
     """A time interval in which a condition holds without interruption.
 
     Attributes:
@@ -39,7 +39,7 @@ class Phase:
     doubts: tuple[str, ...] = ()
 
 
-def phases(time: Array, inside: NDArray[np.bool_]) -> list[Phase]:
+def aerial_phases(time: Array, inside: NDArray[np.bool_]) -> list[AerialPhase]:
     """The complete intervals in which a condition holds.
 
     Changes that last less than `GLITCH` of a typical phase are removed, the shortest first. The typical duration of a
@@ -57,14 +57,14 @@ def phases(time: Array, inside: NDArray[np.bool_]) -> list[Phase]:
         # Both its ends are removed, and the phases before and after it become one.
         del edges[shortest : shortest + 2], kinds[shortest : shortest + 2]
     durations, typical = np.diff(edges), _typical(edges, kinds)
-    short = [bool(each < SHORT * typical[kind]) for each, kind in zip(durations, kinds, strict=True)]
+    short = [bool(each < SHORT_PHASE * typical[kind]) for each, kind in zip(durations, kinds, strict=True)]
     resolution = float(np.median(np.diff(time)))
-    found: list[Phase] = []
+    found: list[AerialPhase] = []
     for number in range(1, len(kinds) - 1):
         if kinds[number]:
             doubts = ["unusually short phase"] if short[number] else []
             doubts += ["unusually short interruption"] if short[number - 1] or short[number + 1] else []
-            found.append(Phase(edges[number], edges[number + 1], resolution, tuple(doubts)))
+            found.append(AerialPhase(edges[number], edges[number + 1], resolution, tuple(doubts)))
     return found
 
 

@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from stepgap.records.log_tables.log_table import LogTable
-from stepgap.records.sections.aerial_phases import Phase, airborne, crossings, phases
+from stepgap.records.sections.aerial_phases import AerialPhase, aerial_phases, airborne, crossings
 from stepgap.records.sections.section_settings import BOOM_COLUMNS, SectionSettings
 from stepgap.records.sections.signals import Signal, SignalLog, TimedTable
 from stepgap.records.sections.tops import tops
@@ -19,7 +19,7 @@ FLIGHT_WORDS = ("flight", "aerial", "swing")
 
 @final
 @dataclass(frozen=True)
-class Section:
+class FoundSection:
     """A section as it was found, before its time and state are estimated.
 
     Attributes:
@@ -38,22 +38,22 @@ class Section:
     doubts: tuple[str, ...] = ()
 
 
-SectionFunction = Callable[[SignalLog], Sequence[Section]]
+SectionFunction = Callable[[SignalLog], Sequence[FoundSection]]
 """Finds the sections of a log."""
 
 
-def find_sections(log: SignalLog, settings: SectionSettings) -> list[Section]:
+def find_sections(log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
     """Finds the sections by the rule of the settings.
 
     Raises:
         RecordError: A column is missing, or there are less than two sections.
     """
     if settings.rule == "height":
-        found = [Section(time) for time in tops(log.signal(settings.height_column), settings.rise)]
+        found = [FoundSection(time) for time in tops(log.signal(settings.height_column), settings.rise)]
     elif settings.rule == "crossing":
         signal = log.signal(settings.crossing)
         times, std = crossings(signal, settings.level, settings.falling), signal.interval / np.sqrt(12)
-        found = [Section(time, time_std=std) for time in times]
+        found = [FoundSection(time, time_std=std) for time in times]
     else:
         found = _in_flights(flights(log, settings), log, settings)
     if len(found) < 2:
@@ -79,7 +79,7 @@ def with_boom(log: SignalLog, settings: SectionSettings) -> SignalLog:
     return SignalLog(log.source, [tables, *log.files], factors)
 
 
-def flights(log: SignalLog, settings: SectionSettings) -> list[Phase]:
+def flights(log: SignalLog, settings: SectionSettings) -> list[AerialPhase]:
     """The flights by phase, contact or force.
 
     Raises:
@@ -88,13 +88,15 @@ def flights(log: SignalLog, settings: SectionSettings) -> list[Phase]:
     if settings.rule == "phase":
         column = log.labels(settings.phase)
         names = _aerial_names(log.source, settings, sorted(set(column.values.tolist())))
-        return phases(column.time, np.isin(column.values, names))
+        return aerial_phases(column.time, np.isin(column.values, names))
     columns = settings.contact or settings.force
     feet = [_in_air(log, column, settings) for column in columns]
     time = np.unique(np.concatenate([foot.time for foot in feet]))
     # Between its samples, a foot is as it was at the last one.
     latest = [np.clip(np.searchsorted(foot.time, time, "right") - 1, 0, None) for foot in feet]
-    return phases(time, np.all([foot.values[rows] == 1 for foot, rows in zip(feet, latest, strict=True)], axis=0))
+    return aerial_phases(
+        time, np.all([foot.values[rows] == 1 for foot, rows in zip(feet, latest, strict=True)], axis=0)
+    )
 
 
 def _in_air(log: SignalLog, column: str, settings: SectionSettings) -> Signal:
@@ -125,14 +127,16 @@ def _aerial_names(source: str, settings: SectionSettings, labels: Sequence[str])
     return names
 
 
-def _in_flights(found: Sequence[Phase], log: SignalLog, settings: SectionSettings) -> list[Section]:
+def _in_flights(found: Sequence[AerialPhase], log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
     """The sections of flights."""
-    whole = [Section(each.begin, each.begin, each.end, each.resolution / np.sqrt(12), each.doubts) for each in found]
+    whole = [
+        FoundSection(each.begin, each.begin, each.end, each.resolution / np.sqrt(12), each.doubts) for each in found
+    ]
     if settings.at == "begin":
         return whole
     if settings.at == "end":
         return [replace(each, time=each.end) for each in whole]
-    height, sections, rises = log.signal(settings.height_column), list[Section](), list[float]()
+    height, sections, rises = log.signal(settings.height_column), list[FoundSection](), list[float]()
     for each in whole:
         part = height.between(each.begin, each.end)
         if not len(part):

@@ -113,7 +113,7 @@ class SectionSettings:
 
     def _check_coordinates(self) -> None:
         for role in COORDINATES:
-            found = [Coordinate.of(entry) for entry in getattr(self, role)]
+            found = self.coordinates(role)
             if len({each.name for each in found}) < len(found) or len(found) > MOST_COORDINATES:
                 raise ValueError(
                     f"{role} = {','.join(getattr(self, role))!r:.80}, but it must be at most {MOST_COORDINATES} "
@@ -127,6 +127,10 @@ class SectionSettings:
         """Column of the height; that of the boom if no other is given."""
         return self.height or (BOOM_COLUMNS[0] if self.boom else "")
 
+    def coordinates(self, role: str) -> list["SignalCoordinate"]:
+        """The coordinates of one of `COORDINATES`."""
+        return [SignalCoordinate.of(entry) for entry in getattr(self, role)]
+
     @property
     def rule(self) -> str:
         """How sections are found: one of `RULES`, or "height"."""
@@ -135,7 +139,7 @@ class SectionSettings:
 
 @final
 @dataclass(frozen=True)
-class Coordinate:
+class SignalCoordinate:
     """A coordinate of a state or command.
 
     Attributes:
@@ -149,12 +153,12 @@ class Coordinate:
     rate: bool
 
     @staticmethod
-    def of(entry: str) -> "Coordinate":
+    def of(entry: str) -> "SignalCoordinate":
         """Reads COLUMN, NAME=COLUMN or NAME=rate(COLUMN)."""
         name, _, given = entry.rpartition("=")
         rate = re.fullmatch(r"rate\((.+)\)", given.strip())
         column = rate[1] if rate else given.strip()
-        return Coordinate(name.strip() or column, column, rate is not None)
+        return SignalCoordinate(name.strip() or column, column, rate is not None)
 
 
 def read_section_settings(file: Path | None, options: Mapping[str, str | float | bool]) -> SectionSettings:

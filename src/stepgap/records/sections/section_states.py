@@ -7,13 +7,13 @@ from typing import Final, final
 import numpy as np
 
 from stepgap.records.sections.local_fit import LocalFit, fit_parabola, noise_std_of, resolution_of
-from stepgap.records.sections.section_finding import Section
-from stepgap.records.sections.section_settings import Coordinate, SectionSettings
+from stepgap.records.sections.section_finding import FoundSection
+from stepgap.records.sections.section_settings import SectionSettings, SignalCoordinate
 from stepgap.records.sections.signals import Signal, SignalLog
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
-WINDOWS: Final = (1.0, 0.7, 0.5, 0.35, 0.25)
+WINDOW_PARTS: Final = (1.0, 0.7, 0.5, 0.35, 0.25)
 """Windows that are tried, in parts of the longest one."""
 
 BIAS: Final = 1.5
@@ -28,7 +28,7 @@ UNCERTAIN: Final = 5.0
 IMPRECISE: Final = 0.1
 """and larger than this part of the standard deviation of the state over all sections."""
 
-MOST_OUTLIERS: Final = 0.2
+MOST_SAMPLES_OFF: Final = 0.2
 """A fit is doubtful if a larger part of its samples was left out."""
 
 
@@ -54,7 +54,7 @@ class SectionStates:
     window: float
 
 
-def section_states(log: SignalLog, sections: Sequence[Section], settings: SectionSettings) -> SectionStates:
+def section_states(log: SignalLog, sections: Sequence[FoundSection], settings: SectionSettings) -> SectionStates:
     """Estimates time and state of the sections.
 
     The window is the longest one whose estimates agree with those of shorter windows within their standard errors
@@ -63,12 +63,12 @@ def section_states(log: SignalLog, sections: Sequence[Section], settings: Sectio
     Raises:
         RecordError: A column of the state is missing, or no section has enough samples about it.
     """
-    coordinates = [Coordinate.of(entry) for entry in settings.state]
+    coordinates = settings.coordinates("state")
     signals = [log.signal(each.column) for each in coordinates]
     height = log.signal(settings.height_column) if settings.at == "apex" and settings.rule != "crossing" else None
     estimator = _Estimator(sections, coordinates, signals, height, one_sided=settings.at != "apex")
     longest = settings.window or _longest_window(sections)
-    candidates = [estimator(longest * part) for part in (WINDOWS[:1] if settings.window else WINDOWS)]
+    candidates = [estimator(longest * part) for part in (WINDOW_PARTS[:1] if settings.window else WINDOW_PARTS)]
     usable = [each for each in candidates if np.isfinite(each.state).all(axis=1).sum() > len(sections) / 2]
     if not usable:
         rate = 1 / max(signal.interval for signal in signals)
@@ -82,7 +82,7 @@ def section_states(log: SignalLog, sections: Sequence[Section], settings: Sectio
     return usable[-1]
 
 
-def _longest_window(sections: Sequence[Section]) -> float:
+def _longest_window(sections: Sequence[FoundSection]) -> float:
     """Two fifths of a typical flight if flights are known, else a fifth of the time between sections."""
     flights = np.array([each.end - each.begin for each in sections])
     if np.isfinite(flights).all():
@@ -114,8 +114,8 @@ class _Estimator:
         one_sided: Whether the section is the begin or the end of the smooth motion.
     """
 
-    sections: Sequence[Section]
-    coordinates: Sequence[Coordinate]
+    sections: Sequence[FoundSection]
+    coordinates: Sequence[SignalCoordinate]
     signals: Sequence[Signal]
     height: Signal | None
     one_sided: bool
@@ -151,7 +151,7 @@ class _Estimator:
         texts = tuple("; ".join(dict.fromkeys(each)) for each in doubts)
         return SectionStates(times, time_std, state, std, texts, window)
 
-    def _top(self, section: Section, window: float) -> LocalFit | None:
+    def _top(self, section: FoundSection, window: float) -> LocalFit | None:
         """The parabola about the top, whose centre is moved to the top twice."""
         assert self.height is not None
         centre, fit = section.time, None
@@ -162,14 +162,14 @@ class _Estimator:
             centre = fit.top
         return fit
 
-    def _fit(self, signal: Signal, section: Section, time: float, window: float) -> LocalFit | None:
+    def _fit(self, signal: Signal, section: FoundSection, time: float, window: float) -> LocalFit | None:
         margin = 0.0 if self.one_sided else min(0.05 * (section.end - section.begin), window)
         margin = margin if np.isfinite(margin) else 0.0
         begin, end = max(time - window, section.begin + margin), min(time + window, section.end - margin)
         return fit_parabola(signal, time, begin, end) if begin < end else None
 
 
-def _at(fit: LocalFit, coordinate: Coordinate, time: float, time_std: float, noise: float) -> tuple[float, float]:
+def _at(fit: LocalFit, coordinate: SignalCoordinate, time: float, time_std: float, noise: float) -> tuple[float, float]:
     """Value of a coordinate at a time, and its standard error, which contains that of the time."""
     if coordinate.rate:
         return fit.rate(time), float(np.hypot(fit.rate_std(time, noise), fit.acceleration * time_std))
@@ -200,7 +200,7 @@ def _note_misfits(fits: Sequence[LocalFit | None], doubts: Sequence[list[str]], 
     for fit, square, found in zip(fits, squares, doubts, strict=True):
         if fit is None:
             found.append(f"too few samples for {name}")
-        elif fit.outliers > MOST_OUTLIERS:
+        elif fit.outliers > MOST_SAMPLES_OFF:
             found.append(f"{fit.outliers:.0%} of the samples for {name} are off")
         elif square > MISFIT**2 * typical:
             found.append(f"the samples for {name} do not fit a parabola")

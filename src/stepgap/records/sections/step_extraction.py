@@ -1,7 +1,7 @@
 """Steps from a log of ticks: sections, states, plans, and the reasons for which steps are left out."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from stepgap.records.sections.plans import Plans, StepValues, joined_doubts, read_plans, step_values
 from stepgap.records.sections.section_finding import SectionFunction, find_sections, with_boom
-from stepgap.records.sections.section_settings import COORDINATES, Coordinate, SectionSettings
+from stepgap.records.sections.section_settings import COORDINATES, SectionSettings, SignalCoordinate
 from stepgap.records.sections.section_states import SectionStates, section_states
 from stepgap.records.sections.signals import Signal, SignalLog, read_signal_log
 from stepgap.records.sections.tops import hop_faults
@@ -37,8 +37,7 @@ class ExtractedSteps:
         values: Commands, targets and predictions of the K − 1 steps by role; shape (K − 1, number of coordinates).
         yaw: Yaw at the beginning of each step [rad], NaN where it is unknown; None if the settings name none.
         faults: Why a step is left out; empty texts for steps that are not.
-        shown: The signal in which the sections are seen, such as the height.
-        shown_name: Its name.
+        signals: The signals by column, first the one in which the sections are seen, such as the height.
     """
 
     source: str
@@ -47,8 +46,7 @@ class ExtractedSteps:
     values: dict[str, Array]
     yaw: Array | None
     faults: tuple[str, ...]
-    shown: Signal
-    shown_name: str
+    signals: Mapping[str, Signal]
 
     @property
     def kept(self) -> list[int]:
@@ -95,23 +93,22 @@ def extract_steps(
         if getattr(settings, role)
     }
     values = {role: np.stack([each.values for each in found_values], -1) for role, found_values in parts.items()}
-    used = [log.signal(column) for column in _columns(settings)]
+    signals = {column: log.signal(column) for column in _columns(settings)}
     hops = log.signal(settings.height_column) if settings.at == "apex" and settings.rule != "crossing" else None
     return ExtractedSteps(
         source=text,
-        names={role: tuple(Coordinate.of(entry).name for entry in getattr(settings, role)) for role in COORDINATES},
+        names={role: tuple(each.name for each in settings.coordinates(role)) for role in COORDINATES},
         sections=sections,
         values=values,
         yaw=_yaw(log, settings, sections.time[:-1]),
-        faults=_faults(sections, used, hops, [each for part in parts.values() for each in part]),
-        shown=log.signal(settings.crossing or settings.height_column or Coordinate.of(settings.state[0]).column),
-        shown_name=settings.crossing or settings.height_column or Coordinate.of(settings.state[0]).column,
+        faults=_faults(sections, list(signals.values()), hops, [each for part in parts.values() for each in part]),
+        signals=signals,
     )
 
 
 def _source(entry: str, log: SignalLog, plans: Plans | None) -> Signal:
     """The signal of a coordinate of the command, in the plans or else in the log."""
-    coordinate = Coordinate.of(entry)
+    coordinate = SignalCoordinate.of(entry)
     if coordinate.rate:
         raise RecordError(f"{entry}: only coordinates of the state may be rates")
     planned = plans.signal(coordinate.column) if plans else None
@@ -119,11 +116,10 @@ def _source(entry: str, log: SignalLog, plans: Plans | None) -> Signal:
 
 
 def _columns(settings: SectionSettings) -> list[str]:
-    """Columns of numbers that must not have gaps."""
-    columns = [Coordinate.of(entry).column for entry in settings.state]
-    columns += [settings.height_column] if settings.height_column else []
-    columns += [settings.crossing] if settings.crossing else []
-    return list(dict.fromkeys([*columns, *settings.contact, *settings.force]))
+    """Columns of numbers that must not have gaps, first the one in which sections are seen."""
+    seen = [column for column in (settings.crossing, settings.height_column) if column]
+    state = [each.column for each in settings.coordinates("state")]
+    return list(dict.fromkeys([*seen, *state, *settings.contact, *settings.force]))
 
 
 def _faults(

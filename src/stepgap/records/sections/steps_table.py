@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.records.sections.section_settings import Coordinate, SectionSettings
+from stepgap.records.sections.section_settings import SectionSettings
 from stepgap.records.sections.step_extraction import ExtractedSteps
 
 
@@ -29,12 +29,16 @@ def steps_table(logs: Sequence[ExtractedSteps]) -> str:
     return file.getvalue()
 
 
-def columns_text(log: ExtractedSteps, settings: SectionSettings) -> str:
+def columns_toml(log: ExtractedSteps, settings: SectionSettings) -> str:
     """TOML text of the meaning of these columns, for `stepgap fit --columns`; empty without commands and targets."""
     columns = dict(_columns(log))
     if not (columns.get("command") or columns.get("target")):
         return ""
-    lines = [f"{role} = {json.dumps(names, ensure_ascii=False)}" for role, names in columns.items() if role in _ROLES]
+    lines = [
+        f"{role} = {json.dumps(names, ensure_ascii=False)}"
+        for role, names in columns.items()
+        if names and role in _ROLES
+    ]
     lines += ['deployment = "log"', *(['yaw = "yaw"'] if log.yaw is not None else [])]
     units = {name: unit for name, unit in _units(columns, settings) if unit}
     if units:
@@ -94,8 +98,7 @@ def _units(columns: dict[str, list[str]], settings: SectionSettings) -> Iterator
     """Units of the columns of states and commands."""
     known = {"height": "m", "forward": "m"} | dict(settings.units) if settings.boom else dict(settings.units)
     for role in ("state", "command"):
-        for name, entry in zip(columns[role], getattr(settings, role), strict=True):
-            coordinate = Coordinate.of(entry)
+        for name, coordinate in zip(columns[role], settings.coordinates(role), strict=True):
             unit = known.get(coordinate.column, "")
             rate = f"{unit}/s" if unit and coordinate.rate else unit
             yield name, known.get(coordinate.name, rate) if coordinate.name != coordinate.column else rate

@@ -10,7 +10,7 @@ from stepgap.records.sections.signals import Signal
 from stepgap.records.steps_csv import RecordError
 from stepgap.step import Array
 
-Indices = NDArray[np.intp]
+_Indices = NDArray[np.intp]
 """Numbers of samples."""
 
 CLEAR: Final = 3.0
@@ -22,7 +22,7 @@ SMALL: Final = 0.15
 SHALLOW, TALL = 0.2, 0.5
 """Parts of a typical descent after an apex: of the least descent of a hop, and of a top that is another hop."""
 
-MOST_SAMPLES: Final = 2**22
+MOST_INTERPOLATED: Final = 2**22
 """A signal is interpolated at no more times than this."""
 
 
@@ -44,7 +44,7 @@ def tops(signal: Signal, rise: float = 0.0) -> list[float]:
 
     time, values = _uniform(signal)
     values = median_filter(values, 5)  # a single wrong sample is no top
-    former: Indices | None = None
+    former: _Indices | None = None
     width = 1.0
     while width < len(values) / 20:
         found = _prominent(gaussian_filter1d(values, width), rise)
@@ -96,13 +96,13 @@ def _uniform(signal: Signal) -> tuple[Array, Array]:
     """Times at equal intervals, and the values there, interpolated linearly."""
     step = max(signal.interval, 1e-9)
     duration = float(signal.time[-1] - signal.time[0])
-    if duration / step > MOST_SAMPLES:
-        raise RecordError(f"{duration / step:.3g} samples; at most {MOST_SAMPLES} are searched for tops")
+    if duration / step > MOST_INTERPOLATED:
+        raise RecordError(f"{duration / step:.3g} samples; at most {MOST_INTERPOLATED} are searched for tops")
     time = signal.time[0] + step * np.arange(int(duration / step) + 1)
     return time, np.interp(time, signal.time, np.asarray(signal.values, float))
 
 
-def _prominent(values: Array, rise: float) -> Indices | None:
+def _prominent(values: Array, rise: float) -> _Indices | None:
     """Indices of the maxima of the more prominent group; None if there are no two groups."""
     from scipy.signal import find_peaks, peak_prominences
 
@@ -128,5 +128,5 @@ def _floor(values: Array) -> float:
     return float(4 * np.std(np.diff(values, 2)) + 1e-9 * np.ptp(values))
 
 
-def _same(former: Indices, found: Indices, apart: float) -> bool:
+def _same(former: _Indices, found: _Indices, apart: float) -> bool:
     return len(former) == len(found) and bool((np.abs(former - found) <= apart).all())
