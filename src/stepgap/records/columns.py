@@ -121,6 +121,9 @@ def read_columns(file: Path | None, options: Mapping[str, str]) -> Columns | Non
         return None
     try:
         entries["format"] = TextFormat(**entries.get("format", {}))
+    except ValueError as error:
+        raise RecordError(f"{file}: format.{error}") from None
+    try:
         return Columns(**entries)
     except ValueError as error:
         raise RecordError(f"{f'{file}: ' if file else '--'}{error}") from None

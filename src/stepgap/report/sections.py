@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from stepgap.records.sections.signals import Signal
 from stepgap.records.sections.step_extraction import ExtractedSteps
+from stepgap.records.sections.steps_table import label_of
 from stepgap.report.colours import BLACK, BLUE, LIGHT, VERMILLION
 from stepgap.report.figures import plain
 from stepgap.step import Array
@@ -36,10 +37,9 @@ def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
         logs: Steps of the logs.
         form: File format: pdf, png or svg.
     """
-    rows = [(log, begin) for log in logs for begin in range(0, len(log.sections.time) - 1, SECTIONS_IN_ROW)][
-        :MOST_OVERVIEW_ROWS
-    ]
-    doubtful = [(log, number) for log in logs for number, doubt in enumerate(log.sections.doubts) if doubt][:MOST_VIEWS]
+    rows = [(log, begin) for log in logs for begin in range(0, len(log.sections.time) - 1, SECTIONS_IN_ROW)]
+    doubtful = [(log, number) for log in logs for number, doubt in enumerate(log.sections.doubts) if doubt]
+    del rows[MOST_OVERVIEW_ROWS:], doubtful[MOST_VIEWS:]
     figure = Figure(figsize=(13, 0.8 + 1.8 * (len(rows) + len(doubtful))), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(len(rows) + len(doubtful), PANELS)
@@ -50,7 +50,7 @@ def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
         name, signal = next(iter(log.signals.items()))
         panel = figure.add_subplot(grid[row, :])
         _draw(panel, log, signal, log.sections.time[begin] - margin, log.sections.time[end] + margin)
-        _title(panel, log.source, 9)
+        _title(panel, label_of(log), 9)
         panel.set_ylabel(plain(name))
         legend |= _legend_of(panel)
     for row, (log, number) in enumerate(doubtful, len(rows)):

@@ -44,17 +44,17 @@ class TextFormat:
     def __post_init__(self) -> None:
         object.__setattr__(self, "delimiter", DELIMITERS.get(self.delimiter, self.delimiter))
         if self.decimal not in ("", ".", ","):
-            raise ValueError(f"format: decimal = {self.decimal!r:.40}, but it must be '.' or ','")
+            raise ValueError(f"decimal = {self.decimal!r:.40}, but it must be '.' or ','")
         if self.delimiter not in ("", *DELIMITERS.values()):
             names = ", ".join(DELIMITERS)
-            raise ValueError(f"format: delimiter = {self.delimiter!r:.40}, but it must be one of {names}")
+            raise ValueError(f"delimiter = {self.delimiter!r:.40}, but it must be one of {names}")
         if self.delimiter == self.decimal == ",":
-            raise ValueError("format: delimiter and decimal are both a comma")
+            raise ValueError("delimiter = ',', but it must differ from the decimal sign")
         try:
             b"ab".decode(self.encoding or "utf-8", "replace")
         except (LookupError, UnicodeError):
             known = "such as utf-8, utf-16, latin-1 or cp1252"
-            raise ValueError(f"format: encoding = {self.encoding!r:.40}, but it must be an encoding, {known}") from None
+            raise ValueError(f"encoding = {self.encoding!r:.40}, but it must be an encoding, {known}") from None
 
 
 AS_FOUND = TextFormat()

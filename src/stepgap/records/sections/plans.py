@@ -1,6 +1,6 @@
 """Commands and targets of the steps of a log, matched by time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -93,10 +93,17 @@ def _planned_values(plans: Signal, sections: Array) -> StepValues:
 @final
 @dataclass(frozen=True, eq=False)
 class Plans:
-    """The plans of a log: a table with a row for each, and the times at which they were made [s]; shape (P,)."""
+    """The plans of a log.
+
+    Attributes:
+        table: It has a row for each plan.
+        time: Times at which they were made [s]; shape (P,).
+        factors: Factors by which columns are multiplied.
+    """
 
     table: LogTable
     time: Array
+    factors: Mapping[str, float]
 
     def signal(self, column: str) -> Signal | None:
         """A column of numbers, or the element of a column of lists as COLUMN[0]; None if there is no such column.
@@ -107,6 +114,7 @@ class Plans:
         values = self._numbers(column)
         if values is None:
             return None
+        values = values * self.factors.get(column, 1.0)
         known = np.isfinite(self.time) & np.isfinite(values)
         order = np.argsort(self.time[known], kind="stable")
         return Signal(self.time[known][order], values[known][order])
@@ -140,12 +148,12 @@ def read_plans(path: Path, log: SignalLog, settings: SectionSettings) -> Plans:
         if column is None:
             missing = unknown_column(wanted[0], list(table.columns))
             raise RecordError(f"{path}: {missing}; name the time of the plan by --plan-time, or use --plan-match")
-        return Plans(table, table.numbers(column) * settings.factors.get(column, 1.0))
+        return Plans(table, table.numbers(column) * settings.factors.get(column, 1.0), settings.factors)
     own, _, other = settings.plan_match.partition("=")
-    time = _matching_times(log.signal(other), table.numbers(own))
+    time = _matching_times(log.signal(other), table.numbers(own) * settings.factors.get(own, 1.0))
     if not np.isfinite(time).any():
         raise RecordError(f"{path}: no number of {own!r} occurs once in {other!r} of {log.source}")
-    return Plans(table, time)
+    return Plans(table, time, settings.factors)
 
 
 def _matching_times(signal: Signal, numbers: Array) -> Array:

@@ -49,7 +49,7 @@ def find_sections(log: SignalLog, settings: SectionSettings) -> list[FoundSectio
         RecordError: A column is missing, or there are less than two sections.
     """
     if settings.rule == "height":
-        found = [FoundSection(time) for time in tops(log.signal(settings.height_column), settings.rise)]
+        found = _tops(log, settings)
     elif settings.rule == "crossing":
         signal = log.signal(settings.crossing)
         times, std = crossings(signal, settings.level, settings.falling), signal.interval / np.sqrt(12)
@@ -57,8 +57,17 @@ def find_sections(log: SignalLog, settings: SectionSettings) -> list[FoundSectio
     else:
         found = _in_flights(flights(log, settings), log, settings)
     if len(found) < 2:
-        raise RecordError(f"{log.source}: {len(found)} sections by the rule {settings.rule}; at least two are needed")
+        raise RecordError(
+            f"{log.source}: the rule {settings.rule} finds {len(found)} section(s); at least two are needed"
+        )
     return found
+
+
+def _tops(log: SignalLog, settings: SectionSettings) -> list[FoundSection]:
+    try:
+        return [FoundSection(time) for time in tops(log.signal(settings.height_column), settings.rise)]
+    except RecordError as error:
+        raise RecordError(f"{log.source}, column {settings.height_column!r}: {error}") from None
 
 
 def with_boom(log: SignalLog, settings: SectionSettings) -> SignalLog:
@@ -94,9 +103,8 @@ def flights(log: SignalLog, settings: SectionSettings) -> list[AerialPhase]:
     time = np.unique(np.concatenate([foot.time for foot in feet]))
     # Between its samples, a foot is as it was at the last one.
     latest = [np.clip(np.searchsorted(foot.time, time, "right") - 1, 0, None) for foot in feet]
-    return aerial_phases(
-        time, np.all([foot.values[rows] == 1 for foot, rows in zip(feet, latest, strict=True)], axis=0)
-    )
+    in_air = [foot.values[rows] == 1 for foot, rows in zip(feet, latest, strict=True)]
+    return aerial_phases(time, np.all(in_air, axis=0))
 
 
 def _in_air(log: SignalLog, column: str, settings: SectionSettings) -> Signal:

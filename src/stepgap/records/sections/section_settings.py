@@ -93,7 +93,8 @@ class SectionSettings:
     def __post_init__(self) -> None:
         rules = [name for name in RULES if getattr(self, name)]
         if len(rules) > 1:
-            raise ValueError(f"{rules[1]} = {getattr(self, rules[1])!r}, but it must not be given beside {rules[0]}")
+            given = _joined(getattr(self, rules[1]))
+            raise ValueError(f"{rules[1]} = {given!r:.60}, but it must not be given beside {rules[0]}")
         if self.at not in ("apex", "begin", "end"):
             raise ValueError(f"at = {self.at!r:.40}, but it must be apex, begin or end")
         for name in ("threshold", "rise", "window", "boom"):
@@ -104,9 +105,7 @@ class SectionSettings:
         if not self.crossing and self.at == "apex" and not self.height_column:
             raise ValueError("height = '', but it must be the column of the height, or a boom's pitch, for an apex")
         if not self.state:
-            raise ValueError(
-                "state = (), but it must name the coordinates of the state, such as speed=rate(x),height=y"
-            )
+            raise ValueError("state = '', but it must name the state, such as speed=rate(x),height=y")
         if self.plan_match and "=" not in self.plan_match:
             raise ValueError(f"plan_match = {self.plan_match!r:.60}, but it must be PLAN_COLUMN=COLUMN")
         self._check_coordinates()
@@ -116,11 +115,12 @@ class SectionSettings:
             found = self.coordinates(role)
             if len({each.name for each in found}) < len(found) or len(found) > MOST_COORDINATES:
                 raise ValueError(
-                    f"{role} = {','.join(getattr(self, role))!r:.80}, but it must be at most {MOST_COORDINATES} "
+                    f"{role} = {_joined(getattr(self, role))!r:.80}, but it must be at most {MOST_COORDINATES} "
                     "coordinates with different names"
                 )
             if role in ("target", "predicted") and len(found) not in (0, len(self.state)):
-                raise ValueError(f"{role} = {len(found)} coordinates, but it must be as many as of the state")
+                given = _joined(getattr(self, role))
+                raise ValueError(f"{role} = {given!r:.80}, but it must be {len(self.state)} coordinates, as the state")
 
     @property
     def height_column(self) -> str:
@@ -182,6 +182,10 @@ def read_section_settings(file: Path | None, options: Mapping[str, str | float |
     start = SectionSettings(height="height", state=("height",))
     complete = {"height": "", "state": []} | table
     return replace(merge(start, complete, locate), **tables)
+
+
+def _joined(value: str | tuple[str, ...]) -> str:
+    return value if isinstance(value, str) else ",".join(value)
 
 
 def _listed(value: Any) -> list[str]:

@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from stepgap.records.columns import unknown_column
 from stepgap.records.log_tables.files import LARGEST_LOG
 from stepgap.records.log_tables.log_table import LogColumn, LogTable
 from stepgap.records.log_tables.reading import read_log_tables, with_topic
@@ -70,6 +71,11 @@ class SignalLog:
     files: Sequence[Sequence[TimedTable]]
     factors: Mapping[str, float]
 
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns of all tables."""
+        return list(dict.fromkeys(name for file in self.files for one in file for name in one.table.columns))
+
     def signal(self, column: str) -> Signal:
         """The numbers of a column, from the first file that has it.
 
@@ -100,9 +106,9 @@ class SignalLog:
                 raise RecordError(f"{sources:.300}: all have a column {column!r}; give it as TABLE:COLUMN")
             if having:
                 return having[0]
-        tables = [one.table for file in self.files for one in file]
-        known = {name: np.zeros(0) for table in tables for name in table.columns}
-        raise RecordError(f"{self.source}: {(tables[0] if len(tables) == 1 else LogTable('', known)).fault_of(column)}")
+        repeated = any(column in one.table.repeated for file in self.files for one in file)
+        fault = "more than one such column" if repeated else unknown_column(column, self.columns)
+        raise RecordError(f"{self.source}: {fault}")
 
 
 def read_signal_log(text: str, time: str, factors: Mapping[str, float], written: TextFormat = AS_FOUND) -> SignalLog:

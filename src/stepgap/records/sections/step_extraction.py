@@ -9,6 +9,7 @@ from typing import Final, final
 
 import numpy as np
 
+from stepgap.records.columns import unknown_column
 from stepgap.records.sections.plans import Plans, StepValues, joined_doubts, read_plans, step_values
 from stepgap.records.sections.section_finding import SectionFunction, find_sections, with_boom
 from stepgap.records.sections.section_settings import COORDINATES, SectionSettings, SignalCoordinate
@@ -87,6 +88,7 @@ def extract_steps(
         raise RecordError(f"{log.source}: {len(found)} sections; at least two are needed")
     sections = section_states(log, found, settings)
     plans = read_plans(plan, log, settings) if plan else None
+    _check_factors(settings, log, plans)
     parts = {
         role: [step_values(_source(entry, log, plans), sections.time) for entry in getattr(settings, role)]
         for role in COORDINATES[1:]
@@ -111,8 +113,19 @@ def _source(entry: str, log: SignalLog, plans: Plans | None) -> Signal:
     coordinate = SignalCoordinate.of(entry)
     if coordinate.rate:
         raise RecordError(f"{entry}: only coordinates of the state may be rates")
-    planned = plans.signal(coordinate.column) if plans else None
-    return planned or log.signal(coordinate.column)
+    if plans is None:
+        return log.signal(coordinate.column)
+    planned = plans.signal(coordinate.column)
+    if planned is None and coordinate.column not in log.columns:
+        raise RecordError(f"{plans.table.source}: {plans.table.fault_of(coordinate.column)}; nor has {log.source} one")
+    return log.signal(coordinate.column) if planned is None else planned
+
+
+def _check_factors(settings: SectionSettings, log: SignalLog, plans: Plans | None) -> None:
+    """Raises RecordError if a column that has a factor does not exist, because its name may be misspelt."""
+    for column in settings.factors:
+        if column not in log.columns and (plans is None or plans.signal(column) is None):
+            raise RecordError(f"{log.source}: factors: {unknown_column(column, log.columns)}")
 
 
 def _columns(settings: SectionSettings) -> list[str]:

@@ -83,9 +83,14 @@ def _row(log: ExtractedSteps, number: int) -> Iterator[float]:
         yield log.yaw[number]
 
 
+def label_of(log: ExtractedSteps) -> str:
+    """A short name for a log: that of its first file."""
+    return Path(log.source.split("+")[0].strip()).name
+
+
 def _labels(logs: Sequence[ExtractedSteps]) -> list[str]:
-    """A short name for each log: that of its first file; with a number if several have the same."""
-    names = [Path(log.source.split("+")[0].strip()).name for log in logs]
+    """The name of each log, with a number if several have the same."""
+    names = [label_of(log) for log in logs]
     counts, seen = Counter(names), Counter[str]()
     labels: list[str] = []
     for name in names:
