@@ -27,6 +27,7 @@ class LocalFit:
         scale: Time that is one in the basis [s].
         coefficients: Of 1, s and s² with s = (time − centre) / scale; shape (3,).
         inverse: Inverse of the Gram matrix of this basis; shape (3, 3).
+        extent: Difference of the largest and the smallest sample that was used.
         residuals: Of the samples that were used, in their order.
         runs: Number of runs of equal values among them: less than their number where a signal is rounded coarsely.
         outliers: Share of the samples that were left out.
@@ -36,6 +37,7 @@ class LocalFit:
     scale: float
     coefficients: Array
     inverse: Array
+    extent: float
     residuals: Array
     runs: int
     outliers: float
@@ -99,9 +101,9 @@ def fit_parabola(signal: Signal, centre: float, begin: float, end: float) -> Loc
         return None
     solver = np.asarray(np.linalg.pinv(basis[used]), float)
     coefficients = solver @ values[used]
-    residuals = values[used] - basis[used] @ coefficients
+    residuals, extent = values[used] - basis[used] @ coefficients, float(np.ptp(values[used]))
     runs = 1 + int(np.count_nonzero(np.diff(values[used])))
-    return LocalFit(centre, width, coefficients, solver @ solver.T, residuals, runs, 1 - float(used.mean()))
+    return LocalFit(centre, width, coefficients, solver @ solver.T, extent, residuals, runs, 1 - float(used.mean()))
 
 
 def _near(basis: Array, values: Array, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
