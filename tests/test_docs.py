@@ -25,6 +25,7 @@ RUN_ELSEWHERE = {
     "data.md": "test_docs_data.py",
     "model_file.md": "experiment/portable/test_model_file.py",
     "tutorial.md": "test_docs_tutorial.py",
+    "steps.md": "test_docs_steps.py",
 }
 """Pages whose blocks need more around them."""
 

@@ -1,6 +1,6 @@
 """The figure of `stepgap steps`: every section that was found in the logs, and the signals about each doubtful one."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from io import BytesIO
 from itertools import islice
 from typing import Any
@@ -40,36 +40,41 @@ def sections_picture(logs: Sequence[ExtractedSteps], form: str) -> bytes:
     rows = [(log, begin) for log in logs for begin in range(0, len(log.sections.time) - 1, SECTIONS_IN_ROW)]
     doubtful = [(log, number) for log in logs for number, doubt in enumerate(log.sections.doubts) if doubt]
     del rows[MOST_OVERVIEW_ROWS:], doubtful[MOST_VIEWS:]
-    figure = Figure(figsize=(13, 0.8 + 1.8 * (len(rows) + len(doubtful))), layout="constrained")
+    figure = Figure(figsize=(13, 0.8 + 2 * (len(rows) + len(doubtful))), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(len(rows) + len(doubtful), PANELS)
-    legend: dict[str, Any] = {}
-    for row, (log, begin) in enumerate(rows):
-        end = min(begin + SECTIONS_IN_ROW, len(log.sections.time) - 1)
-        margin = 0.6 * _typical_step(log)
-        name, signal = next(iter(log.signals.items()))
-        panel = figure.add_subplot(grid[row, :])
-        _draw(panel, log, signal, log.sections.time[begin] - margin, log.sections.time[end] + margin)
-        _title(panel, label_of(log), 9)
-        panel.set_ylabel(plain(name))
-        legend |= _legend_of(panel)
-    for row, (log, number) in enumerate(doubtful, len(rows)):
-        panels = [figure.add_subplot(grid[row, column]) for column in range(min(PANELS, len(log.signals)))]
-        _draw_about(panels, log, number)
-        legend |= _legend_of(panels[0])
+    parts = figure.subfigures(len(rows) + len(doubtful), 1, squeeze=False)[:, 0].tolist()
+    panels = [_draw_overview(part, log, begin) for part, (log, begin) in zip(parts, rows, strict=False)]
+    panels += [_draw_about(part, log, number) for part, (log, number) in zip(parts[len(rows) :], doubtful, strict=True)]
+    legend = {label: drawn for panel in panels for drawn, label in zip(*panel.get_legend_handles_labels(), strict=True)}
     figure.legend(legend.values(), legend.keys(), loc="outside upper right", ncols=3, frameon=False)
     picture = BytesIO()
     figure.savefig(picture, format=form, dpi=110)
     return picture.getvalue()
 
 
-def _draw_about(panels: Sequence[Any], log: ExtractedSteps, number: int) -> None:
-    """The signals about a section."""
-    time, around = float(log.sections.time[number]), 0.4 * _typical_step(log)
+def _draw_overview(part: Any, log: ExtractedSteps, begin: int) -> Any:
+    """Several sections; returns the panel."""
+    end = min(begin + SECTIONS_IN_ROW, len(log.sections.time) - 1)
+    margin = 0.6 * _typical_step(log)
+    name, signal = next(iter(log.signals.items()))
+    panel = part.subplots()
+    _draw(panel, log, signal, log.sections.time[begin] - margin, log.sections.time[end] + margin)
+    panel.set_ylabel(plain(name))
+    _title(part, label_of(log))
+    return panel
+
+
+def _draw_about(part: Any, log: ExtractedSteps, number: int) -> Any:
+    """The signals about a section; returns the first panel."""
+    time, around = float(log.sections.time[number]), 0.6 * _typical_step(log)
+    panels = part.subplots(1, PANELS, squeeze=False)[0]
     for panel, (name, signal) in zip(panels, islice(log.signals.items(), PANELS), strict=False):
         _draw(panel, log, signal, time - around, time + around)
         panel.set_ylabel(plain(name))
-    _title(panels[0], f"{time:.3f} s: {log.sections.doubts[number]}", 8)
+    for panel in panels[len(log.signals) :]:
+        panel.set_axis_off()
+    _title(part, f"{label_of(log)}, {time:.3f} s: {log.sections.doubts[number]}")
+    return panels[0]
 
 
 def _draw(panel: Any, log: ExtractedSteps, signal: Signal, begin: float, end: float) -> None:
@@ -92,15 +97,9 @@ def _draw(panel: Any, log: ExtractedSteps, signal: Signal, begin: float, end: fl
     panel.spines[["top", "right"]].set_visible(False)
 
 
-def _title(panel: Any, text: str, size: int) -> None:
+def _title(part: Any, text: str) -> None:
     """A title that may be longer than a label."""
-    panel.set_title(" ".join(plain(word) for word in text.split()), loc="left", fontsize=size)
-
-
-def _legend_of(panel: Any) -> Mapping[str, Any]:
-    """Drawn objects by their label, each once."""
-    handles, labels = panel.get_legend_handles_labels()
-    return dict(zip(labels, handles, strict=True))
+    part.suptitle(" ".join(plain(word) for word in text.split()), x=0.01, ha="left", fontsize=9)
 
 
 def _typical_step(log: ExtractedSteps) -> float:

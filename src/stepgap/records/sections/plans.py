@@ -22,6 +22,9 @@ LEAD: Final = 0.1
 UNCLEAR: Final = 0.05
 """A plan that is made closer than this part of a step to that limit is not used."""
 
+SAMPLED: Final = 4
+"""A signal with so many samples for each step is sampled; one with fewer consists of plans."""
+
 HELD: Final = (0.2, 0.8)
 """Parts of a step between which a sampled command must not change."""
 
@@ -43,14 +46,15 @@ class StepValues:
 def step_values(signal: Signal, sections: Array) -> StepValues:
     """The value of a signal for each step between successive sections.
 
-    A signal with several samples in a step is sampled; its value is the one that it holds in the middle of the step.
-    Otherwise, its samples are plans, and a step has the one that was made during it.
+    If the signal is sampled, this is the value that it holds in the middle of the step. Otherwise, its samples are
+    plans, and a step has the one that was made during it.
 
     Args:
         signal: The signal.
         sections: Times of the sections [s]; shape (K,).
     """
-    if signal.interval < np.median(np.diff(sections)) / 4:
+    inside = signal.between(float(sections[0]), float(sections[-1]))
+    if len(inside) >= SAMPLED * (len(sections) - 1):
         return _held_values(signal, sections)
     return _planned_values(signal, sections)
 

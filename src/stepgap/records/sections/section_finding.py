@@ -26,15 +26,15 @@ class FoundSection:
         time: Approximate time [s].
         begin: Time from which the motion about the section is smooth, such as lift-off [s]; −inf if unknown.
         end: Time until which it is smooth; inf if unknown.
-        time_std: Standard deviation of the time [s], where it is that of an event between two samples; NaN where it is
-            estimated by a fit.
+        time_std: Standard deviation of the time [s]: that of an event between two samples; 0 where it is exact, or is
+            estimated from the height.
         doubts: Why it may be none.
     """
 
     time: float
     begin: float = -np.inf
     end: float = np.inf
-    time_std: float = np.nan
+    time_std: float = 0.0
     doubts: tuple[str, ...] = ()
 
 
@@ -154,7 +154,7 @@ def _in_flights(found: Sequence[AerialPhase], log: SignalLog, settings: SectionS
             rises.append(np.nan)
             continue
         top = int(np.argmax(part.values))
-        sections.append(replace(each, time=float(part.time[top]), time_std=np.nan))
+        sections.append(replace(each, time=float(part.time[top]), time_std=0.0))
         rises.append(float(part.values[top] - part.values[[0, -1]].astype(float).min()))
     low = 0.2 * float(np.nanmedian(rises)) if np.isfinite(rises).any() else 0.0
     return [

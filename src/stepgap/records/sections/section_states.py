@@ -19,6 +19,9 @@ WINDOW_PARTS: Final = (1.0, 0.7, 0.5, 0.35, 0.25)
 BIAS: Final = 1.5
 """A window is too long if the estimates differ from those of a shorter one by so many standard errors (RMS)."""
 
+MORE_DOUBTS: Final = 0.05
+"""A window is also too long if it makes a larger part of the sections doubtful that are not with a shorter one."""
+
 MISFIT: Final = 5.0
 """A fit is doubtful if its residuals are so many times as large as those of a typical fit (RMS),"""
 
@@ -94,7 +97,10 @@ def _longest_window(sections: Sequence[FoundSection]) -> float:
 
 
 def _agree(longer: SectionStates, shorter: SectionStates) -> bool:
-    """Whether estimates of two windows differ by no more than the errors of the shorter one explain."""
+    """Whether a longer window gives estimates as good as a shorter one, by `MORE_DOUBTS` and `BIAS`."""
+    more = sum(bool(a and not b) for a, b in zip(longer.doubts, shorter.doubts, strict=True))
+    if more > MORE_DOUBTS * len(longer.time):
+        return False
     sure = np.array([not (a or b) for a, b in zip(longer.doubts, shorter.doubts, strict=True)])
     for i in range(longer.state.shape[1]):
         differences = (longer.state - shorter.state)[sure, i] / shorter.std[sure, i]

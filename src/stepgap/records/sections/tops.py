@@ -115,12 +115,10 @@ def _prominent(values: Array, rise: float) -> _Indices | None:
     if len(order) < 2:
         return None
     # One maximum may stand out by far, such as that of lifting the robot, so the group has at least two.
-    others = np.append(order[2:], _floor(values))
-    clear = np.flatnonzero(order[1:] >= CLEAR * others)
-    if not len(clear):
-        return None
-    hops = order[: clear[0] + 2]
-    return peaks[prominences >= hops[-1]] if others[clear[0]] <= SMALL * np.median(hops) else None
+    others = np.maximum(np.append(order[2:], 0.0), _floor(values))
+    medians = order[(np.arange(len(others)) + 1) // 2]
+    clear = np.flatnonzero((order[1:] >= CLEAR * others) & (others <= SMALL * medians))
+    return peaks[prominences >= order[clear[0] + 1]] if len(clear) else None
 
 
 def _floor(values: Array) -> float:

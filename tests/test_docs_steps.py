@@ -1,0 +1,41 @@
+"""The commands and code of docs/steps.md, one after the other."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.records.sections.section_settings import read_section_settings
+from tests.cli.command_line import Command
+
+PAGE = (Path(__file__).parent.parent / "docs" / "steps.md").read_text("utf-8")
+BLOCKS = re.findall(r"```(\w+)\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_the_page_of_steps_runs(
+    stepgap: Command, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: ("none", "constant", "linear")
+    )
+    printed = []
+    for language, block in BLOCKS:
+        if language == "python":
+            exec(compile(block, "steps.md", "exec"), {})  # noqa: S102  (our own page)
+            printed.append(capfd.readouterr().out)
+        elif language == "sh":
+            for line in block.splitlines():
+                result = stepgap(*shlex.split(line)[2:])
+                assert result.code == 0, result
+                printed.append(result.out)
+        else:
+            Path("columns.toml").write_text(block)
+            assert read_section_settings(Path("columns.toml"), {}).rule == "phase"
+    assert "40 sections, 39 of 39 steps" in printed[1]
+    assert (
+        "speed:          9" in printed[2]
+    )  # more than 90 % of the changes of speed are explained by state and command
+    assert printed[3] == "20 19\n"
+    assert len(np.genfromtxt("steps.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")) == 39
