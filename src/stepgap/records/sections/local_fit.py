@@ -17,6 +17,10 @@ OUTLYING: Final = 6.0
 """A sample whose residual exceeds so many robust standard deviations, such as that of a dropout, is left out."""
 
 
+UNUSUAL: Final = 2.0
+"""A variance of residuals that is so many times as large as the median of all fits is not due to chance."""
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class LocalFit:
@@ -115,10 +119,10 @@ def _near(basis: Array, values: Array, used: NDArray[np.bool_]) -> NDArray[np.bo
 def noise_std_of(fits: Sequence[LocalFit], resolution: float) -> Array:
     """For each fit, the standard deviation of independent errors that would make it as uncertain as the real ones do.
 
-    The median variance of the residuals of all fits is multiplied by (1 + ρ) / (1 − ρ), where ρ is the median
-    correlation of successive residuals (Bartlett's formula for first-order autoregressive errors). Errors of rounding
-    are equal as long as the signal hardly changes, so their variance, resolution² / 12, counts once for each run of
-    equal values.
+    The median variance of the residuals of all fits, or the own variance of a fit if it is `UNUSUAL`, is multiplied by
+    (1 + ρ) / (1 − ρ), where ρ is the median correlation of successive residuals (Bartlett's formula for first-order
+    autoregressive errors). Errors of rounding are equal as long as the signal hardly changes, so their variance,
+    resolution² / 12, counts once for each run of equal values.
 
     Args:
         fits: Fits to parts of the signal, at least one.
@@ -128,9 +132,11 @@ def noise_std_of(fits: Sequence[LocalFit], resolution: float) -> Array:
     products = np.array([fit.residuals[1:] @ fit.residuals[:-1] for fit in fits])
     counts = np.array([len(fit.residuals) for fit in fits])
     correlation = np.clip(np.median(products / np.where(squares > 0, squares, 1)), 0, 0.98)
-    common = np.median(squares / (counts - 3)) * (1 + correlation) / (1 - correlation)
+    variances = squares / (counts - 3)
+    common = np.median(variances)
+    variances = np.where(variances > UNUSUAL * common, variances, common) * (1 + correlation) / (1 - correlation)
     rounding = resolution**2 / 12 * counts / np.array([fit.runs for fit in fits])
-    return np.sqrt(np.maximum(common, rounding))
+    return np.sqrt(np.maximum(variances, rounding))
 
 
 def resolution_of(signal: Signal) -> float:
