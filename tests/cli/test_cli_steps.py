@@ -45,6 +45,7 @@ def test_it_writes_steps_their_meaning_and_a_figure(log: HoppingLog, stepgap: Co
     np.testing.assert_allclose(found, np.hstack([log.apexes[numbers, 1:], log.apexes[1:][numbers, 1:]]), atol=1e-4)
     assert [int(row["step"]) for row in rows] == [number + 1 for number in numbers]
     columns = read_columns(Path("steps.toml"), {})
+    assert columns is not None
     assert (columns.state, columns.next, columns.command, columns.deployment) == (
         ("speed", "height"), ("next_speed", "next_height"), ("number",), "log",
     )  # fmt: skip

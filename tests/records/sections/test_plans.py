@@ -48,7 +48,7 @@ def test_ambiguous_plans_are_not_used(times: list[float], doubts: list[str]) -> 
 
 def test_a_sampled_command_is_held() -> None:
     time = np.arange(0, 5, 0.01)
-    command = np.searchsorted(SECTIONS, time, "right") * 1.0
+    command = np.searchsorted(SECTIONS, time, "right").astype(np.float64)
     command[(time > 2.4) & (time < 2.6)] = 9.0
     found = step_values(Signal(time, command), SECTIONS)
     np.testing.assert_array_equal(found.values, [1, 2, np.nan, 4, 5])

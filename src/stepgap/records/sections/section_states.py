@@ -25,7 +25,7 @@ MORE_DOUBTS: Final = 0.05
 MISFIT: Final = 5.0
 """A fit is doubtful if its residuals are so many times as large as those of a typical fit (RMS),"""
 
-NEGLIGIBLE: Final = 1e-3
+SMALL_MISFIT: Final = 1e-3
 """and larger than this part of the range of its samples; a log of a simulation hardly has residuals."""
 
 UNCERTAIN: Final = 5.0
@@ -211,5 +211,5 @@ def _note_misfits(fits: Sequence[LocalFit | None], doubts: Sequence[list[str]], 
             found.append(f"too few samples for {name}")
         elif fit.outliers > MOST_SAMPLES_OFF:
             found.append(f"{fit.outliers:.0%} of the samples for {name} are off")
-        elif square > max(MISFIT**2 * typical, (NEGLIGIBLE * fit.extent) ** 2):
+        elif square > max(MISFIT**2 * typical, (SMALL_MISFIT * fit.extent) ** 2):
             found.append(f"the samples for {name} do not fit a parabola")
