@@ -119,10 +119,10 @@ def _near(basis: Array, values: Array, used: NDArray[np.bool_]) -> NDArray[np.bo
 def noise_std_of(fits: Sequence[LocalFit], resolution: float) -> Array:
     """For each fit, the standard deviation of independent errors that would make it as uncertain as the real ones do.
 
-    The median variance of the residuals of all fits, or the own variance of a fit if it is `UNUSUAL`, is multiplied by
-    (1 + ρ) / (1 − ρ), where ρ is the median correlation of successive residuals (Bartlett's formula for first-order
-    autoregressive errors). Errors of rounding are equal as long as the signal hardly changes, so their variance,
-    resolution² / 12, counts once for each run of equal values.
+    The variance of the residuals is multiplied by (1 + ρ) / (1 − ρ), where ρ is the correlation of successive residuals
+    (Bartlett's formula for first-order autoregressive errors). Both are the medians of all fits, or those of a single
+    fit if its variance is `UNUSUAL`, for example because the sensor repeated a value. Errors of rounding are equal as
+    long as the signal hardly changes, so their variance, resolution² / 12, counts once for each run of equal values.
 
     Args:
         fits: Fits to parts of the signal, at least one.
@@ -131,12 +131,13 @@ def noise_std_of(fits: Sequence[LocalFit], resolution: float) -> Array:
     squares = np.array([fit.residuals @ fit.residuals for fit in fits])
     products = np.array([fit.residuals[1:] @ fit.residuals[:-1] for fit in fits])
     counts = np.array([len(fit.residuals) for fit in fits])
-    correlation = np.clip(np.median(products / np.where(squares > 0, squares, 1)), 0, 0.98)
-    variances = squares / (counts - 3)
-    common = np.median(variances)
-    variances = np.where(variances > UNUSUAL * common, variances, common) * (1 + correlation) / (1 - correlation)
+    variances, correlations = squares / (counts - 3), products / np.where(squares > 0, squares, 1)
+    typical, correlation = np.median(variances), np.median(correlations)
+    unusual = variances > UNUSUAL * typical
+    variances = np.where(unusual, variances, typical)
+    correlations = np.clip(np.where(unusual, np.maximum(correlations, correlation), correlation), 0, 0.98)
     rounding = resolution**2 / 12 * counts / np.array([fit.runs for fit in fits])
-    return np.sqrt(np.maximum(variances, rounding))
+    return np.sqrt(np.maximum(variances * (1 + correlations) / (1 - correlations), rounding))
 
 
 def resolution_of(signal: Signal) -> float:
