@@ -153,10 +153,10 @@ def test_the_format_of_a_file_of_columns(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ("decimal = ';'", "format: decimal = ';', but it must be '.' or ','"),
-        ("delimiter = '|'", "format: delimiter = '|', but it must be one of comma, semicolon, tab, space"),
-        ("decimal = ','\ndelimiter = 'comma'", "format: delimiter and decimal are both a comma"),
-        ("encoding = 'klingon'", "format: encoding = 'klingon', but it must be an encoding"),
+        ("decimal = ';'", "format.decimal = ';', but it must be '.' or ','"),
+        ("delimiter = '|'", "format.delimiter = '|', but it must be one of comma, semicolon, tab, space"),
+        ("decimal = ','\ndelimiter = 'comma'", "format.delimiter = ',', but it must differ from the decimal sign"),
+        ("encoding = 'klingon'", "format.encoding = 'klingon', but it must be an encoding"),
         ("decimals = ','", "but it must be a table of strings, decimal, delimiter, encoding, comment"),
     ],
 )
