@@ -1,18 +1,20 @@
 """The exported C controller beside Python: differences, plans, time, stack and size; and the twin hopped by it.
 
     ./go stepgap run --seed 5 --iterations 1 --out RUN
-    ./go python benchmarks/c_controller.py RUN [--points 10000] [--plans 2000] [--seeds 31,32,33]
+    ./go python benchmarks/c_controller.py RUN [--points 10000] [--plans 2000] [--seeds 51,52,…,70]
 
-It needs a C compiler. Plans are compared with those of `CautiousController` on the portable map, and so are the twin's
-deployments: each seed is hopped once with plans in Python and once with plans in C, with the same noise.
+It needs gcc. Map and plans are compared with those of the portable controller, whose formulas the C file contains. Each
+seed of the twin is hopped twice with the same floor and noise: with the plans of a run, in Python with the exact
+learned model, and with those of the program `examples/c_controller/main.c`, a process that receives each section as a
+line.
 """
 
 import argparse
 import ctypes
 import re
 import subprocess
-from contextlib import closing
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -25,23 +27,33 @@ from threadpoolctl import threadpool_limits
 import stepgap
 from stepgap.base.random_streams import random_stream
 from stepgap.control.reference import paper_reference
+from stepgap.experiment.deployment import deploy
+from stepgap.experiment.loaded_run import LoadedRun
 from stepgap.experiment.portable.c_source import Real, c_source
 from stepgap.experiment.portable.portable_controller import PortableController, portable_controller
-from stepgap.learning.disturbance import DisturbanceFilter
-from stepgap.learning.residual import join_points
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.simulation import TwinSimulation
-from stepgap.step import StepStatus
+from stepgap.step import Array, StepRecord, StepStatus
 
+MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"
 STRICT = ("-std=c99", "-ffreestanding", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-O2")
 
 
 @dataclass(frozen=True)
 class Code:
-    """A compiled controller; its arrays are those of the type `number`."""
+    """A compiled controller.
+
+    Attributes:
+        library: The shared library.
+        number: Type of its arrays.
+        program: The program of `examples/c_controller/main.c` with it.
+        size: Size of the object file [bytes].
+        stack: Stack of the deepest chain of calls [bytes].
+    """
 
     library: Any
     number: Any
+    program: Path
     size: int
     stack: int
 
@@ -68,12 +80,32 @@ def compiled(controller: PortableController, folder: Path, real: Real) -> Code:
     source = c_source(controller, "controller", real)
     (folder / "controller.c").write_text(source.code)
     (folder / "controller.h").write_text(source.header)
-    subprocess.run(["cc", *STRICT, "-fstack-usage", "-c", "controller.c", "-o", "controller.o"], cwd=folder, check=True)
-    sizes = subprocess.run(["size", "controller.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
-    stack = [int(row.split("\t")[1]) for row in next(folder.glob("*.su")).read_text().splitlines()]
-    subprocess.run(["cc", *STRICT, "-fPIC", "-shared", "controller.c", "-o", f"{real}.so"], cwd=folder, check=True)
+
+    def run(*command: str) -> str:
+        return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
+
+    run("gcc", *STRICT, "-fcallgraph-info=su", "-c", "controller.c", "-o", "controller.o")
+    run("gcc", *STRICT, "-fPIC", "-shared", "controller.c", "-o", f"{real}.so")
+    run("gcc", "-std=c99", "-O2", "-I.", str(MAIN), "controller.c", "-o", f"program_{real}")
+    size = int(run("size", "controller.o").split("\n")[1].split()[3])
+    stack = deepest_stack(next(folder.glob("*.ci")).read_text())
     number = np.float64 if real == "double" else np.float32
-    return Code(ctypes.CDLL(str(folder / f"{real}.so")), number, int(sizes.split("\n")[1].split()[3]), max(stack))
+    return Code(ctypes.CDLL(str(folder / f"{real}.so")), number, folder / f"program_{real}", size, stack)
+
+
+def deepest_stack(graph: str) -> int:
+    """Stack of the deepest chain of calls [bytes] in the call graph of gcc; no function may be recursive."""
+    frames = {name: int(size) for name, size in re.findall(r'node: { title: "(.+?)" label: ".+?(\d+) bytes', graph)}
+    calls: dict[str, set[str]] = {name: set() for name in frames}
+    for caller, called in re.findall(r'edge: { sourcename: "(.+?)" targetname: "(.+?)"', graph):
+        calls[caller].add(called)
+
+    def depth(name: str, above: frozenset[str]) -> int:
+        assert name not in above, f"{name} is recursive"
+        below = [depth(each, above | {name}) for each in calls.get(name, ())]
+        return frames.get(name, 0) + max(below, default=0)
+
+    return max(depth(name, frozenset()) for name in frames)
 
 
 def compare_map(code: Code, controller: PortableController, count: int, rng: np.random.Generator) -> str:
@@ -96,7 +128,7 @@ def compare_plans(code: Code, controller: PortableController, count: int, rng: n
     """How often plans agree, how their expected squared distances compare, and the times of both."""
     space, n, m = controller.space, len(controller.space.state), len(controller.space.command)
     tolerance = 1e-9 if code.number is np.float64 else 1e-4
-    same, worse, seconds = 0, 0.0, [[], []]
+    apart, worse, seconds = [], 0.0, [[], []]
     command, predicted, std = (code.array(np.zeros(size)) for size in (m, n, n))
     for _ in range(count):
         state, target = space.state_centre + space.state_scale * rng.uniform(-1, 1, (2, n))
@@ -109,58 +141,75 @@ def compare_plans(code: Code, controller: PortableController, count: int, rng: n
         for times, duration in zip(seconds, (middle - begin, perf_counter() - middle), strict=True):
             times.append(duration)
         assert status == StepStatus.OK
-        same += bool(np.abs((command - plan.command) / space.command_scale).max() <= tolerance)
+        apart.append(np.abs((command - plan.command) / space.command_scale).max())
         pairs = ((predicted, std), (plan.predicted, plan.std))
         costs = [np.sum(((mean - target) ** 2 + each**2) / space.state_scale**2) for mean, each in pairs]
         worse = max(worse, float(costs[0] / costs[1] - 1))
     times = [f"median {1e3 * np.median(each):.2g} ms, longest {1e3 * max(each):.2g} ms" for each in seconds]
     return (
-        f"{count} plans: {same} equal to {tolerance:g}, expected squared distance at most {worse:.1g} larger; "
-        f"C {times[0]}; Python {times[1]}"
+        f"{count} plans: {np.sum(np.array(apart) <= tolerance)} equal to {tolerance:g} of a half range, "
+        f"99 % to {np.quantile(apart, 0.99):.1g}, all to {max(apart):.1g}, expected squared distance at most "
+        f"{worse:.1g} larger; C {times[0]}; Python {times[1]}"
     )
 
 
-def hopped(controller: PortableController, code: Code | None, seed: int) -> float:
-    """Tracking error of a deployment on the twin [half ranges], with plans in C, or in Python without `code`."""
-    simulation, space = TwinSimulation(Hopper(), random_stream(seed)), controller.space
-    reference, command, yaw, errors = paper_reference(), space.command_centre, float("nan"), []
-    drift, buffer = DisturbanceFilter.initial(len(space.state)), ctypes.create_string_buffer(16384)
-    if code:
-        code.call("filter_init", buffer)
-    with closing(simulation.plant(random_stream(seed, 0))) as plant:
-        state = plant.start()
-        for target in reference.targets:
-            if code:
-                found = [code.array(np.zeros(size)) for size in (len(space.command), len(target), len(target))]
-                code.call("plan", buffer, *map(code.array, (state, target, command)), yaw, *found)
-                command = np.array(found[0], float)
-            else:
-                offset, std = drift.offset(yaw), drift.std(yaw) * controller.map.noise_std
-                present = replace(controller.map, offset=offset, offset_std=std)
-                command = replace(controller.controller, step_map=present)(state, target, command).command
-            record = plant.take_step(command)
-            if record.status != StepStatus.OK:
-                return float("inf")
-            errors.append((record.next_state - target) / space.state_scale)
-            if code:
-                given = map(code.array, (record.state, record.requested, record.next_state))
-                code.call("filter_update", buffer, *given, yaw)
-            else:
-                error = record.next_state - controller.map.nominal(record.state, record.requested)
-                remaining = error - controller.map.residual.mean(join_points(record.state, record.requested))
-                drift = drift.updated(remaining, yaw)
+def compare_commands(code: Code, run: LoadedRun, seed: int) -> str:
+    """Differences of the commands on the steps of one deployment of the twin, which Python hops."""
+    plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
+    filter_, command, yaw, apart = ctypes.create_string_buffer(16384), None, float("nan"), []
+    code.call("filter_init", filter_)
+    for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.settings.control):
+        record, found = logged.record, code.array(np.zeros(len(plant.space.command)))
+        given = map(code.array, (record.state, logged.target))
+        code.call("plan", filter_, *given, None if command is None else code.array(command), yaw, found, None, None)
+        apart.append((found - record.requested) / plant.space.command_scale)
+        code.call("filter_update", filter_, *map(code.array, (record.state, record.requested, record.next_state)), yaw)
+        command, yaw = record.requested, float(record.yaw_after)
+    rms = np.sqrt(np.mean(np.square(apart)))
+    return f"{len(apart)} commands of a deployment: RMS difference {rms:.1g} of a half range, at most {np.abs(apart).max():.1g}"
+
+
+def steps_of(run: LoadedRun, seed: int) -> Iterator[StepRecord]:
+    """A deployment of the twin with the controller of the run, before deployment 1."""
+    plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
+    for logged in deploy(run.learner(1), plant, paper_reference(), 1, control=run.settings.control):
+        yield logged.record
+
+
+def steps_of_program(program: Path, seed: int) -> Iterator[StepRecord]:
+    """The same with the program, which receives a line with state, target and yaw, and answers with the command."""
+    plant = TwinSimulation(Hopper(), random_stream(seed)).plant(random_stream(seed, 0))
+    with plant, subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin
+        assert process.stdout
+        state, yaw = plant.start(), float("nan")
+        for target in paper_reference().targets:
+            print(*state.tolist(), *target.tolist(), yaw, file=process.stdin, flush=True)
+            status, *command = process.stdout.readline().split()
+            assert int(status) == StepStatus.OK
+            record = plant.take_step(np.array(command, float))
+            yield record
             state, yaw = record.next_state, float(record.yaw_after)
-    return float(np.sqrt(np.mean(np.square(errors))))
+        process.stdin.close()
 
 
-def compare_hops(code: Code, controller: PortableController, seeds: list[int]) -> str:
-    """Ratio of the tracking errors, with its 95 % interval."""
-    same_rules = replace(controller, monitor=False, reject_outliers=False)
-    pairs = np.array([[hopped(same_rules, each, seed) for each in (code, None)] for seed in seeds])
-    ratios = np.log(pairs[:, 0] / pairs[:, 1])
-    half = t.ppf(0.975, len(seeds) - 1) * ratios.std(ddof=1) / np.sqrt(len(seeds))
-    mean, low, high = np.exp([ratios.mean(), ratios.mean() - half, ratios.mean() + half])
-    return f"twin, {len(seeds)} deployments: error in C / in Python {mean:.4f} ({low:.4f}–{high:.4f}); {pairs.tolist()}"
+def tracking_error(steps: Iterator[StepRecord]) -> Array:
+    """RMS error of speed and height [mm/s, mm]."""
+    records = list(steps)
+    assert all(record.status == StepStatus.OK for record in records)
+    errors = np.array([record.next_state for record in records]) - paper_reference().targets
+    return 1e3 * np.sqrt(np.mean(np.square(errors), axis=0))
+
+
+def compare_hops(code: Code, python: Array, seeds: list[int]) -> str:
+    """Mean error of both, and their paired difference with its 95 % interval."""
+    c = np.array([tracking_error(steps_of_program(code.program, seed)) for seed in seeds])
+    half = t.ppf(0.975, len(seeds) - 1) * (c - python).std(axis=0, ddof=1) / np.sqrt(len(seeds))
+    rows = zip(("speed", "height"), ("mm/s", "mm"), c.mean(0), python.mean(0), (c - python).mean(0), half, strict=True)
+    parts = [
+        f"{name} C {a:.3f}, Python {b:.3f} {unit}, C − Python {d:+.3f} ± {h:.3f}" for name, unit, a, b, d, h in rows
+    ]
+    return f"twin, {len(seeds)} deployments of {len(paper_reference())} steps, RMS error: {'; '.join(parts)}"
 
 
 def main() -> None:
@@ -169,20 +218,25 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--points", type=int, default=10_000)
     parser.add_argument("--plans", type=int, default=2000)
-    parser.add_argument("--seeds", default="31,32,33")
+    parser.add_argument("--seeds", default="51,52,53,54,55,56,57,58,59,60,61,62,63,64,65,66,67,68,69,70")
     options = parser.parse_args()
     run = stepgap.load_run(options.run)
+    seeds = [int(seed) for seed in options.seeds.split(",")]
     kinds: tuple[Literal["double", "float"], ...] = ("double", "float")
     with threadpool_limits(limits=1, user_api="blas"), TemporaryDirectory() as folder:
         controller = portable_controller(run, 1, random_stream(run.settings.seed, 0, 3))
         for sentence in (*controller.approximations, *controller.notes):
             print(re.sub(r"\s+", " ", str(sentence)))
+        python = np.array([tracking_error(steps_of(run, seed)) for seed in seeds])
         for real in kinds:
-            code = compiled(replace(controller, monitor=False, reject_outliers=False), Path(folder), real)
-            print(f"{real}: object {code.size} bytes, largest stack frame {code.stack} bytes")
+            code = compiled(controller, Path(folder), real)
+            print(
+                f"{real}: object {code.size} bytes, stack of the deepest calls {code.stack} bytes, {' '.join(STRICT)}"
+            )
             print(f"  {compare_map(code, controller, options.points, random_stream(1))}")
             print(f"  {compare_plans(code, controller, options.plans, random_stream(2))}", flush=True)
-            print(f"  {compare_hops(code, controller, [int(seed) for seed in options.seeds.split(',')])}", flush=True)
+            print(f"  {compare_commands(code, run, seeds[0])}")
+            print(f"  {compare_hops(code, python, seeds)}", flush=True)
 
 
 if __name__ == "__main__":

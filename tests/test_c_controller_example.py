@@ -1,0 +1,57 @@
+"""`examples/c_controller/main.c`, compiled here, plans as Python does, deployment after deployment."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepgap.experiment.portable.c_source import c_source
+from stepgap.experiment.portable.model_document import filter_after
+from stepgap.learning.step_log import LoggedStep
+from stepgap.step import StepRecord, StepStatus
+from tests.experiment.portable.learned import SPACE, learned
+
+MAIN = Path(__file__).parents[1] / "examples" / "c_controller" / "main.c"
+COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+
+
+def test_it_plans_section_after_section(tmp_path: Path) -> None:
+    controller = learned("gp_on_linear")
+    controller = replace(controller, monitor=False, reject_outliers=False)
+    source = c_source(controller, "controller")
+    (tmp_path / "controller.c").write_text(source.code)
+    (tmp_path / "controller.h").write_text(source.header)
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-I."]
+    subprocess.run([str(COMPILER), *flags, str(MAIN), "controller.c", "-o", "robot"], cwd=tmp_path, check=True)
+    states = SPACE.state_centre + SPACE.state_scale * np.random.default_rng(3).uniform(-1, 1, (8, 2))
+    target = SPACE.state_centre
+    with subprocess.Popen([tmp_path / "robot"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as robot:
+        assert robot.stdin
+        assert robot.stdout
+        for deployment in range(2):
+            logged: list[LoggedStep] = []
+            guess = before = SPACE.command_centre
+            for number in range(4):
+                state, yaw = states[4 * deployment + number], 0.4 * number
+                if number:
+                    record = StepRecord(before, guess, guess, state, StepStatus.OK, yaw)
+                    logged.append(LoggedStep(0, number, target, target, np.zeros(2), record))
+                drift = filter_after(controller, logged)
+                corrected = replace(
+                    controller.map,
+                    offset=drift.offset(yaw),
+                    offset_std=drift.std(yaw) * controller.map.noise_std,
+                )
+                plan = replace(controller.controller, step_map=corrected)(state, target, guess)
+                print(*state.tolist(), *target.tolist(), yaw, file=robot.stdin, flush=True)
+                status, *command = map(float, robot.stdout.readline().split())
+                assert status == StepStatus.OK
+                np.testing.assert_allclose(command, plan.command, atol=1e-6)
+                guess, before = np.array(command), state
+            print(file=robot.stdin, flush=True)
+        robot.stdin.close()
+        assert robot.wait(10) == 0
