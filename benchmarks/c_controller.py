@@ -165,8 +165,8 @@ def compare_commands(code: Code, run: LoadedRun, seed: int) -> str:
         apart.append((found - record.requested) / plant.space.command_scale)
         code.call("filter_update", filter_, *map(code.array, (record.state, record.requested, record.next_state)), yaw)
         command, yaw = record.requested, float(record.yaw_after)
-    rms = np.sqrt(np.mean(np.square(apart)))
-    return f"{len(apart)} commands of a deployment: RMS difference {rms:.1g} of a half range, at most {np.abs(apart).max():.1g}"
+    rms, worst = np.sqrt(np.mean(np.square(apart))), np.abs(apart).max()
+    return f"{len(apart)} commands of a deployment: RMS difference {rms:.1g} of a half range, at most {worst:.1g}"
 
 
 def steps_of(run: LoadedRun, seed: int) -> Iterator[StepRecord]:

@@ -55,3 +55,23 @@ def test_it_plans_section_after_section(tmp_path: Path) -> None:
             print(file=robot.stdin, flush=True)
         robot.stdin.close()
         assert robot.wait(10) == 0
+
+
+@pytest.mark.skipif(shutil.which("mkoctfile") is None, reason="Octave cannot compile here")
+def test_it_is_a_function_of_octave(tmp_path: Path) -> None:
+    controller = learned("gp_on_linear")
+    source = c_source(controller, "controller")
+    (tmp_path / "controller.c").write_text(source.code)
+    (tmp_path / "controller.h").write_text(source.header)
+    function = MAIN.parent / "octave" / "step_controller.c"
+    subprocess.run(["mkoctfile", "--mex", "-I.", str(function), "controller.c"], cwd=tmp_path, check=True)
+    state, target = SPACE.state_centre, SPACE.state_centre + 0.5 * SPACE.state_scale
+    calls = f"step_controller(); [c, s] = step_controller({state.tolist()}, {target.tolist()}, NaN);"
+    refusal = "try, step_controller([1 2 3], [1 2], 0), catch wrong, disp(wrong.message), end"
+    script = f"{calls} printf('%d %.17g %.17g\\n', s, c); {refusal}"
+    printed = subprocess.run(["octave-cli", "--eval", script], cwd=tmp_path, capture_output=True, text=True).stdout
+    answer, message = printed.splitlines()[:2]
+    status, *command = map(float, answer.split())
+    assert status == StepStatus.OK
+    np.testing.assert_allclose(command, controller.controller(state, target).command, atol=1e-6)
+    assert message == "step_controller: state must have 2 real numbers"
