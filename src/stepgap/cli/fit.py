@@ -2,7 +2,8 @@
 
 import json
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +16,10 @@ from stepgap.cli.options import NO_COLUMNS, ColumnNames, Integer, Overrides
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.experiment.fit import FitData
     from stepgap.learning.validation import Validation
+    from stepgap.records.columns import Columns
+
+    Source = tuple[Columns | None, str | None, Path | None, Sequence[tuple[str, str]]]
+    """How logs are read: meaning of their columns, nominal next states, settings of the experiment."""
 
 
 @Parameter(name="*")
@@ -25,20 +30,22 @@ class Results:
     Attributes:
         out: New JSON file for all numbers.
         plot: New file for a figure of predicted against actual errors.
-        save: New JSON file for the residual with the largest weight, fitted to all steps.
+        save: New model file for the residual with the largest weight, fitted to all steps (docs/model_file.md).
+        predictions: New CSV file for the predictions by the model of --load, with a row for each step.
     """
 
     out: Path | None = None
     plot: Path | None = None
     save: Path | None = None
+    predictions: Path | None = None
 
     def check(self) -> None:
         """Raises InputError if one of the files cannot be written."""
         from stepgap.report.fit import PICTURE_FORMATS
 
-        for option, file in (("--out", self.out), ("--plot", self.plot), ("--save", self.save)):
-            if file:
-                check_new(file, option)
+        for option in fields(self):
+            if file := getattr(self, option.name):
+                check_new(file, f"--{option.name}")
         if self.plot and _format_of(self.plot) not in PICTURE_FORMATS:
             raise InputError(f"{self.plot}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
 
@@ -54,6 +61,7 @@ def fit(
     nominal: Literal["map", "predicted", "target", "state"] | None = None,
     experiment: Path | None = None,
     folds: Integer | None = None,
+    load: Path | None = None,
     results: Results = NO_RESULTS,
     overrides: Overrides = None,
 ) -> None:
@@ -68,14 +76,8 @@ def fit(
         experiment: TOML file of settings of the robot's map and of learning. [default: the settings of the runs]
         folds: Number of contiguous blocks that are held out in turn. [default: whole deployments, or 10 blocks of a
             single one]
+        load: Model file of a run or of --save, with which LOG is predicted; then nothing is fitted.
     """
-    from threadpoolctl import threadpool_limits
-
-    from stepgap.cli.progress import progress_bar
-    from stepgap.experiment.fit import choose_folds, read_fit_data, read_test_data
-    from stepgap.experiment.fit_results import describe_fit_data, show_validation, verdicts
-    from stepgap.learning.residual_fit import names_without_lagged_inputs
-    from stepgap.learning.validation import validate, validate_on
     from stepgap.records.columns import read_columns
 
     if not log:
@@ -85,10 +87,58 @@ def fit(
             raise InputError(f"{run}: a run, whose columns are known; leave out --{', --'.join(given)}")
     if test and folds is not None:
         raise InputError("--folds: nothing is held out of LOG if --test is given; leave one of them out")
+    if results.predictions and not load:
+        raise InputError("--predictions: they are those of a saved model; give it by --load")
+    unused = {"test": test, "folds": folds, "plot": results.plot, "save": results.save}
+    if load and (of_fits := [name for name, value in unused.items() if value is not None]):
+        raise InputError(f"--load: nothing is fitted to LOG; leave out --{', --'.join(of_fits)}")
     results.check()
-    meaning, kinds = read_columns(columns, names.given()), names_without_lagged_inputs()
-    data = read_fit_data(log, meaning, nominal, experiment, overrides or [])
-    tested = read_test_data(data, log, test, meaning, nominal, experiment, overrides or []) if test else None
+    source = (read_columns(columns, names.given()), nominal, experiment, overrides or [])
+    if load:
+        _apply(load, log, source, results)
+    else:
+        _compare(log, test, source, folds, results)
+
+
+def _apply(model: Path, log: tuple[Path, ...], source: "Source", results: Results) -> None:
+    """Predicts the steps of logs by a saved model."""
+    from stepgap.experiment.fit import check_count, read_nominal_errors
+    from stepgap.experiment.model_application import (
+        LEAST_PREDICTED,
+        MOST_PREDICTED,
+        application_report,
+        apply_model,
+        describe_application,
+        prediction_table,
+        show_application,
+    )
+
+    data = read_nominal_errors(log, *source)
+    check_count(log, data, LEAST_PREDICTED, MOST_PREDICTED)
+    applied = apply_model(model, data)
+    print(describe_application(applied))
+    show_application(applied, sys.stdout)
+    if results.out:
+        write_new(results.out, "--out", json.dumps(application_report(log, applied), indent=1))
+    if results.predictions:
+        write_new(results.predictions, "--predictions", prediction_table(applied))
+
+
+def _compare(
+    log: tuple[Path, ...], test: list[Path] | None, source: "Source", folds: int | None, results: Results
+) -> None:
+    """Fits every residual and scores it on held-out steps."""
+    from threadpoolctl import threadpool_limits
+
+    from stepgap.cli.progress import progress_bar
+    from stepgap.experiment.fit import choose_folds, read_fit_data, read_test_data
+    from stepgap.experiment.fit_results import describe_fit_data, show_validation, verdicts
+    from stepgap.learning.residual_fit import names_without_lagged_inputs
+    from stepgap.learning.validation import validate, validate_on
+
+    kinds = names_without_lagged_inputs()
+    data = read_fit_data(log, *source)
+    tested = read_test_data(data, log, test, *source) if test else None
     parts = choose_folds(data.steps, folds)
     print(describe_fit_data(data, parts, tested), flush=True)
     with threadpool_limits(limits=1, user_api="blas"), progress_bar("fits") as progress:
@@ -104,7 +154,7 @@ def fit(
 
 def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation: "Validation") -> None:
     """Writes the requested files."""
-    from stepgap.experiment.fit import best_residual
+    from stepgap.experiment.fit import best_model
     from stepgap.experiment.fit_results import fit_report
     from stepgap.report.fit import fit_picture
 
@@ -114,7 +164,7 @@ def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation:
         picture = fit_picture(data.steps.space.state, validation, _format_of(results.plot))
         write_new(results.plot, "--plot", picture)
     if results.save:
-        write_new(results.save, "--save", json.dumps(best_residual(data, validation).to_dict()))
+        write_new(results.save, "--save", best_model(data, validation))
 
 
 def _format_of(picture: Path) -> str:

@@ -9,8 +9,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
-from stepgap.learning.model_averaging import residual_weights
-from stepgap.learning.residual import Residual
+from stepgap.learning.model_averaging import common_weights
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
@@ -25,8 +24,9 @@ from stepgap.learning.validation import (
 )
 from stepgap.records.columns import Columns
 from stepgap.records.foreign_log import read_foreign_logs
+from stepgap.records.model_files import saved_model_text
 from stepgap.records.steps_csv import RecordError, read_step_log
-from stepgap.step import StepSpace
+from stepgap.step import StepMap, StepSpace
 
 MOST_STEPS = 2000
 """Largest number of steps; fits to more would take hours."""
@@ -50,15 +50,40 @@ class FitData:
     Attributes:
         steps: Steps with the nominal next states as predictions.
         nominal: Description of the source of these predictions.
+        source: The nominal map, or the key of `NOMINALS` of another source.
         learning: Settings of learning; those of the run, if the steps are those of a run.
     """
 
     steps: StepTable
     nominal: str
+    source: StepMap | str
     learning: LearningSettings
 
 
 def read_fit_data(
+    logs: Sequence[Path], columns: Columns | None, nominal: str | None, experiment: Path | None, overrides: Settings
+) -> FitData:
+    """Reads steps to which residuals are fitted, as `read_nominal_errors`; there must be enough, and not too many.
+
+    Raises:
+        InputError: The arguments do not fit each other, or the steps are too few or too many.
+        RecordError: The content of a log is wrong.
+    """
+    data = read_nominal_errors(logs, columns, nominal, experiment, overrides)
+    check_count(logs, data, LEAST_STEPS, MOST_STEPS)
+    return data
+
+
+def check_count(logs: Sequence[Path], data: FitData, least: int, most: int) -> None:
+    """Raises InputError if there are too few or too many steps."""
+    if not least <= len(data.steps) <= most:
+        raise InputError(
+            f"{', '.join(map(str, logs))}: {len(data.steps)} usable steps, but there must be {least} to {most}; "
+            f"rows left out: {describe_left_out(data.steps.left_out)}"
+        )
+
+
+def read_nominal_errors(
     logs: Sequence[Path], columns: Columns | None, nominal: str | None, experiment: Path | None, overrides: Settings
 ) -> FitData:
     """Reads the steps of logs and computes their nominal next states.
@@ -71,7 +96,7 @@ def read_fit_data(
         overrides: Single settings that override these.
 
     Raises:
-        InputError: The arguments do not fit each other, or the steps are too few or too many.
+        InputError: The arguments do not fit each other.
         RecordError: The content of a log is wrong.
     """
     of_map = [name for name, _ in overrides if not name.startswith("learning.")]
@@ -84,22 +109,18 @@ def read_fit_data(
     space = settings.robot.space
     steps = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
     source = nominal or _nominal_of(steps, space)
-    description = NOMINALS[source]
+    description, found = NOMINALS[source], source
     predicted = {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
     if source == "map":
         steps = replace(steps, space=_same_names(steps.space, space))
-        predicted = load_nominal(settings).map.evaluate(steps.state, steps.command).next_state
+        found = load_nominal(settings).map
+        predicted = found.evaluate(steps.state, steps.command).next_state
         description += f" with the settings of {experiment}" if experiment else " with default settings"
         description += ", some overridden" if of_map else ""
     if predicted is None:
         raise InputError(f"--nominal {source}: the log has none; name its columns by --{source}")
     steps = steps.with_predictions(predicted, "for which the nominal map predicts a failure")
-    if not LEAST_STEPS <= len(steps) <= MOST_STEPS:
-        raise InputError(
-            f"{', '.join(map(str, logs))}: {len(steps)} usable steps, but there must be {LEAST_STEPS} to {MOST_STEPS}; "
-            f"rows left out: {describe_left_out(steps.left_out)}"
-        )
-    return FitData(steps, description, settings.learning)
+    return FitData(steps, description, found, settings.learning)
 
 
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
@@ -189,12 +210,13 @@ def read_test_data(
 
 
 def heaviest_residual(validation: Validation) -> str:
-    """Name of the residual with the largest weight, averaged over the coordinates; the simplest of equal ones."""
-    weights = residual_weights(validation)
-    return max(weights, key=lambda kind: round(float(weights[kind].mean()), 6))
+    """Name of the residual with the largest weight in all coordinates together; the simplest of equal ones."""
+    weights = common_weights(validation)
+    return max(weights, key=lambda kind: round(weights[kind], 6))
 
 
-def best_residual(data: FitData, validation: Validation) -> Residual:
-    """The residual with the largest weight, fitted to all steps as before a further deployment of a run."""
+def best_model(data: FitData, validation: Validation) -> str:
+    """Model file of the residual with the largest weight, fitted to all steps as before a further deployment."""
     kind = heaviest_residual(validation)
-    return fit_steps(data.steps, replace(data.learning, residual=kind, lagged_inputs="none"))
+    residual = fit_steps(data.steps, replace(data.learning, residual=kind, lagged_inputs="none"))
+    return saved_model_text(residual, data.steps.space, data.source)

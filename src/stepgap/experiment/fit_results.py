@@ -14,7 +14,7 @@ from rich.text import Text
 from stepgap.experiment.fit import FitData, heaviest_residual
 from stepgap.learning.model_averaging import averaged, correlation_of_successive, residual_weights
 from stepgap.learning.step_table import StepTable, describe_left_out
-from stepgap.learning.validation import Folds, Reduction, Validation, reduction
+from stepgap.learning.validation import Folds, HeldOut, Reduction, Validation, reduction
 from stepgap.step import Array, Quantity
 
 FIT_SCHEMA = 3
@@ -35,7 +35,7 @@ def verdicts(state: Sequence[Quantity], validation: Validation, follows: NDArray
     lines = [f"{quantity.name + ':':16}{verdict(validation, [index])}" for index, quantity in enumerate(state)]
     together = [f"{'all together:':16}{verdict(validation, range(len(state)))}"] if len(state) > 1 else []
     weights = f"{'weights:':16}{weight_sentence(state, validation)}"
-    return "\n".join([weights, f"{'successive:':16}{lacking(state, validation, follows)}", *lines, *together])
+    return "\n".join([weights, f"{'successive:':16}{lacking(state, averaged(validation), follows)}", *lines, *together])
 
 
 def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduction]:
@@ -47,10 +47,10 @@ def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduc
 def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
     """Sentence on how much learning reduces the error of these state coordinates, in all and beyond a constant."""
     by = gains(validation, coordinates)
-    return f"{_gain(by['none'], 'without a correction')}; {_gain(by['constant'], 'with a constant')}"
+    return f"{gain_sentence(by['none'], 'without a correction')}; {gain_sentence(by['constant'], 'with a constant')}"
 
 
-def _gain(by: Reduction, other: str) -> str:
+def gain_sentence(by: Reduction, other: str) -> str:
     """Sentence on a reduction of another error, with its 95 % interval."""
     if abs(by.value) <= by.half_width or not np.isfinite(by.half_width):
         return f"no difference shown from the error {other} ({_percent(by.value, by.half_width)})"
@@ -58,9 +58,9 @@ def _gain(by: Reduction, other: str) -> str:
     return f"{size} {'less' if by.value > 0 else 'more'} error than {other}"
 
 
-def lacking(state: Sequence[Quantity], validation: Validation, follows: NDArray[np.bool_]) -> str:
-    """Sentence on whether the remaining errors show that the state lacks something."""
-    correlation, half = correlation_of_successive(averaged(validation), follows)
+def lacking(state: Sequence[Quantity], held_out: HeldOut, follows: NDArray[np.bool_]) -> str:
+    """Sentence on whether the remaining errors of predictions show that the state lacks something."""
+    correlation, half = correlation_of_successive(held_out, follows)
     names = [
         f"{quantity.name} {value:.2f} ± {half:.2f}"
         for quantity, value in zip(state, correlation, strict=True)
@@ -92,10 +92,22 @@ def _percent(value: float, half_width: float) -> str:
 
 def describe_fit_data(data: FitData, folds: Folds, test: StepTable | None = None) -> str:
     """A few lines on the steps that were read, and on those that are held out: parts of them, or other steps."""
-    steps, space = data.steps, data.steps.space
-    deployments = len(np.unique(steps.deployment))
     parts = "parts of whole deployments" if folds.whole_deployments else "contiguous blocks"
     held_out = f"{folds.count} {parts}, one at a time" if test is None else f"{len(test)} steps of other logs"
+    return "\n".join(
+        [
+            describe_log(data),
+            f"held out    {held_out}",
+            f"disturbance {_disturbance(data)}",
+            f"outliers    {'not learned from' if data.learning.reject_outliers else 'learned from, as other steps'}",
+        ]
+    )
+
+
+def describe_log(data: FitData) -> str:
+    """A few lines on the steps that were read, and on their nominal next states."""
+    steps, space = data.steps, data.steps.space
+    deployments = len(np.unique(steps.deployment))
     return "\n".join(
         [
             f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
@@ -103,9 +115,6 @@ def describe_fit_data(data: FitData, folds: Folds, test: StepTable | None = None
             f"state       {', '.join(map(_with_unit, space.state))}",
             f"command     {', '.join(map(_with_unit, space.command))}",
             f"nominal     {data.nominal}",
-            f"held out    {held_out}",
-            f"disturbance {_disturbance(data)}",
-            f"outliers    {'not learned from' if data.learning.reject_outliers else 'learned from, as other steps'}",
         ]
     )
 
@@ -131,23 +140,40 @@ def _compared_with(data: FitData, validation: Validation) -> list[str]:
 
 def show_validation(data: FitData, validation: Validation, stream: TextIO) -> None:
     """Prints a table for each state coordinate and one for all together: framed on a terminal, plain elsewhere."""
-    console = Console(file=stream, highlight=False)
-    if not console.is_terminal:
-        console = Console(file=stream, highlight=False, width=200)
-    framed, state, compared = console.is_terminal, data.steps.space.state, _compared_with(data, validation)
+    compared = _compared_with(data, validation)
+    show_scores(data.steps.space.state, validation, compared, stream)
+    console = _console(stream)
     headings = [f"better than {other}" for other in compared]
+    table = _table(console.is_terminal, "all together", "fit [s]", *headings)
+    for kind, held in validation.held_out.items():
+        better = _compared_all(validation, kind, compared, range(len(data.steps.space.state)))
+        table.add_row(kind, _format(held.seconds, ".2g"), *better)
+    console.print(table)
+
+
+def show_scores(state: Sequence[Quantity], validation: Validation, compared: Sequence[str], stream: TextIO) -> None:
+    """Prints a table for each state coordinate.
+
+    Args:
+        state: State coordinates.
+        validation: Predictions.
+        compared: Residuals with which all others are compared.
+        stream: Where to print.
+    """
+    console, headings = _console(stream), [f"better than {other}" for other in compared]
     for index, quantity in enumerate(state):
-        table = _table(framed, _with_unit(quantity), "RMSE", "log density", "within 95 %", *headings)
+        table = _table(console.is_terminal, _with_unit(quantity), "RMSE", "log density", "within 95 %", *headings)
         for kind, held in validation.held_out.items():
             scores = (_format(held.rmse[index], ".4g"), _format(held.log_density[index], ".2f"))
             inside = _format(100 * held.coverage[index], ".0f")
             table.add_row(kind, *scores, inside, *_compared_all(validation, kind, compared, [index]))
         console.print(table)
-    table = _table(framed, "all together", "fit [s]", *headings)
-    for kind, held in validation.held_out.items():
-        better = _compared_all(validation, kind, compared, range(len(state)))
-        table.add_row(kind, _format(held.seconds, ".2g"), *better)
-    console.print(table)
+
+
+def _console(stream: TextIO) -> Console:
+    """Console of a stream; wide if it is no terminal."""
+    console = Console(file=stream, highlight=False)
+    return console if console.is_terminal else Console(file=stream, highlight=False, width=200)
 
 
 def _table(framed: bool, title: str, *scores: str) -> Table:
@@ -180,12 +206,9 @@ def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> d
     steps, state = data.steps, data.steps.space.state
     parts = {quantity.name: [index] for index, quantity in enumerate(state)} | {"all": range(len(state))}
 
-    def named(values: Array) -> dict[str, float | None]:
-        return {quantity.name: _finite(value) for quantity, value in zip(state, values, strict=True)}
-
     def better(kind: str, other: str) -> dict[str, Any]:
         by = {name: validation.reduction(kind, other, part) for name, part in parts.items()}
-        return {name: _numbers(reduction) for name, reduction in by.items()}
+        return {name: reduction_as_data(reduction) for name, reduction in by.items()}
 
     return {
         "schema": FIT_SCHEMA,
@@ -203,27 +226,37 @@ def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> d
         "residuals": [
             {
                 "kind": kind,
-                "rmse": named(held.rmse),
-                "log_density": named(held.log_density),
-                "coverage": named(held.coverage),
+                **scores_as_data(state, held),
                 "fit_seconds": held.seconds,
                 "better_than": {other: better(kind, other) for other in _compared_with(data, validation)},
             }
             for kind, held in validation.held_out.items()
         ],
-        "weights": {kind: named(weight) for kind, weight in residual_weights(validation).items()},
+        "weights": {kind: _named(state, weight) for kind, weight in residual_weights(validation).items()},
         "best": heaviest_residual(validation),
         "gain_over": {
-            name: {kind: _numbers(by) for kind, by in gains(validation, part).items()} for name, part in parts.items()
+            name: {kind: reduction_as_data(by) for kind, by in gains(validation, part).items()}
+            for name, part in parts.items()
         },
         "verdict": {name: verdict(validation, part) for name, part in parts.items()},
     }
 
 
-def _numbers(by: Reduction) -> dict[str, Any]:
+def scores_as_data(state: Sequence[Quantity], held_out: HeldOut) -> dict[str, Any]:
+    """Scores of predictions as JSON-ready data, by state coordinate."""
+    scores = {"rmse": held_out.rmse, "log_density": held_out.log_density, "coverage": held_out.coverage}
+    return {name: _named(state, values) for name, values in scores.items()}
+
+
+def reduction_as_data(by: Reduction) -> dict[str, Any]:
     """A reduction as JSON-ready data."""
     interval = [_finite(end) for end in by.interval]
     return {"value": _finite(by.value), "standard_error": _finite(by.standard_error), "interval": interval}
+
+
+def _named(state: Sequence[Quantity], values: Array) -> dict[str, float | None]:
+    """Numbers by state coordinate."""
+    return {quantity.name: _finite(value) for quantity, value in zip(state, values, strict=True)}
 
 
 def _finite(value: float) -> float | None:

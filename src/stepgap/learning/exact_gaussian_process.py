@@ -17,12 +17,16 @@ from stepgap.learning.gaussian_process import (
     check_kernel,
     check_sizes,
     checked_data,
+    ensure,
     saved_data,
     saved_hyper_parameters,
 )
 from stepgap.learning.kernel import MATERN_52, Kernel
 from stepgap.learning.least_squares import LeastSquares, append_value, fit_least_squares
 from stepgap.step import Array
+
+LARGEST_SAVED = 6000
+"""Largest number of points of a saved process that is read; the memory grows with its square."""
 
 (_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
@@ -102,8 +106,9 @@ class ExactGaussianProcess(GaussianProcess):
                 of another kernel.
         """
         check_kernel(data, kernel)
-        hyper_parameters = saved_hyper_parameters(data)
-        return condition(*saved_data(data), hyper_parameters, kernel)
+        points, values, input_scale = saved_data(data)
+        ensure(len(points) <= LARGEST_SAVED, "points", f"at most {LARGEST_SAVED}, or have inducing points")
+        return condition(points, values, input_scale, saved_hyper_parameters(data), kernel)
 
     def _solve_weights(self) -> tuple[Array, Array]:
         weights = self.least_squares.weights

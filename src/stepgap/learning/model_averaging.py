@@ -40,6 +40,13 @@ def stacking_weights(log_densities: Array) -> Array:
     return weights
 
 
+def common_weights(validation: Validation) -> dict[str, float]:
+    """Weight of each residual if it must be the same in all state coordinates, from all held-out steps."""
+    members = _members(validation)
+    weights = stacking_weights(_log_densities(list(members.values())).sum(axis=0))
+    return dict(zip(members, weights.tolist(), strict=True))
+
+
 def residual_weights(validation: Validation) -> dict[str, Array]:
     """Weight of each residual in the state coordinates, from all held-out steps; shapes (n,)."""
     members = _members(validation)

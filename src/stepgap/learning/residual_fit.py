@@ -23,6 +23,9 @@ from stepgap.learning.zero import NONE
 SELECTION_FOLDS = 5
 """Number of contiguous parts of the record, each predicted from the others, by which `auto` chooses."""
 
+LARGEST_DIMENSION = 100
+"""Largest number of state coordinates, of command coordinates, and of inputs of a regression that is read."""
+
 
 def fit_residual(
     residual: str | ResidualModel,
@@ -159,6 +162,9 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     saved = data.get("regressions")
     if not isinstance(saved, list) or not saved:
         raise ValueError("regressions must be a list of one regression per state coordinate")
+    command_size = integer(data, "command_size")
+    if max(len(saved), command_size) > LARGEST_DIMENSION:
+        raise ValueError(f"{len(saved)} regressions, command_size {command_size}: must be at most {LARGEST_DIMENSION}")
     model = load_residual_model(kind)
     regressions = tuple(_regression(model, item, f"regressions[{i}]") for i, item in enumerate(saved))
     forgetting_time = inf if data.get("forgetting_time", 0) is None else number(data, "forgetting_time")
@@ -167,7 +173,7 @@ def residual_from_dict(data: Mapping[str, Any]) -> Residual:
     if labels.shape[1] != 2:
         raise ValueError("outliers must be pairs of the numbers of a deployment and a step")
     outliers = tuple((int(deployment), int(step)) for deployment, step in labels)
-    return Residual(model, regressions, integer(data, "command_size"), history_inputs, outliers=outliers)
+    return Residual(model, regressions, command_size, history_inputs, outliers=outliers)
 
 
 def names_without_lagged_inputs() -> tuple[str, ...]:
@@ -224,6 +230,9 @@ def training_data(observations: Observations, history_inputs: HistoryInputs, coo
 def _regression(model: ResidualModel, saved: object, where: str) -> Regression:
     if not isinstance(saved, Mapping):
         raise ValueError(f"{where} must be a regression, not {saved!r:.40}")
+    points = saved.get("points")
+    if isinstance(points, list) and any(isinstance(point, list) and len(point) > LARGEST_DIMENSION for point in points):
+        raise ValueError(f"{where}.points must have at most {LARGEST_DIMENSION} columns")
     try:
         return model.from_dict(saved)
     except ValueError as error:

@@ -43,6 +43,9 @@ SEARCH_SIZE = 1000
 INDUCING_SIZES = (50, 100, 200, 400, 800)
 """Numbers of inducing points that `fit_sparse` tries, in turn."""
 
+LARGEST_INDUCING = 1000
+"""Largest number of inducing points of a saved process that is read."""
+
 LEAST_GAIN = 0.005
 """Least gain of the mean log predictive density of held-out values that justifies more inducing points [nats]."""
 
@@ -146,6 +149,7 @@ class SparseGaussianProcess(GaussianProcess):
         """
         check_kernel(data, kernel)
         arrays, inducing = saved_data(data), numbers(data, "inducing", 2)
+        ensure(len(inducing) <= LARGEST_INDUCING, "inducing", f"at most {LARGEST_INDUCING} points")
         return condition_sparse(*arrays, saved_hyper_parameters(data), inducing, kernel)
 
     @property

@@ -37,6 +37,9 @@ LEAST_STEPS: Final = 2 * FOLDS
 DEFAULT_LEARNING: Final = LearningSettings()
 """How a run learns by default."""
 
+TOGETHER: Final = 2000
+"""Number of steps whose predictions are computed together; it bounds the memory."""
+
 CERTAIN: Final = 2.0
 """Least difference, in standard errors, for one residual to be called better than another."""
 
@@ -97,7 +100,7 @@ class HeldOut:
         error: Actual − nominal next state; shape (N, n).
         mean: Predicted error, with the estimated disturbance; shape (N, n).
         std: Standard deviation with noise, zero for a residual without one; shape (N, n).
-        seconds: Time of one fit [s].
+        seconds: Time of one fit [s]; NaN if it was fitted before.
     """
 
     kind: str
@@ -246,8 +249,27 @@ def validate_on(
         seconds = perf_counter() - begin
         held_out[kind] = HeldOut(kind, test.error, *_predict_deployments(residual, test, settings), seconds)
         on_fit(done, len(kinds))
-    one_fold = contiguous_folds(len(test))
-    return Validation(replace(one_fold, fold=np.zeros(len(test), np.intp)), held_out)
+    return Validation(_one_fold(len(test)), held_out)
+
+
+def validate_fitted(residual: Residual, test: StepTable, learning: LearningSettings = DEFAULT_LEARNING) -> Validation:
+    """Predicts steps with a residual that was fitted to others before, and without a correction (`none`).
+
+    Args:
+        residual: The residual; without history inputs.
+        test: At least two steps to predict, with predictions of the nominal map whose error the residual predicts.
+        learning: Whether the disturbance is estimated; its residual is not used.
+    """
+    zero = np.zeros_like(test.error)
+    fitted = HeldOut(residual.kind, test.error, *_predict_deployments(residual, test, learning), np.nan)
+    return Validation(
+        _one_fold(len(test)), {"none": HeldOut("none", test.error, zero, zero, np.nan), residual.kind: fitted}
+    )
+
+
+def _one_fold(steps: int) -> Folds:
+    """Steps that are predicted together, in blocks for the standard errors."""
+    return replace(contiguous_folds(steps, min(FOLDS, steps)), fold=np.zeros(steps, np.intp))
 
 
 def fit_steps(steps: StepTable, learning: LearningSettings) -> Residual:
@@ -285,7 +307,9 @@ def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -
     With `learning.drift`, each step is predicted with the disturbance in the steps before it that are no outliers.
     """
     points = join_points(steps.state, steps.command)
-    mean, std = residual.mean(points), residual.std(points, include_noise=True)
+    parts = np.array_split(points, -(-len(points) // TOGETHER))
+    mean = np.concatenate([residual.mean(part) for part in parts])
+    std = np.concatenate([residual.std(part, include_noise=True) for part in parts])
     if not learning.drift or residual.kind == "none":
         return mean, std
     yaw = np.full(len(steps), np.nan) if steps.yaw is None else steps.yaw

@@ -1,7 +1,8 @@
-"""Model files `models/iteration_K.json`: the residual with which a deployment of a run began.
+"""Model files: the residual with which a deployment of a run began, or which `stepgap fit --save` wrote.
 
-Besides the residual, a file has a schema number, names and units of state and command, and some steps of the nominal
-map, by which another nominal map is noticed: its error is not the learned one. docs/model_file.md has all keys.
+Besides the residual, a file has a schema number, names and units of state and command, and the source of the nominal
+next states. If that is a map, the file has some of its steps, by which another nominal map is noticed: its error is not
+the learned one. docs/model_file.md has all keys.
 """
 
 import json
@@ -24,8 +25,11 @@ SCHEMA: Final = 1
 SAME_STEP: Final = 1e-6
 """Largest difference of the same step on other machines and versions [half ranges]."""
 
-LARGEST_MODEL: Final = 2**28
+LARGEST_MODEL: Final = 2**26
 """Largest model file that is read [bytes]."""
+
+MAP: Final = "map"
+"""Name of the source of nominal next states that is a map."""
 
 
 def model_path(folder: Path, iteration: int) -> Path:
@@ -35,13 +39,26 @@ def model_path(folder: Path, iteration: int) -> Path:
 
 def write_model(folder: Path, iteration: int, residual: Residual, nominal: StepMap) -> None:
     """Writes the residual with which a deployment begins, and what identifies its nominal map, into the run folder."""
-    space = nominal.space
+    write_whole(model_path(folder, iteration), saved_model_text(residual, nominal.space, nominal))
+
+
+def saved_model_text(residual: Residual, space: StepSpace, nominal: StepMap | str) -> str:
+    """Content of the model file of a residual.
+
+    Args:
+        residual: The residual.
+        space: Names and units of its state and command.
+        nominal: The nominal map whose error it predicts, or the name of another source of nominal next states.
+    """
     names = {
         key: [[quantity.name, quantity.unit] for quantity in quantities]
         for key, quantities in (("state", space.state), ("command", space.command))
     }
-    content = {"schema": SCHEMA, **names, "nominal_steps": _steps_of(nominal), **residual.to_dict()}
-    write_whole(model_path(folder, iteration), json.dumps(content))
+    if isinstance(nominal, str):
+        source: dict[str, Any] = {"nominal": nominal}
+    else:
+        source = {"nominal": MAP, "nominal_steps": _steps_of(nominal)}
+    return json.dumps({"schema": SCHEMA, **names, **source, **residual.to_dict()})
 
 
 def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap | None = None) -> Residual | None:
@@ -61,34 +78,99 @@ def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap 
     text = read_text(path, LARGEST_MODEL)
     if text is None:
         return None
-    try:
-        data = json.loads(text)
-        if isinstance(data, dict) and "features" in data:
-            raise ValueError("written by a former version; run the experiment again")
-        if data.get("schema", SCHEMA) != SCHEMA:
-            raise ValueError(f"schema must be {SCHEMA}, not {data['schema']!r:.40}")
-        residual = residual_from_dict(data)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, np.linalg.LinAlgError) as error:
-        short = " ".join(str(error).split())[:120]
-        raise ValueError(f"{path}: not a residual ({short}); it must be the file that the run wrote") from None
-    wanted = (len(space.state), len(space.command))
-    if residual.sizes != wanted:
-        raise ValueError(
-            f"{path}: (state, command) sizes are {residual.sizes}, in steps.csv {wanted}; both must be of the same run"
-        )
-    _check_names(path, data, space)
+    data, residual = _parsed(path, text)
+    _check_names(path, data, space, "steps.csv")
+    _check_sizes(path, residual, space)
     if nominal is not None:
         _check_nominal(path, data, nominal)
     return residual
 
 
-def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
+def read_saved_model(path: Path, space: StepSpace, nominal: StepMap | str) -> Residual:
+    """Reads the residual of a model file that is used for other steps than those of its run.
+
+    Args:
+        path: A file that a run or `stepgap fit --save` wrote.
+        space: State and command of these steps; an empty unit is unknown, and agrees with every other.
+        nominal: Nominal map of these steps, or the name of another source of their nominal next states.
+
+    Raises:
+        ValueError: The file is not a model, or not one of such steps; the message is one line.
+        OSError: It cannot be read.
+    """
+    text = read_text(path, LARGEST_MODEL)
+    if text is None:
+        raise ValueError(f"{path}: No such file or directory; give a model file of a run or of `stepgap fit --save`")
+    data, residual = _parsed(path, text)
+    if not {"state", "command"} <= data.keys():
+        raise ValueError(f"{path}: has no names of state and command; write it again with this version")
+    _check_names(path, data, space, "the steps")
+    _check_units(path, data, space)
+    _check_sizes(path, residual, space)
+    _check_source(path, data, nominal if isinstance(nominal, str) else MAP)
+    if not isinstance(nominal, str):
+        _check_nominal(path, data, nominal)
+    return residual
+
+
+def _parsed(path: Path, text: str) -> tuple[Mapping[str, Any], Residual]:
+    """Content and residual of a model file; raises ValueError with one line if it has none."""
+    try:
+        data = json.loads(text)
+        if not isinstance(data, dict):
+            raise ValueError("not a JSON object")
+        if "features" in data:
+            raise ValueError("written by a former version; run the experiment again")
+        if "format" in data:
+            raise ValueError("exported for other programs; give models/iteration_K.json of its run")
+        if data.get("schema", SCHEMA) != SCHEMA:
+            raise ValueError(f"schema must be {SCHEMA}, not {data['schema']!r:.40}")
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            return data, residual_from_dict(data)
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        short = " ".join(str(error).split())[:120]
+        raise ValueError(f"{path}: not a residual ({short}); it must be the file that the run wrote") from None
+
+
+def _check_sizes(path: Path, residual: Residual, space: StepSpace) -> None:
+    """Raises ValueError if state or command have another size."""
+    wanted = (len(space.state), len(space.command))
+    if residual.sizes != wanted:
+        raise ValueError(
+            f"{path}: (state, command) sizes are {residual.sizes}, in steps.csv {wanted}; both must be of the same run"
+        )
+
+
+def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace, where: str) -> None:
     """Raises ValueError if the file names other coordinates."""
     for key, names in (("state", space.state_names), ("command", space.command_names)):
         pairs = data.get(key)
         found = [str(pair[0]) for pair in pairs if isinstance(pair, list) and pair] if isinstance(pairs, list) else None
         if pairs is not None and found != list(names):
-            raise ValueError(f"{path}: {key} must be {', '.join(names)}, as in steps.csv, not {pairs!r:.80}")
+            raise ValueError(f"{path}: {key} must be {', '.join(names)}, as in {where}, not {pairs!r:.80}")
+
+
+def _check_units(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
+    """Raises ValueError if a coordinate has another known unit."""
+    for pair, quantity in zip([*data["state"], *data["command"]], (*space.state, *space.command), strict=True):
+        unit = pair[1] if len(pair) == 2 else None
+        if not isinstance(unit, str):
+            raise ValueError(f"{path}: {quantity.name} must be a pair of name and unit, not {pair!r:.80}")
+        if unit and quantity.unit and unit != quantity.unit:
+            raise ValueError(
+                f"{path}: {quantity.name} has the unit {unit!r:.40}, in the steps {quantity.unit!r:.40}; convert the "
+                "steps by factors"
+            )
+
+
+def _check_source(path: Path, data: Mapping[str, Any], source: str) -> None:
+    """Raises ValueError if the nominal next states are from another source."""
+    found = data.get("nominal", MAP)
+    if found != source:
+        raise ValueError(
+            f"{path}: predicts the error of the nominal next states 'nominal = {found!s:.40}', those of the steps are "
+            f"'nominal = {source}'; choose the same with --nominal"
+        )
 
 
 def _steps_of(nominal: StepMap) -> list[list[float | None]]:
@@ -111,9 +193,10 @@ def _points(space: StepSpace) -> tuple[Array, Array]:
 
 def _check_nominal(path: Path, data: Mapping[str, Any], nominal: StepMap) -> None:
     """Raises ValueError unless the nominal map takes the steps in the file."""
+    _check_source(path, data, MAP)
     try:
         recorded = np.array(data["nominal_steps"], float)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, OverflowError, TypeError, ValueError):
         raise ValueError(f"{path}: has no steps of its nominal map; run the experiment again") from None
     here = nominal.evaluate(*_points(nominal.space)).next_state
     if recorded.shape == here.shape:
