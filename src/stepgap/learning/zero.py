@@ -80,7 +80,10 @@ def _fit(data: TrainingData, start: Regression | None) -> Zero:
 
 
 def _from_dict(saved: Mapping[str, Any]) -> Zero:
-    return Zero(integer(saved, "inputs"), number(saved, "noise_std"))
+    noise_std = number(saved, "noise_std")
+    if noise_std < 0:
+        raise ValueError("noise_std must not be negative")
+    return Zero(integer(saved, "inputs"), noise_std)
 
 
 NONE: Final = ResidualModel("none", "nothing: the nominal map as it is", _fit, _from_dict, candidate=True, complexity=0)
