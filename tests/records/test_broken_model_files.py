@@ -111,12 +111,21 @@ WRONG = st.one_of(
     st.just([[[0.0]]]),
 )
 
-quickly = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+quickly = settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.mark.parametrize("kind", MODELS)
 def test_intact_files_are_applied(kind: str, tmp_path: Path) -> None:
     assert answer(tmp_path / "model.json", json.dumps(MODELS[kind])) == ""
+
+
+@pytest.mark.parametrize("kind", ["gp", "gp_on_linear", "quadratic"])
+def test_nothing_and_huge_numbers_everywhere_are_one_line_or_harmless(kind: str, tmp_path: Path) -> None:
+    found = places(MODELS[kind])
+    assert len(found) > 30
+    for path in found:
+        for wrong in (None, HUGE):
+            answer(tmp_path / "model.json", json.dumps(changed(MODELS[kind], path, lambda _, wrong=wrong: wrong)))
 
 
 @given(data=st.data(), kind=st.sampled_from(sorted(MODELS)))
@@ -153,7 +162,11 @@ def test_other_bytes_are_refused(content: bytes, tmp_path: Path) -> None:
     assert answer(tmp_path / "model.json", content)
 
 
-@given(content=st.recursive(WRONG, lambda inner: st.dictionaries(st.sampled_from(sorted(MODELS["gp"])), inner)))
+@given(
+    content=st.recursive(
+        WRONG, lambda inner: st.dictionaries(st.sampled_from(sorted(MODELS["gp"])), inner), max_leaves=6
+    )
+)
 @quickly
 def test_other_json_is_refused(content: Any, tmp_path: Path) -> None:
     assert answer(tmp_path / "model.json", json.dumps(content))
@@ -178,6 +191,7 @@ def rows(count: int, columns: int) -> dict[str, Any]:
         ("gp", ("lagged_inputs",), lambda _: "previous_step", "inputs"),
         ("gp", ("command",), lambda _: [["fx", "N"], ["fy", "kN"]], "fy has the unit 'kN', in the steps 'N'; convert"),
         ("gp", ("command",), lambda _: [["fx", "N"], ["fz", "N"]], "command must be fx, fy, as in the steps"),
+        ("gp", ("state",), lambda _: None, "has no names of state and command"),
         ("gp", ("state", 0), lambda _: ["speed"], "speed must be a pair of name and unit"),
         ("none", ("command_size",), lambda _: 10**9, "command_size 1000000000: must be at most 100"),
         ("none", ("regressions",), lambda one: one * 200, "400 regressions, command_size 2: must be at most 100"),

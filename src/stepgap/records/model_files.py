@@ -102,7 +102,7 @@ def read_saved_model(path: Path, space: StepSpace, nominal: StepMap | str) -> Re
     if text is None:
         raise ValueError(f"{path}: No such file or directory; give a model file of a run or of `stepgap fit --save`")
     data, residual = _parsed(path, text)
-    if not {"state", "command"} <= data.keys():
+    if data.get("state") is None or data.get("command") is None:
         raise ValueError(f"{path}: has no names of state and command; write it again with this version")
     _check_names(path, data, space, "the steps")
     _check_units(path, data, space)
