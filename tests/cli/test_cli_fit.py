@@ -149,7 +149,8 @@ def test_the_model_of_a_run_is_applied(stepgap: Command) -> None:
     )
     write_log(Path("log.csv"), 0.5)
     refused(
-        stepgap("fit", "log.csv", *FOREIGN, "--load", "model.json"), "model.json: state must be v, y, as in the steps"
+        stepgap("fit", "log.csv", *FOREIGN, "--load", "model.json"),
+        "model.json: its state is speed, height, that of the steps is v, y; it",
     )
 
 
@@ -265,7 +266,12 @@ def test_columns_from_a_file(stepgap: Command) -> None:
         ("fit none.csv", ["none.csv: No such file or directory; give the folder of a run"]),
         ("fit folder", ["folder/steps.csv: No such file or directory; give the folder of a run"]),
         ("fit log.csv", ["log.csv, line 1: the columns must be iteration,", "name its columns, see --help"]),
-        ("fit folder --yaw psi", ["folder: a run, whose columns are known; leave out --yaw"]),
+        ("fit folder --yaw psi", ["folder: a folder that is not a run, which has a steps.csv; give the log's file"]),
+        ("fit run --yaw psi", ["run: a run, whose columns are known; leave out --yaw"]),
+        (
+            "fit header.csv --state v --command fx --nominal state",
+            ["no row holds a complete step; rows left out: 1 at"],
+        ),
         ("fit log.csv --state v,y", ["--command: no column"]),
         ("fit log.csv --state w,y --command fx", ["log.csv, line 1: state 'w': no column 'w'; there is v, y, fx"]),
         ("fit log.csv --state v,y --command fxx", ["command 'fxx': no column 'fxx'; did you mean 'fx'?"]),
@@ -294,6 +300,8 @@ def test_bad_input_is_refused_in_one_line(stepgap: Command, arguments: str, part
     Path("folder").mkdir()
     write_log(Path("log.csv"), 0.0)
     write_log(Path("few.csv"), 0.0, count=5)
+    write_log(Path("header.csv"), 0.0, count=1)
+    write_run(Path("run"), 0.0)
     write_log(Path("many.csv"), 0.0, count=2101)
     before = {path: path.read_bytes() for path in Path().iterdir() if path.is_file()}
     refused(stepgap(*arguments.split()), *parts)

@@ -190,7 +190,12 @@ def rows(count: int, columns: int) -> dict[str, Any]:
         ("gp", ("nominal_steps", 0, 0), lambda _: 0.3, "was learned on another nominal map"),
         ("gp", ("lagged_inputs",), lambda _: "previous_step", "inputs"),
         ("gp", ("command",), lambda _: [["fx", "N"], ["fy", "kN"]], "fy has the unit 'kN', in the steps 'N'; convert"),
-        ("gp", ("command",), lambda _: [["fx", "N"], ["fz", "N"]], "command must be fx, fy, as in the steps"),
+        (
+            "gp",
+            ("command",),
+            lambda _: [["fx", "N"], ["fz", "N"]],
+            "its command is fx, fz, that of the steps is fx, fy",
+        ),
         ("gp", ("state",), lambda _: None, "has no names of state and command"),
         ("gp", ("state", 0), lambda _: ["speed"], "speed must be a pair of name and unit"),
         ("none", ("command_size",), lambda _: 10**9, "command_size 1000000000: must be at most 100"),

@@ -84,6 +84,8 @@ def fit(
         raise InputError("LOG: none given; give folders of runs, or logs and the names of their columns")
     if given := [*names.given(), *(["columns"] if columns else [])]:
         for run in (one for one in log if one.is_dir() and not (one / "metadata.yaml").is_file()):  # no ROS 2 bag
+            if not (run / "steps.csv").is_file():
+                raise InputError(f"{run}: a folder that is not a run, which has a steps.csv; give the log's file")
             raise InputError(f"{run}: a run, whose columns are known; leave out --{', --'.join(given)}")
     if test and folds is not None:
         raise InputError("--folds: nothing is held out of LOG if --test is given; leave one of them out")

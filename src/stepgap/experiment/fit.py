@@ -76,11 +76,11 @@ def read_fit_data(
 
 def check_count(logs: Sequence[Path], data: FitData, least: int, most: int) -> None:
     """Raises InputError if there are too few or too many steps."""
-    if not least <= len(data.steps) <= most:
-        raise InputError(
-            f"{', '.join(map(str, logs))}: {len(data.steps)} usable steps, but there must be {least} to {most}; "
-            f"rows left out: {describe_left_out(data.steps.left_out)}"
-        )
+    count = len(data.steps)
+    if not least <= count <= most:
+        found = f"{count} usable step{'' if count == 1 else 's'}, but there must be {least} to {most}"
+        left_out = describe_left_out(data.steps.left_out)
+        raise InputError(f"{', '.join(map(str, logs))}: {found}; rows left out: {left_out}")
 
 
 def read_nominal_errors(

@@ -35,7 +35,7 @@ def read_foreign_logs(paths: Sequence[Path], columns: Columns) -> StepTable:
     table = {role: np.concatenate([part[role] for part in parts]) for role in parts[0]}
     command = table["command" if columns.command else "target"]
     if not len(command):
-        raise RecordError(f"{paths[0]}: no row holds a complete step ({describe_left_out(left_out)})")
+        raise RecordError(f"{paths[0]}: no row holds a complete step; rows left out: {describe_left_out(left_out)}")
     return StepTable(
         space=columns.space(table["state"], command),
         state=table["state"],

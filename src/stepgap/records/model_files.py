@@ -79,7 +79,7 @@ def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap 
     if text is None:
         return None
     data, residual = _parsed(path, text)
-    _check_names(path, data, space, "steps.csv")
+    _check_names(path, data, space)
     _check_sizes(path, residual, space)
     if nominal is not None:
         _check_nominal(path, data, nominal)
@@ -102,9 +102,7 @@ def read_saved_model(path: Path, space: StepSpace, nominal: StepMap | str) -> Re
     if text is None:
         raise ValueError(f"{path}: No such file or directory; give a model file of a run or of `stepgap fit --save`")
     data, residual = _parsed(path, text)
-    if data.get("state") is None or data.get("command") is None:
-        raise ValueError(f"{path}: has no names of state and command; write it again with this version")
-    _check_names(path, data, space, "the steps")
+    _check_same_names(path, data, space)
     _check_units(path, data, space)
     _check_sizes(path, residual, space)
     _check_source(path, data, nominal if isinstance(nominal, str) else MAP)
@@ -116,7 +114,7 @@ def read_saved_model(path: Path, space: StepSpace, nominal: StepMap | str) -> Re
 def _parsed(path: Path, text: str) -> tuple[Mapping[str, Any], Residual]:
     """Content and residual of a model file; raises ValueError with one line if it has none."""
     try:
-        data = json.loads(text)
+        data = _json_in(text)
         if not isinstance(data, dict):
             raise ValueError("not a JSON object")
         if "features" in data:
@@ -129,7 +127,17 @@ def _parsed(path: Path, text: str) -> tuple[Mapping[str, Any], Residual]:
             return data, residual_from_dict(data)
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         short = " ".join(str(error).split())[:120]
-        raise ValueError(f"{path}: not a residual ({short}); it must be the file that the run wrote") from None
+        raise ValueError(
+            f"{path}: not a residual ({short}); it must be one that a run or `stepgap fit --save` wrote"
+        ) from None
+
+
+def _json_in(text: str) -> Any:
+    """JSON data; the ValueError of other text is short."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"not JSON: {error}") from None
 
 
 def _check_sizes(path: Path, residual: Residual, space: StepSpace) -> None:
@@ -141,13 +149,30 @@ def _check_sizes(path: Path, residual: Residual, space: StepSpace) -> None:
         )
 
 
-def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace, where: str) -> None:
-    """Raises ValueError if the file names other coordinates."""
+def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
+    """Raises ValueError if the file names other coordinates than steps.csv of its run."""
     for key, names in (("state", space.state_names), ("command", space.command_names)):
         pairs = data.get(key)
-        found = [str(pair[0]) for pair in pairs if isinstance(pair, list) and pair] if isinstance(pairs, list) else None
-        if pairs is not None and found != list(names):
-            raise ValueError(f"{path}: {key} must be {', '.join(names)}, as in {where}, not {pairs!r:.80}")
+        if pairs is not None and _names_in(pairs) != list(names):
+            raise ValueError(f"{path}: {key} must be {', '.join(names)}, as in steps.csv, not {pairs!r:.80}")
+
+
+def _check_same_names(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
+    """Raises ValueError if the file names other coordinates than the steps to which the residual is applied."""
+    for key, names in (("state", space.state_names), ("command", space.command_names)):
+        found = _names_in(data.get(key))
+        if not found:
+            raise ValueError(f"{path}: has no names of state and command; write it again with this version")
+        if found != list(names):
+            raise ValueError(
+                f"{path}: its {key} is {', '.join(found):.80}, that of the steps is {', '.join(names):.80}; it is a "
+                "model of another robot, or name the columns in its order, as NAME=COLUMN"
+            )
+
+
+def _names_in(pairs: Any) -> list[str] | None:
+    """Names in a list of pairs of name and unit; None if it is no list."""
+    return [str(pair[0]) for pair in pairs if isinstance(pair, list) and pair] if isinstance(pairs, list) else None
 
 
 def _check_units(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
