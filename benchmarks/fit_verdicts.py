@@ -6,7 +6,11 @@ and two verdicts are compared between all pairs of subsets:
 - *selection*, the rule of earlier versions: from simple to complex, the residual that is certainly better than the one
   chosen before. One verdict contradicts another if it calls the residual worse that the other one chose.
 - *gain*, the present rule: the reduction of the error by the averaged prediction. Two verdicts contradict each other if
-  their 95 % intervals have no number in common.
+  their 95 % intervals have no number in common. Intervals are rarely apart, so the sentences that `fit` prints are
+  compared, too: *another sentence* if one says less error (or more) and the other one does not, *opposite* if one says
+  less and the other one more.
+
+Subsets share logs, so they agree more often than independent ones would; this holds for both rules.
 
     ./go python benchmarks/fit_verdicts.py RUN… [--subsets 200]
 """
@@ -16,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -26,6 +30,7 @@ from stepgap.experiment.fit_results import gains
 from stepgap.learning.step_table import StepTable
 from stepgap.learning.validation import Reduction, Validation, deployment_folds, validate
 
+T = TypeVar("T")
 KINDS = ("none", "constant", "linear", "quadratic", "gp", "gp_on_linear")
 PART = 40
 """Number of steps of a log."""
@@ -76,7 +81,12 @@ def apart(one: Reduction, other: Reduction) -> bool:
     return abs(one.value - other.value) > one.half_width + other.half_width
 
 
-def share(found: Sequence[Verdicts], contradict: Callable[[Verdicts, Verdicts], bool]) -> float:
+def sentence(by: Reduction) -> int:
+    """What `fit` prints: 1 for less error, −1 for more, 0 for no difference shown."""
+    return 0 if abs(by.value) <= by.half_width or not np.isfinite(by.half_width) else int(np.sign(by.value))
+
+
+def share(found: Sequence[T], contradict: Callable[[T, T], bool]) -> float:
     """Part of the pairs of verdicts that contradict each other."""
     return float(np.mean([contradict(*pair) for pair in combinations(found, 2)]))
 
@@ -86,15 +96,20 @@ def summary(found: Sequence[Verdicts]) -> str:
     chosen = Counter(one.chosen for one in found).most_common()
     other_name = share(found, lambda one, other: one.chosen != other.chosen)
     worse = share(found, lambda one, other: one.chosen in other.worse or other.chosen in one.worse)
-    gain, more = (
-        share(found, lambda one, other, part=part: apart(getattr(one, part), getattr(other, part)))
-        for part in ("gain", "more")
-    )
     return (
         f"selection: {', '.join(f'{kind} {times}' for kind, times in chosen)}; "
         f"two choose another residual {other_name:.1%}, contradict each other {worse:.1%}; "
-        f"gain: intervals apart {gain:.1%}, over a constant {more:.1%}"
+        f"gain over none: {_agreement([one.gain for one in found])}; over a constant: "
+        f"{_agreement([one.more for one in found])}"
     )
+
+
+def _agreement(found: Sequence[Reduction]) -> str:
+    """How often two gains differ."""
+    far = share(found, apart)
+    other = share(found, lambda one, other: sentence(one) != sentence(other))
+    opposite = share(found, lambda one, other: sentence(one) * sentence(other) < 0)
+    return f"intervals apart {far:.1%}, another sentence {other:.1%}, opposite {opposite:.1%}"
 
 
 def main() -> None:

@@ -63,7 +63,7 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     assert "less error than without a correction; no difference shown from the error with a constant" in sentences["v"]
     assert "no difference shown from the error without a correction" in sentences["y"]
     report = json.loads(Path("fit.json").read_text())
-    assert report["best"] == "constant"
+    assert report["heaviest"] == "constant"
     assert sum(weights["v"] for weights in report["weights"].values()) == pytest.approx(1)
     assert report["gain_over"]["v"]["none"]["value"] == pytest.approx(0.8, abs=0.1)
     assert report["verdict"]["v"] == sentences["v"].strip()
@@ -144,9 +144,7 @@ def test_the_model_of_a_run_is_applied(stepgap: Command) -> None:
     columns = [part for name, text in names.items() for part in (f"--{name}", text)]
     foreign = ("fit", "run/steps.csv", *columns, "--load", "model.json", "--nominal")
     assert stepgap(*foreign, "map").code == 0
-    refused(
-        stepgap(*foreign, "state"), "model.json: predicts the error of", "nominal = map", "nominal = state'; choose"
-    )
+    refused(stepgap(*foreign, "state"), "model.json: learned with '--nominal map', but", "'--nominal state'; they")
     write_log(Path("log.csv"), 0.5)
     refused(
         stepgap("fit", "log.csv", *FOREIGN, "--load", "model.json"),

@@ -185,7 +185,7 @@ def rows(count: int, columns: int) -> dict[str, Any]:
         ("gp", ("format",), lambda _: "StepGap model", "exported for other programs; give models/iteration_K.json"),
         ("gp", ("kind",), lambda _: "neural_network", "neural_network"),
         ("gp", ("kind",), lambda _: "__import__('os').system('true')", "not a residual"),
-        ("gp", ("nominal",), lambda _: "target", "predicts the error of the nominal next states 'nominal = target'"),
+        ("gp", ("nominal",), lambda _: "target", "learned with '--nominal target'"),
         ("gp", ("nominal_steps",), lambda _: [[1.0]], "was learned on another nominal map"),
         ("gp", ("nominal_steps", 0, 0), lambda _: 0.3, "was learned on another nominal map"),
         ("gp", ("lagged_inputs",), lambda _: "previous_step", "inputs"),

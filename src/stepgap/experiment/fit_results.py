@@ -17,7 +17,7 @@ from stepgap.learning.step_table import StepTable, describe_left_out
 from stepgap.learning.validation import Folds, HeldOut, Reduction, Validation, reduction
 from stepgap.step import Array, Quantity
 
-FIT_SCHEMA = 3
+FIT_SCHEMA = 4
 """Version of the JSON file."""
 
 BASELINES: tuple[str, ...] = ("none", "constant")
@@ -59,18 +59,26 @@ def gain_sentence(by: Reduction, other: str) -> str:
 
 
 def lacking(state: Sequence[Quantity], held_out: HeldOut, follows: NDArray[np.bool_]) -> str:
-    """Sentence on whether the remaining errors of predictions show that the state lacks something."""
+    """Sentence on whether the remaining errors of predictions show that the state lacks something.
+
+    What lasts longer than a step, and is not in the state, makes successive errors alike. Noise of the measured state,
+    in which one step ends and the next one begins, makes their signs alternate where the state persists.
+    """
     correlation, half = correlation_of_successive(held_out, follows)
-    names = [
-        f"{quantity.name} {value:.2f} ± {half:.2f}"
-        for quantity, value in zip(state, correlation, strict=True)
-        if abs(value) > half
-    ]
     if not np.isfinite(half):
         return "too few successive steps to see whether the state lacks something that lasts"
-    if not names:
-        return f"remaining errors of successive steps are not correlated (within ± {half:.2f})"
-    return f"remaining errors of successive steps are correlated ({', '.join(names)}): the state lacks what causes them"
+    alike, alternating = (
+        ", ".join(
+            f"{quantity.name} {value:.2f} ± {half:.2f}"
+            for quantity, value in zip(state, correlation, strict=True)
+            if sign * value > half
+        )
+        for sign in (1, -1)
+    )
+    found = [f"are correlated ({alike}): the state lacks something that lasts"] if alike else []
+    if alternating:
+        found.append(f"alternate ({alternating}), as with noise of the measured state")
+    return f"remaining errors of successive steps {', and '.join(found) or f'are not correlated (within ± {half:.2f})'}"
 
 
 def weight_sentence(state: Sequence[Quantity], validation: Validation) -> str:
@@ -233,7 +241,7 @@ def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> d
             for kind, held in validation.held_out.items()
         ],
         "weights": {kind: _named(state, weight) for kind, weight in residual_weights(validation).items()},
-        "best": heaviest_residual(validation),
+        "heaviest": heaviest_residual(validation),
         "gain_over": {
             name: {kind: reduction_as_data(by) for kind, by in gains(validation, part).items()}
             for name, part in parts.items()

@@ -193,8 +193,8 @@ def _check_source(path: Path, data: Mapping[str, Any], source: str) -> None:
     found = data.get("nominal", MAP)
     if found != source:
         raise ValueError(
-            f"{path}: predicts the error of the nominal next states 'nominal = {found!s:.40}', those of the steps are "
-            f"'nominal = {source}'; choose the same with --nominal"
+            f"{path}: learned with '--nominal {found!s:.40}', but the nominal next states of the steps are those of "
+            f"'--nominal {source}'; they must be of the same source"
         )
 
 
