@@ -35,6 +35,7 @@ class StepStatus(IntEnum):
     NO_APEX = 5
     INVALID = 6
     STOPPED = 7
+    DOUBTFUL = 8
 
     @property
     def label(self) -> str:
@@ -42,7 +43,12 @@ class StepStatus(IntEnum):
         return self.name.lower()
 
 
-ENDINGS = {StepStatus.OK: "made all its steps", StepStatus.FELL: "fell", StepStatus.STOPPED: "was stopped"}
+ENDINGS = {
+    StepStatus.OK: "made all its steps",
+    StepStatus.FELL: "fell",
+    StepStatus.STOPPED: "was stopped",
+    StepStatus.DOUBTFUL: "was stopped because of a doubtful sensor",
+}
 """How a deployment ended, by the status of its last step; other steps that fail have no next state."""
 
 
@@ -62,6 +68,7 @@ ADVICE = {
     "choose a higher apex or land with a shorter leg",
     StepStatus.NO_APEX: "the step did not end within the time limit; check gains and command",
     StepStatus.INVALID: "state and command must be finite numbers",
+    StepStatus.DOUBTFUL: "a sensor value was not plausible; check encoders, cables and force sensor before going on",
     StepStatus.STOPPED: "a safety limit was exceeded, or the plant failed; check gains, command and limits",
 }
 """Advice for each `StepStatus` other than OK."""

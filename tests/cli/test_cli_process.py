@@ -116,7 +116,9 @@ def test_an_interrupted_run_is_resumed_with_the_program(run, stepgap: Command) -
 def test_wrong_use_is_one_line(stepgap: Command) -> None:
     refused(stepgap("run", "--plant", "process"), "--plant process: give the robot's program after two dashes")
     refused(stepgap("run", "--", "./robot"), "-- ./robot: plant 'twin' runs no program; add --plant process")
-    refused(stepgap("run", "--plant", "process", "--arm", "--", "./robot"), "--arm, --rig: only for real rigs")
+    refused(
+        stepgap("run", "--plant", "process", "--rig", "rig.toml", "--", "./robot"), "--arm, --rig: only for real rigs"
+    )
     refused(stepgap("run", "--process.step", "0"), "--process.step = 0.0, but it must be a positive number of seconds")
     missing = stepgap("run", "--plant", "process", "--out", "x", "--quiet", "--", "./robot")
     assert missing.code == 1

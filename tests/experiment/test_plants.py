@@ -26,6 +26,20 @@ from stepgap.rigs.rig import RigFault
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig.toml"
 REFERENCE = Reference(("speed", "height"), np.array([[0.1, 0.56]]))
+MISSING_LIMITS = (
+    "torque_step",
+    "lean_angle",
+    "fold_angle",
+    "shortest_leg",
+    "longest_leg",
+    "lowest_hip",
+    "highest_hip",
+    "brake_torque",
+    "jump_angle",
+    "frozen_time",
+    "ground_height",
+)
+"""Limits that may be left out where there is no torque."""
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
 
@@ -100,9 +114,39 @@ def test_without_an_answer_at_the_keyboard_there_is_no_torque(
 ) -> None:
     with Path(os.devnull).open() as no_keyboard:
         monkeypatch.setattr(sys, "stdin", no_keyboard)
+        with pytest.raises(RigFault, match="not a terminal"):
+            run_plants.ask_to_hold()
+    assert capsys.readouterr().err == "", "nobody is asked"
+
+
+def test_a_terminal_that_is_closed_gives_no_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = os.openpty()
+
+    class Screen(StringIO):
+        def write(self, text: str) -> int:
+            if "Hold the robot up" in text:
+                os.write(ours, b"\x04")  # end of input, as Ctrl-D
+            return len(text)
+
+    with os.fdopen(theirs) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        monkeypatch.setattr(sys, "stderr", Screen())
         with pytest.raises(RigFault, match="Enter was not pressed"):
             run_plants.ask_to_hold()
-    assert "Hold the robot up" in capsys.readouterr().err
+    os.close(ours)
+
+
+@pytest.mark.parametrize("key", [*MISSING_LIMITS, "lean_angle, torque_step"])
+def test_without_all_limits_there_is_no_torque(tmp_path: Path, key: str) -> None:
+    """Each of the limits that may be left out for a simulation, and two together."""
+    rig, names = tmp_path / "rig.toml", [part.partition(" ")[0] for part in key.split(", ")]
+    lines = EXAMPLE.read_text("utf-8").splitlines()
+    rig.write_text("\n".join(line for line in lines if line.partition(" ")[0] not in names), "utf-8")
+    settings = Experiment(plant="ethercat", rig=str(rig))
+    with pytest.raises(InputError) as refusal:
+        run_plants.choose_plants(settings, REFERENCE, True, tmp_path)
+    order = [name for name in MISSING_LIMITS if name in names]
+    assert f"{rig}: [limits] lacks {', '.join(order)}; torque needs" in str(refusal.value)
 
 
 def test_input_before_the_question_is_not_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from stepgap.base.errors import InputError
 from stepgap.base.output_files import free_name
 from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Name, Overrides, Port, Program
-from stepgap.cli.terminal import announces_compilation, warn
+from stepgap.cli.terminal import announces_compilation, check_consent, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.control.reference import Reference
@@ -133,7 +133,7 @@ def run(
         experiment: TOML file of settings. [default: the defaults of the robot; of the hopper, the experiment
             of the paper]
         out: New folder for the results. [default: a new one in runs/]
-        arm: Let the rig apply torque; `stepgap rig check` must have passed.
+        arm: Let the rig apply torque; `stepgap rig check` must have passed, and a person must be at the terminal.
         resume: Resume the interrupted run in --out.
         extend: Make this many more redeployments of the finished run in --out.
     """
@@ -141,6 +141,8 @@ def run(
     from stepgap.experiment.inputs import write_experiment
     from stepgap.experiment.run_start import start_folder
 
+    if arm:
+        check_consent()
     if not display.view and (display.host or display.port):
         raise InputError("--host, --port: valid only with --view, whose page they belong to")
     if resume and extend is not None:

@@ -5,10 +5,24 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any
 
+from stepgap.base.errors import InputError
+
 
 def warn(message: str) -> None:
     """Prints one line on stderr."""
     print(f"stepgap: {' '.join(message.split())}", file=sys.stderr)
+
+
+def check_consent() -> None:
+    """Ensures that a person can consent to torque: standard input is a terminal, not a pipe or a file.
+
+    Raises:
+        InputError: It is not.
+    """
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise InputError(
+            "--arm: standard input is not a terminal; torque needs a person who presses Enter at a terminal, not a pipe"
+        )
 
 
 def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:

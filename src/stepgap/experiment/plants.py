@@ -24,6 +24,7 @@ from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.records.summary import NoiseFloor
 from stepgap.rigs.entry_points import load_rig, rig_names
+from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.robot import Simulation
 from stepgap.step import StepMap
@@ -101,11 +102,12 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
     if control is None:
         raise InputError(f"--plant {settings.plant}: robot '{settings.robot.name}' has no control for a rig")
     make_rig = partial(load_rig, settings.plant, Path(settings.rig), settings.robot)
-    make_rig()  # reports errors before the first deployment
+    limits = make_rig().limits  # reports errors before the first deployment
     if not arm:
         raise InputError(
             f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` tests all but torque"
         )
+    _check_limits(settings.rig, limits)
     setup = RealtimeSetup(make_rig, control)
 
     def make(_: np.random.Generator) -> Plant:
@@ -114,6 +116,17 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
 
     checked(Path(settings.rig))
     return Plants(make, replays=False)
+
+
+def _check_limits(rig: str, limits: RigLimits | None) -> None:
+    """Raises InputError unless a rig has limits, all of which limit something."""
+    if limits is None:
+        raise InputError(f"--arm, --rig {rig}: the rig has no limits; torque needs a rig whose `limits` are all finite")
+    if lacking := limits.without_effect():
+        raise InputError(
+            f"--arm, --rig {rig}: [limits] lacks {', '.join(lacking)}; torque needs a finite value of each, as in "
+            "examples/rig.toml"
+        )
 
 
 def _of_process(settings: Experiment, program: Sequence[str]) -> Plants:
@@ -132,10 +145,11 @@ def ask_to_hold() -> None:
     Raises:
         RigFault: There is no answer.
     """
-    if sys.stdin.isatty():
-        import termios  # not available on Windows
+    if not sys.stdin.isatty():
+        raise RigFault("standard input is not a terminal, so nobody can press Enter, and no torque was given")
+    import termios  # not available on Windows
 
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)  # earlier input is not an answer
+    termios.tcflush(sys.stdin, termios.TCIFLUSH)  # earlier input is not an answer
     print(
         "Hold the robot up with its foot off the ground and press Enter: it takes its landing posture within half a "
         "second. Then release it. Ctrl-C lands it.",

@@ -25,6 +25,8 @@ REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
 FITTED_PER_HOP = 150
 """A fit to this number of steps takes less time than one hop of the robot."""
+_NO_FAILURE = frozenset({StepStatus.OK, StepStatus.DOUBTFUL})
+"""Statuses of steps that a controller need not avoid: a doubtful sensor is not due to the command."""
 
 
 @final
@@ -128,7 +130,7 @@ class Learner:
             model: The residual that was fitted to these steps; None to fit it.
         """
         space = log.space
-        failures = [_point_of(step.record) for step in log if step.record.status != StepStatus.OK]
+        failures = [_point_of(step.record) for step in log if step.record.status not in _NO_FAILURE]
         return cls(
             nominal=nominal,
             settings=settings,
@@ -173,7 +175,7 @@ class Learner:
         """Returns the learner after the step just executed."""
         record, log = logged.record, StepLog(self.log.space, [*self.log, logged])
         error, point = error_of(record, self.nominal), _point_of(record)
-        failed = record.status != StepStatus.OK
+        failed = record.status not in _NO_FAILURE
         learner = replace(
             self,
             log=log,

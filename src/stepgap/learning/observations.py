@@ -93,13 +93,13 @@ def observe(log: StepLog, nominal: StepMap) -> Observations:
     """Computes the nominal map's error at the steps of a log that ended with an apex, at the commands requested.
 
     What limits remove from a command is thus a part of the error. A step that fails on the nominal map has no error and
-    is omitted.
+    is omitted, and so are steps with a doubtful sensor.
     """
     error = log.next_state - nominal.evaluate(log.state, log.requested).next_state
     lagged = _lagged_quantities(nominal.space, error, log.requested, log.state)
     before = np.where(log.follows[:, None], np.roll(lagged, 1, axis=0), 0.0)
     history = np.hstack([before, np.arange(float(len(log)))[:, None]])
-    known = np.isfinite(error).all(axis=1)
+    known = np.isfinite(error).all(axis=1) & ~log.doubtful
     rows = log.state[known], log.requested[known], error[known], history[known], log.yaw[known]
     return Observations(nominal.space, *rows, log.deployment[known], log.number[known])
 

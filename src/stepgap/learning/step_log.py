@@ -93,6 +93,15 @@ class StepLog:
         return (same == 0) & (next_one == 1)
 
     @property
+    def doubtful(self) -> NDArray[np.bool_]:
+        """Whether a sensor was doubtful in a step, or in the one that directly followed; shape (N,).
+
+        The fault may have begun before it was found, so that the state at the end of the step before is doubtful, too.
+        """
+        own = np.array([logged.record.status == StepStatus.DOUBTFUL for logged in self._steps], bool)
+        return own | np.roll(own & self.follows, -1)
+
+    @property
     def deployment(self) -> NDArray[np.intp]:
         """Number of the deployment that each step belongs to; shape (N,)."""
         return np.array([logged.iteration for logged in self._steps], np.intp)

@@ -23,6 +23,10 @@ class RigLimits:
         for name, most in (("lost_frames", 5), ("stale_ticks", 5), ("late_ticks", MOST_LATE_TICKS)):
             require(0 <= getattr(self, name) <= most, name, getattr(self, name), f"lie between 0 and {most}")
 
+    def without_effect(self) -> tuple[str, ...]:
+        """Names of the limits that limit nothing, which a simulation may have, but no robot that gets torque."""
+        return ()
+
 
 MOST_LATE_TICKS = 50
 """Largest value of `late_ticks`."""

@@ -56,6 +56,10 @@ class RigFault(StepGapError):
     """Error of a rig that has stopped: torque is off and remains off."""
 
 
+class DoubtfulSensor(RigFault):
+    """Fault of a rig that has stopped because of a sensor whose values are doubtful."""
+
+
 class Rig(ABC):
     """Torque-controlled motors and the sensors of a robot.
 

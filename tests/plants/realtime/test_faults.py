@@ -41,6 +41,7 @@ ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=36.0, torque_step=20.0, joint_speed=80.0, fold_angle=2.6, lowest_hip=0.1, highest_hip=0.9)
 LAYOUT = Twin(ROBOT, RealityGap(), np.random.default_rng(0)).sensor_model
 WATCHDOG = 0.5
+EMULATED_LIMITS = emulated_settings(LAYOUT, ROBOT, RingSettings()).limits
 SETTINGS = replace(
     emulated_settings(LAYOUT, ROBOT, RingSettings(inputs_after_tick=True), INTERFACE),
     limits=LIMITS,

@@ -18,7 +18,7 @@ from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.reduced import uprightness
-from stepgap.robots.hopper.safety import BRAKED, JointMotion, Limited
+from stepgap.robots.hopper.safety import BRAKE_GROWTH, BRAKED, JointMotion, Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
 from stepgap.step import Array, StepStatus
 
@@ -156,6 +156,7 @@ class Watch(NamedTuple):
         late: Ticks missed in a row.
         stopped: Reasons why the motors brake or stay off.
         braked: Number of ticks since the stop.
+        slowest: Smallest joint speed since the stop [rad/s].
     """
 
     torque_1: float = 0.0
@@ -165,6 +166,7 @@ class Watch(NamedTuple):
     late: int = 0
     stopped: Limited = Limited.NOTHING
     braked: int = 0
+    slowest: float = inf
 
 
 class Checked(NamedTuple):
@@ -199,7 +201,10 @@ def check_torque(
     if beyond := _out_of_range(limits, motion, torque_1 + torque_2):
         stopped |= beyond
     if stopped:
-        after = Watch(0.0, 0.0, lost, stale, late, stopped, watch.braked + 1)
+        speed = abs(motion.rate_1) + abs(motion.rate_2)
+        if speed > min(watch.slowest, speed) + BRAKE_GROWTH:
+            stopped |= Limited.SPEED_GREW
+        after = Watch(0.0, 0.0, lost, stale, late, stopped, watch.braked + 1, min(watch.slowest, speed))
         torque_1, torque_2 = _brake(limits, watch, motion) if brakes(limits, after) else (0.0, 0.0)
         return Checked(torque_1, torque_2, stopped, after._replace(torque_1=torque_1, torque_2=torque_2))
 
@@ -230,7 +235,7 @@ def _brake(limits: SafetyLimits, watch: Watch, motion: JointMotion) -> tuple[flo
 
 
 def _brake_motor(limits: SafetyLimits, before: float, speed: float) -> float:
-    brake = _within(limits.torque, -limits.brake_damping * speed)
+    brake = _within(min(limits.torque, limits.brake_torque), -limits.brake_damping * speed)
     return _within(abs(brake), _within(limits.torque_step, brake, before if before * brake > 0 else 0.0))
 
 

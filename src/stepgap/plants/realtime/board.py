@@ -77,9 +77,9 @@ class FinishedHop(NamedTuple):
     status: StepStatus
 
     @classmethod
-    def stopped(cls, number: int) -> Self:
+    def stopped(cls, number: int, status: StepStatus = StepStatus.STOPPED) -> Self:
         """Returns the result of a hop that was stopped before its apex."""
-        return cls(number, nan, nan, 0.0, 0.0, 0.0, 0.0, nan, StepStatus.STOPPED)
+        return cls(number, nan, nan, 0.0, 0.0, 0.0, 0.0, nan, status)
 
 
 class Board:

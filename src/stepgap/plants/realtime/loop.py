@@ -12,8 +12,8 @@ from stepgap.plants.realtime.pace import Pace
 from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
 from stepgap.plants.tick_clock import TickClock
 from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, TickControl, TickFlag
-from stepgap.rigs.rig import Health, Reading, Rig, RigFault
-from stepgap.step import StepSpace
+from stepgap.rigs.rig import DoubtfulSensor, Health, Reading, Rig, RigFault
+from stepgap.step import StepSpace, StepStatus
 
 LOOP_UNITS: Mapping[str, str] = MappingProxyType({"state": "", "late": "s"})
 """Fields of a row of the tick log after those of the robot's tick, with their units."""
@@ -118,7 +118,7 @@ class ControlLoop:
         self._written = time
         self._log((*control.row(self._applied), self._state, late))
         if self._flags & TickFlag.STOPPED:
-            self._fail(f"the safety function stopped the robot: {control.stopped}")
+            self._fail(f"the safety function stopped the robot: {control.stopped}", control.status)
             return self._powered and bool(self._flags & TickFlag.BRAKES)
         if self._state == RigState.HOP:
             self._judge_hop()
@@ -207,15 +207,15 @@ class ControlLoop:
 
     def _end_with(self, fault: RigFault, now: float, late: float) -> bool:
         """Latches a fault of the rig and logs a last row without values; returns False."""
-        self._fail(str(fault))
+        self._fail(str(fault), StepStatus.DOUBTFUL if isinstance(fault, DoubtfulSensor) else StepStatus.STOPPED)
         self._log((now, *[nan] * (len(self._control.units) - 1), self._state, late))
         return False
 
-    def _fail(self, message: str) -> None:
-        """Latches the fault; the message of the first one is kept, and the present hop is posted as stopped."""
+    def _fail(self, message: str, status: StepStatus) -> None:
+        """Latches the fault; the message of the first one is kept, and the present hop is posted with the status."""
         if self._state == RigState.FAULT:
             return
         if self._state == RigState.HOP:
-            self._board.post_hop(FinishedHop.stopped(self._hop))
+            self._board.post_hop(FinishedHop.stopped(self._hop, status))
         self._board.message = message
         self._enter(next_state(self._state, Signals(fault=True)))

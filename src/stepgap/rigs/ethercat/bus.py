@@ -236,7 +236,7 @@ class Bus:
                 found[bit] = (word >> 16, word >> 8 & 0xFF, bits)
                 bit += bits
         for entry, at in packing.mapping.values():
-            if found.get(at) != (entry.index, entry.subindex, entry.bits):
+            if entry.index and found.get(at) != (entry.index, entry.subindex, entry.bits):
                 there = "0x{:04X}:{:02X}:{}".format(*found[at]) if at in found else "none"
                 raise RigFault(f"{self.label(number)} must map {entry} at byte {at // 8}, but there is {there}")
         if bit != 8 * packing.size:

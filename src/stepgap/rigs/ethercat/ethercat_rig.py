@@ -17,8 +17,9 @@ from stepgap.rigs.ethercat.cia402 import (
 )
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
+from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
 from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques
+from stepgap.rigs.rig import HEALTHY, LOST, DoubtfulSensor, Health, Reading, Rig, RigFault, SensorModel, Torques
 
 _ERROR_CODE, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
@@ -176,13 +177,16 @@ class EthercatRig(Rig):
             sleep(self._settings.tick)
 
     def _update_reading(self) -> None:
-        """Updates the reading from a good frame; a drive that does not accept torque commands is a fault."""
+        """Updates the reading from a good frame; a drive that takes no torque or a doubtful sensor is a fault."""
         for drive in self._drives:
             values = self._bus.inputs(drive)
             if state_of(values["statusword"]) != State.ENABLED or values["mode_display"] != CYCLIC_TORQUE:
                 fault = self._trip(f"{self._bus.label(drive)} no longer accepts torque commands")
                 raise RigFault(f"{fault}: {self._drive_report()}")
         self._reading = self._settings.reading([sensor.value(self._bus) for sensor in self._sensors])
+        for sensor in self._sensors:
+            if doubt := sensor.doubt:
+                raise DoubtfulSensor(str(self._trip(f"{self._bus.label(sensor.slave)}: {doubt.value}")))
 
     def _check_al_states(self) -> None:
         """Checks every `STATES_EVERY` frames whether all slaves are in OP; repeats the request if a reply is lost."""
@@ -236,24 +240,38 @@ class EthercatRig(Rig):
 
 
 class _Angle:
-    """Counts of one encoder: unwrapped, relative to its zero, forward positive."""
+    """Counts of one encoder: unwrapped, relative to its zero, forward positive; and the reason to doubt them."""
 
     def __init__(self, settings: BusSettings, encoder: Encoder):
-        self._slave, self._encoder = settings.position(encoder.slave), encoder
+        self.slave, self._encoder = settings.position(encoder.slave), encoder
         self._name = "position" if isinstance(encoder, Motor) else "counter"
-        packing = Packing(settings.pdo_set(settings.slaves[self._slave]).inputs)
+        packing = Packing(settings.pdo_set(settings.slaves[self.slave]).inputs)
         self._bits, self._count = packing.mapping[self._name][0].bits, 0
+        compared = encoder.velocity_unit if isinstance(encoder, Motor) and "velocity" in packing.names else 0.0
+        self._velocity_unit = compared * settings.tick / settings.frames_per_tick
+        self._track: PositionTrack | None = None
+        self.doubt: SensorDoubt | None = None
 
     def value(self, bus: Bus) -> int:
-        self._count = unwrapped(bus.inputs(self._slave)[self._name], self._count, self._bits)
+        inputs = bus.inputs(self.slave)
+        self._count = unwrapped(inputs[self._name], self._count, self._bits)
+        if self._velocity_unit:
+            track = self._track or PositionTrack(self._count)
+            self._track = track = with_position(track, self._count, self._velocity_unit * inputs["velocity"])
+            self.doubt = SensorDoubt.VELOCITY if track.contradictions > LONGEST_CONTRADICTION else None
+        if inputs.get("status", 0) & self._encoder.error_bits:
+            self.doubt = SensorDoubt.STATUS
         return self._encoder.sign * (self._count - self._encoder.zero)
 
 
 class _Force:
-    """The force of one sensor [N]."""
+    """The force of one sensor [N], and the reason to doubt it."""
 
     def __init__(self, settings: BusSettings, sensor: ForceSensor):
-        self._slave, self._sensor = settings.position(sensor.slave), sensor
+        self.slave, self._sensor = settings.position(sensor.slave), sensor
+        self.doubt: SensorDoubt | None = None
 
     def value(self, bus: Bus) -> float:
-        return self._sensor.newton_per_count * (bus.inputs(self._slave)["force"] - self._sensor.zero)
+        inputs = bus.inputs(self.slave)
+        self.doubt = SensorDoubt.STATUS if inputs.get("status", 0) & self._sensor.error_bits else None
+        return self._sensor.newton_per_count * (inputs["force"] - self._sensor.zero)

@@ -17,8 +17,12 @@ SIGNED_VALUES = {
     "mode_display": True,
     "counter": True,
     "force": True,
+    "status": False,
 }
-"""The values that a rig uses, and whether each is signed. An unsigned counter is read as signed: it is unwrapped."""
+"""The values that a rig uses, and whether each is signed. An unsigned counter is read as signed: it is unwrapped.
+
+The status word of a terminal consists of many objects of one bit, so its entry is written as padding with a name.
+"""
 
 ENTRY_FORMATS = {8: "b", 16: "h", 32: "i"}
 
@@ -30,7 +34,7 @@ class Entry:
     """One object in a PDO.
 
     Attributes:
-        index: Index of the object; 0 for padding.
+        index: Index of the object; 0 for padding and for a status word.
         subindex: Subindex of the object.
         bits: Its size.
         name: Its name in the rig, one of `SIGNED_VALUES`; empty if the rig does not use it.
@@ -167,15 +171,15 @@ PDO_SETS: Mapping[str, PdoSet] = {
             _pdo(0x1A11, "0x606C:00:32 velocity"),
         ),
     ),
-    # Control and status bits that the rig does not use are combined as padding.
+    # Control bits, which the rig does not use, are combined as padding.
     "beckhoff-el5101": PdoSet(
         outputs=(_pdo(0x1603, "0x0000:00:16", "0x7010:11:32"),),
-        inputs=(_pdo(0x1A04, "0x0000:00:16", "0x6010:11:32 counter", "0x6010:12:32"),),
+        inputs=(_pdo(0x1A04, "0x0000:00:16 status", "0x6010:11:32 counter", "0x6010:12:32"),),
     ),
     "beckhoff-el5151": PdoSet(
         outputs=(_pdo(0x1600, "0x0000:00:16", "0x7000:11:32"),),
-        inputs=(_pdo(0x1A00, "0x0000:00:16", "0x6000:11:32 counter", "0x6000:12:32"),),
+        inputs=(_pdo(0x1A00, "0x0000:00:16 status", "0x6000:11:32 counter", "0x6000:12:32"),),
     ),
-    "analog-input": PdoSet(inputs=(_pdo(0x1A00, "0x0000:00:16", "0x6000:11:16 force"),)),
+    "analog-input": PdoSet(inputs=(_pdo(0x1A00, "0x0000:00:16 status", "0x6000:11:16 force"),)),
 }
 """Predefined sets by their name in `rig.toml`, which may describe others."""

@@ -85,6 +85,10 @@ class Slave:
             require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
 
 
+def _check_bits(bits: int) -> None:
+    require(0 <= bits < 2**16, "error_bits", bits, "have at most 16 bits")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Encoder:
     """An encoder; its angle is 2π · sign · (counts − zero) / counts_per_turn.
@@ -94,14 +98,18 @@ class Encoder:
         counts_per_turn: Counts of the encoder per turn.
         sign: 1 if the counts increase forward or upward, else −1.
         zero: Counts at angle zero.
+        error_bits: Bits of the status word of its terminal that make its values invalid; for a Beckhoff terminal
+            open circuit 0x0040, synchronisation error 0x2000 and *TxPDO State* 0x4000.
     """
 
     slave: str
     counts_per_turn: float
     sign: int = 1
     zero: int = 0
+    error_bits: int = 0x6040
 
     def __post_init__(self) -> None:
+        _check_bits(self.error_bits)
         counts = self.counts_per_turn
         require(1 <= counts <= 2**32, "counts_per_turn", counts, "lie between 1 and 2³²")
         require(self.sign in (1, -1), "sign", self.sign, "be 1 or -1")
@@ -116,17 +124,22 @@ class Motor(Encoder):
         rated_torque: Rated torque of the motor [N·m], as in the drive (0x6076), in 1/1000 of which torques are sent.
         torque_limit: Largest torque at the top link [N·m].
         gear: Turns of motor and encoder per turn of the top link.
+        velocity_unit: Counts per second of one unit of the drive's velocity (0x606C), which is compared with the
+            position; 0 if the drive does not send one, or in another way.
     """
 
     rated_torque: float
     torque_limit: float
     gear: float = 1.0
+    velocity_unit: float = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         rated, limit = self.rated_torque, self.torque_limit
         require(1e-3 <= rated < 2**32 / 1000, "rated_torque", rated, "lie in the range of 0x6076, 0.001 to 4294967")
         require(1e-3 <= self.gear <= 1e4, "gear", self.gear, "lie between 0.001 and 10000")
+        unit = self.velocity_unit
+        require(isfinite(unit) and unit >= 0, "velocity_unit", unit, "be finite and not negative")
         most = 32 * self.torque_unit * 1000
         require(
             0 < limit <= most, "torque_limit", limit, f"be positive and at most 32 times the rated torque, {most:g}"
@@ -156,13 +169,17 @@ class ForceSensor:
         slave: Name of the device that measures the force.
         newton_per_count: Its scale [N]; negative if the counts decrease under load.
         zero: Counts without load.
+        error_bits: Bits of the status word of its terminal that make its values invalid; for a Beckhoff terminal
+            underrange 0x0001, overrange 0x0002, error 0x0040, synchronisation error 0x2000 and *TxPDO State* 0x4000.
     """
 
     slave: str
     newton_per_count: float
     zero: int = 0
+    error_bits: int = 0x6043
 
     def __post_init__(self) -> None:
+        _check_bits(self.error_bits)
         scale = self.newton_per_count
         require(isfinite(scale) and scale != 0, "newton_per_count", scale, "be finite and not zero")
         require(abs(self.zero) < 2**31, "zero", self.zero, "lie within ±2³¹")

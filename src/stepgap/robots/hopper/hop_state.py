@@ -10,6 +10,7 @@ from stepgap.robots.hopper.estimator import FlightFit, JointRates
 from stepgap.robots.hopper.joint_control import JointLaw
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.plausibility import SensorWatch
 from stepgap.robots.hopper.safety import JointMotion, Watch
 from stepgap.robots.hopper.sensors import HopperSensorModel
 
@@ -141,6 +142,7 @@ class HopState(NamedTuple):
         flight: Estimator of the hip's flight.
         hop: The present hop.
         apex: Result of the last hop.
+        sensors: State of the plausibility checks.
         watch: State of the safety function.
         asked_1: Torque that the law requested of motor 1 [N·m].
         asked_2: Torque that the law requested of motor 2 [N·m].
@@ -155,6 +157,7 @@ class HopState(NamedTuple):
     flight: FlightState = FlightState()
     hop: HopProgress = HopProgress()
     apex: Apex = Apex()
+    sensors: SensorWatch = SensorWatch()
     watch: Watch = Watch()
     asked_1: float = 0.0
     asked_2: float = 0.0

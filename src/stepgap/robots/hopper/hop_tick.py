@@ -17,8 +17,9 @@ from stepgap.plants.tick_control import Mode, TickFlag
 from stepgap.robots.hopper.estimator import fitted_apex
 from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, FlightState, HopProgress, HopState, TickInputs
 from stepgap.robots.hopper.phases import Phase
+from stepgap.robots.hopper.plausibility import judge_sensors
 from stepgap.robots.hopper.reduced import uprightness
-from stepgap.robots.hopper.safety import STOPS, brakes, check_torque
+from stepgap.robots.hopper.safety import DOUBTFUL, STOPS, brakes, check_torque
 from stepgap.robots.hopper.sensing import sense, update_flight, yaw_of
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
@@ -35,6 +36,8 @@ _STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
         TickFlag.UNREADABLE,
     )
 )
+
+_DOUBTFUL = int(DOUBTFUL)
 
 
 @as_written
@@ -56,14 +59,15 @@ def hop_tick(settings, state, inputs):
     hop, phase = _update_hop(hop, state.phase, phase, state.mode, inputs)
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
-    checked = check_torque(settings.limits, state.watch, motion, inputs, requested[0], requested[1])
+    sensors, doubts = judge_sensors(settings, state, sampled, phase, motion, body, inputs)
+    checked = check_torque(settings.limits, state.watch, motion, inputs, doubts, requested[0], requested[1])
     hop = _update_status(settings.law.leg, hop, motion, checked.limited)
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
         flags, hop, flight, apex = _end_hop(settings.sensor_model, hop, flight, apex, phase, body, inputs.time)
     flags |= _flags(settings.limits, hop, phase, checked)
     after = HopState(
-        inputs.mode, phase, sampled, motion, rates, flight, hop, apex, checked.watch, asked[0], asked[1],
+        inputs.mode, phase, sampled, motion, rates, flight, hop, apex, sensors, checked.watch, asked[0], asked[1],
         checked.limited,
     )  # fmt: skip
     return after, (checked.torque_1, checked.torque_2), flags
@@ -123,7 +127,7 @@ def _update_status(leg, hop, motion, limited):
     """`HopProgress` with a new status if the step has failed: the safety function stopped the robot, or it fell."""
     status = hop.status
     if limited & STOPS:
-        status = StepStatus.STOPPED.value
+        status = StepStatus.DOUBTFUL.value if limited & _DOUBTFUL else StepStatus.STOPPED.value
     elif uprightness(leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0.0:
         status = StepStatus.FELL.value
     return _with_status(hop, status)

@@ -1,12 +1,27 @@
 """Safety limits of the hopper's motors and joints; `robots/hopper/safety.py` applies them to every torque."""
 
 from dataclasses import dataclass, fields
-from math import inf, isnan, pi
+from math import inf, isinf, isnan, pi
 from typing import Self
 
 from stepgap.base.ranges import require
 from stepgap.rigs.limits import MOST_LATE_TICKS, RigLimits
 from stepgap.robots.hopper.parameters import RobotParameters
+
+_POSITIVE = frozenset(
+    {
+        "torque",
+        "torque_step",
+        "joint_speed",
+        "lean_angle",
+        "fold_angle",
+        "longest_leg",
+        "brake_torque",
+        "jump_angle",
+        "frozen_time",
+        "ground_height",
+    }
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +40,14 @@ class SafetyLimits(RigLimits):
         lowest_hip: Smallest height of the hip [m].
         highest_hip: Largest height of the hip [m].
         brake_damping: Damping of the motors that brake after the robot has left its bounds [N·m·s/rad].
+        brake_torque: Largest torque of a motor that brakes [N·m].
         brake_ticks: Number of ticks of braking before torque goes off.
+        jump_angle: Smallest jump of an encoder for which it is doubted [rad], 4 counts at least; just after touchdown
+            four times as much for the motors.
+        frozen_time: Time for which a motor's encoder may stand still under torque, until it is doubted [s]; multiples
+            of it hold for the pitch in flight and for a foot at the ground without contact force.
+        ground_height: Largest height of the foot above or below the ground in stance, by leg and boom [m]: the sum of
+            roughness, slope, penetration, bending of the boom and errors of the zeros.
     """
 
     torque: float
@@ -39,14 +61,18 @@ class SafetyLimits(RigLimits):
     lowest_hip: float = -inf
     highest_hip: float = inf
     brake_damping: float = 0.8
+    brake_torque: float = inf
     brake_ticks: int = 300
+    jump_angle: float = inf
+    frozen_time: float = inf
+    ground_height: float = inf
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for field in fields(self):
             value = getattr(self, field.name)
             require(not isnan(value), field.name, value, "be a number")
-            if field.name in ("torque", "torque_step", "joint_speed", "lean_angle", "fold_angle", "longest_leg"):
+            if field.name in _POSITIVE:
                 require(value > 0, field.name, value, "be positive")
         require(self.torque < inf, "torque", self.torque, "be finite")
         require(0 <= self.stretch_angle < pi, "stretch_angle", self.stretch_angle, "lie between 0 and π")
@@ -66,6 +92,14 @@ class SafetyLimits(RigLimits):
     def of(cls, robot: RobotParameters) -> Self:
         """Limits of a robot in simulation."""
         return cls(torque=robot.torque_limit)
+
+    def without_effect(self) -> tuple[str, ...]:
+        """Names of the limits that are infinite or, for the shortest leg, zero."""
+        return tuple(
+            field.name
+            for field in fields(self)
+            if isinf(getattr(self, field.name)) or (field.name == "shortest_leg" and self.shortest_leg <= 0)
+        )
 
     def limp(self) -> Self:
         """Limits of a robot whose motors get no torque: faults of the bus stop it, but neither its pose nor its speed.

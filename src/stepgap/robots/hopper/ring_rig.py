@@ -70,10 +70,31 @@ def emulated_settings(
             touchdown_force=sensor_model.touchdown_force,
             takeoff_length=sensor_model.takeoff_length,
         ),
-        limits=SafetyLimits(torque=most, lost_frames=5, stale_ticks=5, late_ticks=40),  # a simulation cannot break
+        limits=_limits(most),
         tick=sensor_model.tick,
         reply_timeout=PATIENT_REPLY if ring.lock_step else sensor_model.tick / 2,
         watchdog=PATIENT_WATCHDOG if ring.lock_step else 0.05,
+    )
+
+
+def _limits(torque: float) -> SafetyLimits:
+    """Complete limits for a torque [N·m] that a hopping twin never reaches, since a simulation cannot break."""
+    return SafetyLimits(
+        torque=torque,
+        torque_step=2 * torque,
+        lean_angle=1.5,
+        fold_angle=3.0,
+        shortest_leg=0.09,
+        longest_leg=0.32,
+        lowest_hip=0.05,
+        highest_hip=2.0,
+        lost_frames=5,
+        stale_ticks=5,
+        late_ticks=40,
+        brake_torque=10.0,
+        jump_angle=0.004,
+        frozen_time=0.016,
+        ground_height=0.03,
     )
 
 

@@ -5,7 +5,7 @@ the safety of people a contactor or the drives' STO input is needed.
 """
 
 from enum import IntFlag
-from math import isfinite
+from math import inf, isfinite
 from typing import NamedTuple
 
 from stepgap.base.compiled import as_written
@@ -26,7 +26,19 @@ class Limited(IntFlag):
     LOST_FRAMES = 256
     STALE = 512
     LATE = 1024
+    SPEED_GREW = 2048
     EMERGENCY_STOP = 4096
+    MOTOR_1_FROZEN = 1 << 13
+    MOTOR_2_FROZEN = 1 << 14
+    YAW_AGAINST_LEG = 1 << 15
+    PITCH_FROZEN = 1 << 16
+    MOTOR_1_JUMPED = 1 << 17
+    MOTOR_2_JUMPED = 1 << 18
+    YAW_JUMPED = 1 << 19
+    PITCH_JUMPED = 1 << 20
+    CONTACT_IN_AIR = 1 << 21
+    GROUND_WITHOUT_CONTACT = 1 << 22
+    FOOT_BELOW_GROUND = 1 << 23
 
     @property
     def stops(self) -> bool:
@@ -41,7 +53,15 @@ BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited
 """Reasons to stop with sensors and drives that are still reliable, so that the motors brake before torque goes off.
 
 A joint that is too fast is not among them: its encoder may have the wrong sign, so that braking would accelerate it.
+Nor is a doubtful sensor. Where an angle or a height beyond its limit is itself the first sign of a wrong sensor, the
+brake is harmless: its torque is limited, and it is released if the speed grows.
 """
+
+DOUBTFUL = Limited(sum(reason for reason in Limited if reason >= Limited.MOTOR_1_FROZEN))
+"""Reasons to doubt a sensor, which `plausibility` finds."""
+
+BRAKE_GROWTH = 10.0
+"""Growth of the joint speed at which motors stop to brake, since the brake accelerates them [rad/s]."""
 
 # Numba does not compile flags, so compiled code uses their numbers.
 _NOT_FINITE = int(Limited.NOT_FINITE)
@@ -56,6 +76,7 @@ _LOST_FRAMES = int(Limited.LOST_FRAMES)
 _STALE = int(Limited.STALE)
 _LATE = int(Limited.LATE)
 _EMERGENCY_STOP = int(Limited.EMERGENCY_STOP)
+_SPEED_GREW = int(Limited.SPEED_GREW)
 _BRAKED = int(BRAKED)
 STOPS = int(Limited(sum(Limited)) & ~CHANGES_TORQUE)
 """Bits of all reasons that stop the robot."""
@@ -92,6 +113,7 @@ class Watch(NamedTuple):
         late: Number of ticks missed in a row.
         stopped: Reasons why the motors brake or stay off; the number of a `Limited`.
         braked: Number of ticks since the stop.
+        slowest: Smallest joint speed since the stop [rad/s].
     """
 
     torque_1: float = 0.0
@@ -101,6 +123,7 @@ class Watch(NamedTuple):
     late: int = 0
     stopped: int = 0
     braked: int = 0
+    slowest: float = inf
 
 
 class Checked(NamedTuple):
@@ -116,7 +139,7 @@ class Checked(NamedTuple):
 
 
 @as_written
-def check_torque(limits, watch, motion, health, torque_1, torque_2):
+def check_torque(limits, watch, motion, health, doubts, torque_1, torque_2):
     """Limits the torques; after a fault they brake for a while and then stay zero.
 
     Args:
@@ -124,6 +147,7 @@ def check_torque(limits, watch, motion, health, torque_1, torque_2):
         watch: Watch of the previous tick; fields as in `Watch`.
         motion: JointMotion at this tick; fields as in `JointMotion`.
         health: Health at this tick; fields as in `Health`.
+        doubts: Reasons to doubt a sensor at this tick, as the number of a `Limited`.
         torque_1: Torque requested of motor 1 [N·m].
         torque_2: Torque requested of motor 2 [N·m].
 
@@ -133,17 +157,22 @@ def check_torque(limits, watch, motion, health, torque_1, torque_2):
     lost = watch.lost + 1 if health.frame_lost else 0
     stale = watch.stale + 1 if health.stale else 0
     late = watch.late + health.late if health.late else 0
-    stopped = watch.stopped | _unhealthy(limits, health.emergency_stop, lost, stale, late)
+    stopped = watch.stopped | doubts | _unhealthy(limits, health.emergency_stop, lost, stale, late)
     stopped |= _out_of_range(limits, motion, torque_1 + torque_2)
     if stopped:
-        braked = watch.braked + 1
+        braked, speed = watch.braked + 1, abs(motion.rate_1) + abs(motion.rate_2)
+        slowest = min(watch.slowest, speed)
+        if speed > slowest + BRAKE_GROWTH:
+            stopped |= _SPEED_GREW
         torque_1 = torque_2 = 0.0
         if _brakes(limits, stopped, braked):
             torque_1 = _brake(limits, watch.torque_1, motion.rate_1 + motion.rate_2)
             torque_2 = _brake(limits, watch.torque_2, motion.rate_1 - motion.rate_2)
-        return Checked(torque_1, torque_2, stopped, Watch(torque_1, torque_2, lost, stale, late, stopped, braked))
+        return Checked(
+            torque_1, torque_2, stopped, Watch(torque_1, torque_2, lost, stale, late, stopped, braked, slowest)
+        )
     torque_1, torque_2, limited = _within_limits(limits, watch, motion.alpha_2, torque_1, torque_2)
-    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late, 0, 0))
+    return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late, 0, 0, inf))
 
 
 @as_written
@@ -160,7 +189,7 @@ def _brakes(limits, stopped, braked):
 @as_written
 def _brake(limits, before, speed):
     """Torque against a motor's rotation, within limits [N·m]; driving torque ends immediately, braking torque grows."""
-    brake = _within(limits.torque, -limits.brake_damping * speed, 0.0)
+    brake = _within(min(limits.torque, limits.brake_torque), -limits.brake_damping * speed, 0.0)
     start = before if before * brake > 0 else 0.0
     return _within(abs(brake), _within(limits.torque_step, brake, start), 0.0)
 

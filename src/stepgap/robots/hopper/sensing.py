@@ -24,6 +24,8 @@ class Body(NamedTuple):
         hip_rate: ẏ of the hip if the foot is at rest [m/s].
         shift_x: Forward offset of the free body from the hip, S sin α₁ / m_x [m].
         shift_y: Upward offset, −S cos α₁ / m_y [m].
+        foot_x: Forward distance of the foot from the hip [m].
+        foot_y: Height of the foot above the hip, negative [m].
     """
 
     x: float
@@ -31,6 +33,8 @@ class Body(NamedTuple):
     hip_rate: float
     shift_x: float
     shift_y: float
+    foot_x: float
+    foot_y: float
 
 
 @as_written
@@ -44,9 +48,11 @@ def sense(settings, rates, sampled, inputs):
     yaw = yaw_of(model, inputs.boom_horizontal)
     pitch = inputs.boom_vertical * _TURN / model.boom_counts_vertical
     x, y = model.boom_length * yaw, model.pivot_height + model.boom_length * np.sin(pitch)
-    length, hip_rate, shift_x, shift_y = _leg_state(settings.masses, alpha_1, alpha_2, rates.rate_1, rates.rate_2)
+    length, hip_rate, shift_x, shift_y, foot_x, foot_y = _leg_state(
+        settings.masses, alpha_1, alpha_2, rates.rate_1, rates.rate_2
+    )
     motion = JointMotion(alpha_1, alpha_2, rates.rate_1, rates.rate_2, length, y)
-    return rates, motion, Body(x, yaw, hip_rate, shift_x, shift_y)
+    return rates, motion, Body(x, yaw, hip_rate, shift_x, shift_y, foot_x, foot_y)
 
 
 @as_written
@@ -57,7 +63,7 @@ def yaw_of(model, counts):
 
 @compiled
 def _leg_state(masses, alpha_1, alpha_2, rate_1, rate_2):
-    """Returns the leg length ℓ [m], and hip rate and shifts as in `Body`."""
+    """Returns the leg length ℓ [m], and hip rate, shifts and foot as in `Body`."""
     bar = four_bar(masses.leg, alpha_2)
     toe = foot(masses.leg, bar, alpha_1)
     moment = leg_inertia(masses, bar, alpha_2).s
@@ -66,6 +72,8 @@ def _leg_state(masses, alpha_1, alpha_2, rate_1, rate_2):
         -(toe.y_1 * rate_1 + toe.y_2 * rate_2),
         moment * np.sin(alpha_1) / masses.x,
         -moment * np.cos(alpha_1) / masses.y,
+        toe.x,
+        toe.y,
     )
 
 

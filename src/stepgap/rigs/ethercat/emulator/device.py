@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 
 from stepgap.rigs.ethercat.emulator.dictionary import Dictionary
+from stepgap.rigs.ethercat.emulator.sensor_error import SensorError
 from stepgap.rigs.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
 
@@ -20,6 +21,10 @@ class EmulatedDevice(ABC):
         self.name, self.identity, self.dictionary = name, identity, dictionary
         self.messages: list[bytes] = []
         """Mailbox messages to be sent: emergencies."""
+        self.error = SensorError()
+        """Error of its sensor value."""
+        self.error_bits = 0
+        """Bits of the status word of a terminal that report an error."""
 
     @abstractmethod
     def update(self, operational: bool) -> None:

@@ -116,6 +116,7 @@ class Drive(EmulatedDevice):
     def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
         self._settings, self._counts = settings, counts
         self._position = self._velocity = self._status = self._error = ObjectEntry(0, 0)  # replaced by power_on
+        self._true_counts = 0
         super().__init__(name, settings.identity)
         self.power_on()
 
@@ -187,8 +188,10 @@ class Drive(EmulatedDevice):
     def sense(self, reading: Reading) -> None:
         """Updates position and velocity of the motor [counts, counts/s]."""
         counts = round(self._counts(reading))
-        self._velocity.value = round((counts - self._position.value) / self._settings.period)
-        self._position.value = counts
+        shown = self.error.shown(counts)
+        moved = counts - self._true_counts if self.error.true_velocity else shown - self._position.value
+        self._velocity.value = round(moved / self._settings.period)
+        self._position.value, self._true_counts = shown, counts
 
     def _act(self) -> None:
         """Sets torque [N·m] and statusword according to the state."""

@@ -111,6 +111,69 @@ class WrongMapping:
     slave: str
 
 
+@dataclass(frozen=True)
+class FrozenSensor:
+    """A sensor value that does not change any more.
+
+    Attributes:
+        cycle: First cycle.
+        slave: Name of the drive or terminal.
+        with_velocity: Whether a drive's velocity follows its frozen position, as if its encoder had failed; otherwise
+            it remains true, as if only the position were not updated.
+    """
+
+    cycle: int
+    slave: str
+    with_velocity: bool = True
+
+
+@dataclass(frozen=True)
+class ShiftedSensor:
+    """A sensor value that jumps and stays shifted, as after lost counts.
+
+    Attributes:
+        cycle: First cycle.
+        slave: Name of the drive or terminal.
+        counts: The shift.
+    """
+
+    cycle: int
+    slave: str
+    counts: int
+
+
+@dataclass(frozen=True)
+class NoisySensor:
+    """A sensor value with normal noise, always the same sequence.
+
+    Attributes:
+        cycle: First cycle.
+        slave: Name of the drive or terminal.
+        deviation: Standard deviation of the noise [counts].
+    """
+
+    cycle: int
+    slave: str
+    deviation: float
+
+
+@dataclass(frozen=True)
+class ReportedError:
+    """A terminal that sets bits of its status word, while its value remains right.
+
+    Attributes:
+        cycle: First cycle.
+        slave: Name of the terminal.
+        bits: The bits; by default *TxPDO State*, its data are not valid.
+    """
+
+    cycle: int
+    slave: str
+    bits: int = 0x4000
+
+
+SensorFault = FrozenSensor | ShiftedSensor | NoisySensor | ReportedError
+
 Fault = (
     LostFrames
     | LateFrame
@@ -122,4 +185,5 @@ Fault = (
     | DriveFault
     | SentEmergency
     | WrongMapping
+    | SensorFault
 )

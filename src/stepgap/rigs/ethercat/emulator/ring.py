@@ -12,6 +12,8 @@ from stepgap.rigs.ethercat.emulator.faults import (
     LateFrame,
     LostFrames,
     PowerLost,
+    ReportedError,
+    SensorFault,
     SentEmergency,
     Silence,
     Stalled,
@@ -185,6 +187,10 @@ class Ring:
             slave.device.trip(fault.code)
         elif isinstance(fault, SentEmergency):
             slave.device.messages.append(emergency(fault.code, 0))
+        elif isinstance(fault, SensorFault):
+            slave.device.error.begin(fault)
+            if isinstance(fault, ReportedError):
+                slave.device.error_bits |= fault.bits
         elif isinstance(fault, WrongMapping):
             slave.wrong_mapping = True
             if slave.state in (AlState.SAFEOP, AlState.OP):

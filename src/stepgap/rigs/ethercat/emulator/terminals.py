@@ -15,6 +15,24 @@ ANALOG_IDENTITY = Identity("EL3101", BECKHOFF, 0x0C1D3052, 0x00110000)
 INPUTS, OUTPUTS, VALUE, LATCH = 0x6000, 0x7000, 0x11, 0x12
 """Objects and subindices of a terminal's first channel (ETG.5001)."""
 
+STATUS_BITS = range(1, 17)
+"""Subindices of the bits of a terminal's status word; 0x0F is *TxPDO State*: the data are not valid."""
+
+STATUS = tuple(Mapped(INPUTS, subindex, 1) for subindex in STATUS_BITS)
+"""The status word in a PDO."""
+
+
+class StatusWord:
+    """Status word of a terminal, an object for each bit."""
+
+    def __init__(self) -> None:
+        self.entries = {(INPUTS, subindex): ObjectEntry(0, 1) for subindex in STATUS_BITS}
+
+    def set(self, bits: int) -> None:
+        """Sets all bits."""
+        for subindex in STATUS_BITS:
+            self.entries[INPUTS, subindex].value = bits >> (subindex - 1) & 1
+
 
 class Coupler(EmulatedDevice):
     """Joins terminals to the ring; neither mailbox nor process data."""
@@ -48,14 +66,15 @@ class EncoderTerminal(EmulatedDevice):
 
     def power_on(self) -> None:
         """Resets the PDOs; the counter follows the machine, as if the encoder were absolute."""
-        self._counter = ObjectEntry(0, 32)
+        self._counter, self._status = ObjectEntry(0, 32), StatusWord()
         objects = {
+            **self._status.entries,
             (INPUTS, VALUE): self._counter,
             (INPUTS, LATCH): ObjectEntry(0, 32),
             (OUTPUTS, VALUE): ObjectEntry(0, 32, writable=True),
         }
         outputs = {0x1600: (Mapped(0, 0, 16), Mapped(OUTPUTS, VALUE, 32))}
-        inputs = {0x1A00: (Mapped(0, 0, 16), Mapped(INPUTS, VALUE, 32), Mapped(INPUTS, LATCH, 32))}
+        inputs = {0x1A00: (*STATUS, Mapped(INPUTS, VALUE, 32), Mapped(INPUTS, LATCH, 32))}
         self.dictionary = Dictionary(self.identity, objects, outputs, inputs, (0x1600,), (0x1A00,))
 
     def update(self, operational: bool) -> None:
@@ -63,7 +82,8 @@ class EncoderTerminal(EmulatedDevice):
 
     def sense(self, reading: Reading) -> None:
         """Updates the counter, which wraps at 2³²."""
-        self._counter.value = round(self._counts(reading)) & 0xFFFFFFFF
+        self._counter.value = self.error.shown(round(self._counts(reading))) & 0xFFFFFFFF
+        self._status.set(self.error_bits)
 
 
 class AnalogInput(EmulatedDevice):
@@ -85,9 +105,9 @@ class AnalogInput(EmulatedDevice):
 
     def power_on(self) -> None:
         """Resets counts and PDOs."""
-        self._counts = ObjectEntry(0, 16, True)
-        objects = {(INPUTS, VALUE): self._counts}
-        inputs = {0x1A00: (Mapped(0, 0, 16), Mapped(INPUTS, VALUE, 16))}
+        self._counts, self._status = ObjectEntry(0, 16, True), StatusWord()
+        objects = {**self._status.entries, (INPUTS, VALUE): self._counts}
+        inputs = {0x1A00: (*STATUS, Mapped(INPUTS, VALUE, 16))}
         self.dictionary = Dictionary(self.identity, objects, {}, inputs, (), (0x1A00,))
 
     def update(self, operational: bool) -> None:
@@ -95,4 +115,6 @@ class AnalogInput(EmulatedDevice):
 
     def sense(self, reading: Reading) -> None:
         """Updates the value in counts."""
-        self._counts.value = min(max(round(self._value(reading) / self._resolution), -32768), 32767)
+        shown = self.error.shown(round(self._value(reading) / self._resolution))
+        self._counts.value = min(max(shown, -32768), 32767)
+        self._status.set(self.error_bits)

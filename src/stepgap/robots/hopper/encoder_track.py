@@ -1,0 +1,109 @@
+"""Jumps and standstill of one encoder, judged by its last readings alone; compiled like the control tick.
+
+A link with inertia cannot change its place between two readings and then continue as before. The *jump* of an interval
+is its movement minus the mean of the movements in the intervals before and after it. It is known one reading later; a
+change of speed, as by an impact, enters it with at most half its size.
+"""
+
+from typing import NamedTuple
+
+from stepgap.base.compiled import as_written
+
+RESTLESS_KEPT = 0.8
+"""Part of the largest change of torque that is kept from one reading to the next: a drive gives it some ticks later."""
+
+STILL_COUNTS = 1.5
+"""Distance from the anchor up to which an encoder stands still: one count, since a still link may be on an edge."""
+
+
+class EncoderTrack(NamedTuple):
+    """Last readings of an encoder.
+
+    Attributes:
+        readings: Number of readings, counted up to 3.
+        time: Time of the latest reading [s].
+        angle: Its angle [rad].
+        took: Time between the two latest readings [s].
+        moved: Angle between them [rad].
+        took_before: Time between the two readings before [s].
+        moved_before: Angle between these [rad].
+        torque: Latest torque on the link [N·m].
+        restless: Largest change of that torque from reading to reading, which decays in some readings [N·m].
+        restless_before: The same at the reading before, on which the latest reading had no influence [N·m].
+        anchor: Angle from which it last moved away [rad].
+        still: Time for which it has stood still although it should have moved [s].
+    """
+
+    readings: int = 0
+    time: float = 0.0
+    angle: float = 0.0
+    took: float = 0.0
+    moved: float = 0.0
+    took_before: float = 0.0
+    moved_before: float = 0.0
+    torque: float = 0.0
+    restless: float = 0.0
+    restless_before: float = 0.0
+    anchor: float = 0.0
+    still: float = 0.0
+
+
+class Jump(NamedTuple):
+    """What the latest reading says about jumps, in angles per tick; zero until there are enough readings.
+
+    Attributes:
+        size: Jump in the interval before the latest [rad].
+        change: Change of the movement per tick in the latest interval, beyond that of an impact, which stops the link;
+            it shows a large jump at once [rad].
+        speed: Larger movement per tick of the intervals beside that of `size` [rad].
+        restless: Change of torque before the jump, which may cause a jump, too [N·m].
+    """
+
+    size: float
+    change: float
+    speed: float
+    restless: float
+
+
+@as_written
+def with_angle(track, tick, count, time, angle, torque, should_move):
+    """`EncoderTrack` with a reading, and its `Jump`; a reading that is not new changes nothing.
+
+    Where frames were lost, an interval is longer, and so, by its square, is what acceleration alone can cause.
+
+    Args:
+        track: `EncoderTrack` before.
+        tick: Time of a tick [s].
+        count: Angle of a count [rad].
+        time: Time of the reading [s].
+        angle: Its angle [rad].
+        torque: Torque on the link since the tick before [N·m].
+        should_move: Whether something moves the link, so that standing still is counted.
+    """
+    if track.readings > 0 and time <= track.time:
+        return track, Jump(0.0, 0.0, 0.0, 0.0)
+    if track.readings == 0:
+        first = EncoderTrack(1, time, angle, 0.0, 0.0, 0.0, 0.0, torque, 0.0, 0.0, angle, 0.0)
+        return first, Jump(0.0, 0.0, 0.0, 0.0)
+    took, moved = time - track.time, angle - track.angle
+    size = change = speed = 0.0
+    longest = max(took, max(track.took, track.took_before)) / tick
+    scale = 1.0 / max(1.0, longest * longest)
+    if track.readings >= 2:
+        before = track.moved / track.took
+        change = scale * tick * (abs(moved / took - before) - abs(before))
+    if track.readings >= 3:
+        before, after = track.moved_before / track.took_before, moved / took
+        size = scale * abs(track.moved - 0.5 * (before + after) * track.took)
+        speed = tick * max(abs(before), abs(after))
+    restless = max(RESTLESS_KEPT * track.restless, abs(torque - track.torque))
+    anchor, still = track.anchor, track.still
+    if abs(angle - anchor) > STILL_COUNTS * count:
+        anchor, still = angle, 0.0
+    elif should_move:
+        still += took
+    after = EncoderTrack(
+        min(track.readings + 1, 3), time, angle, took, moved, track.took, track.moved, torque, restless,
+        track.restless, anchor, still,
+    )  # fmt: skip
+    return after, Jump(size, change, speed, track.restless_before)
