@@ -68,8 +68,8 @@ ADVICE = {
     "choose a higher apex or land with a shorter leg",
     StepStatus.NO_APEX: "the step did not end within the time limit; check gains and command",
     StepStatus.INVALID: "state and command must be finite numbers",
-    StepStatus.DOUBTFUL: "a sensor value was not plausible; check encoders, cables and force sensor before going on",
     StepStatus.STOPPED: "a safety limit was exceeded, or the plant failed; check gains, command and limits",
+    StepStatus.DOUBTFUL: "a sensor value was not plausible; check encoders, cables and force sensor before going on",
 }
 """Advice for each `StepStatus` other than OK."""
 

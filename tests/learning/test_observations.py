@@ -3,7 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepgap.learning.learner import Learner
 from stepgap.learning.observations import Observations, next_history, observe
+from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.step import Array, StepRecord, StepStatus
 from tests.learning.test_corrected_map import NOMINAL, SPACE, actual, apexes
@@ -83,6 +85,24 @@ def test_a_step_that_fails_on_the_nominal_map_has_no_error() -> None:
     np.testing.assert_array_equal(observations.state, [steps[0].record.state, steps[2].record.state])
     np.testing.assert_allclose(history_of(observations)[1], [0, 0, 0, 0.75, 0, 2], atol=1e-12)
     np.testing.assert_allclose(next_history(StepLog(SPACE, steps[:2]), NOMINAL, 0), history_of(observations)[1])
+
+
+def test_a_step_with_a_doubtful_sensor_and_the_one_before_it_are_not_learned_from() -> None:
+    """The one before only in the same deployment; the step is no failure that a controller avoids, either."""
+    log = log_of(3, 4, 2, fallen=True)
+    steps = list(log)
+    doubtful = replace(steps[-1].record, status=StepStatus.DOUBTFUL)
+    first = replace(steps[3].record, next_state=np.full(2, np.nan), status=StepStatus.DOUBTFUL)
+    steps[-1], steps[3] = replace(steps[-1], record=doubtful), replace(steps[3], record=first)
+    marked = StepLog(SPACE, steps)
+    assert marked.doubtful.tolist() == [False] * 3 + [True] + [False] * 3 + [True, True]
+    observations = observe(marked, NOMINAL)
+    np.testing.assert_array_equal(observations.state, marked.state[[0, 1, 2, 4, 5, 6]])
+    learner = Learner.start(NOMINAL, marked, LearningSettings(), 3)
+    assert len(learner.failures) == 0
+    assert len(learner.after(replace(steps[-1], iteration=3, step=1)).failures) == 0
+    fell = replace(steps[-1], iteration=3, step=1, record=replace(doubtful, status=StepStatus.FELL))
+    assert len(learner.after(fell).failures) == 1
 
 
 def test_an_empty_log_has_no_observations() -> None:

@@ -16,6 +16,7 @@ import tomli_w
 
 from stepgap.base.errors import InputError
 from stepgap.base.settings_file import to_table
+from stepgap.base.signals import handled
 from stepgap.rigs.ethercat.emulator.emulator import emulated, run_emulator
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, run_in_namespace
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
@@ -80,16 +81,18 @@ def run_program(program: Sequence[str]) -> int:
         process = subprocess.Popen(program)
     except OSError as error:
         raise InputError(f"-- {shlex.join(program)}: cannot be run: {error.strerror}") from None
-    before = signal.signal(signal.SIGTERM, lambda *_: process.terminate())  # it reaches only this process
-    try:
+
+    def forward(number: int, _: object) -> None:
+        if number == signal.SIGTERM:  # which reaches only this process; a terminal's signals reach the program, too
+            process.terminate()
+
+    with handled(forward):
         while True:
             try:
                 code = process.wait()
                 return code if code >= 0 else 128 - code
             except KeyboardInterrupt:
                 continue  # the program was interrupted, too
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _make_machine(hopper: Hopper, seed: int, hold: float) -> TwinMachine:

@@ -211,10 +211,12 @@ def _failures(record: RunRecord) -> str:
     """Numbers of the steps without a next state, by their status."""
     found = Counter(logged.record.status for logged in record.steps)
     falls, stops = found[StepStatus.FELL], found[StepStatus.STOPPED]
-    others = record.steps.falls - falls - stops
+    doubts = found[StepStatus.DOUBTFUL]
+    others = record.steps.falls - falls - stops - doubts
     parts = [
         *([_count(falls, "fall")] if falls or not record.steps.falls else []),
         *([f"{_count(stops, 'step')} stopped by the plant"] if stops else []),
+        *([f"{_count(doubts, 'step')} stopped because of a doubtful sensor"] if doubts else []),
         *([f"{_count(others, 'step')} without a next state for other reasons"] if others else []),
     ]
     return ", ".join(parts)

@@ -11,7 +11,7 @@ from stepgap.base.compiled_record import as_record
 from stepgap.rigs.rig import HEALTHY, Health
 from stepgap.robots.hopper import RobotParameters
 from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.safety import BRAKE_GROWTH, BRAKED, DOUBTFUL, JointMotion, Limited, Watch, check_torque
+from stepgap.robots.hopper.safety import BRAKE_GROWTH, BRAKED, DOUBTS, JointMotion, Limited, Watch, check_torque
 
 LIMITS = SafetyLimits.of(RobotParameters())
 TIGHT = SafetyLimits(
@@ -89,7 +89,7 @@ def test_100_000_random_ticks_never_exceed_a_limit_and_a_stop_is_final():
         after = checked_torque(TIGHT, checked.watch, STANDING, HEALTHY, 1.0, 1.0)
         assert after.limited.stops == limited.stops, "a stop lasts, nothing else does"
         watch = Watch() if limited.stops else checked.watch
-    assert seen == set(Limited) - {Limited.NOTHING, Limited.SPEED_GREW} - set(DOUBTFUL), "every limit was exceeded"
+    assert seen == set(Limited) - {Limited.NOTHING, Limited.SPEED_GREW} - set(DOUBTS), "every limit was exceeded"
 
 
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(0.1, 2), st.floats(-50, 50), st.floats(-50, 50))
@@ -210,7 +210,7 @@ def test_the_brake_is_released_for_good_when_the_speed_grows(speeds):
         watch = checked.watch
 
 
-@pytest.mark.parametrize("doubt", DOUBTFUL)
+@pytest.mark.parametrize("doubt", DOUBTS)
 def test_torque_is_off_at_once_with_a_doubtful_sensor_also_while_the_motors_brake(doubt):
     braking = Watch(-5.0, -5.0, stopped=int(Limited.HIP_HEIGHT), braked=3, slowest=9.0)
     for watch in (Watch(10.0, 10.0), braking):

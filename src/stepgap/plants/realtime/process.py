@@ -5,6 +5,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from stepgap.base.signals import handled
 from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
@@ -63,8 +64,8 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: 
                 setup.loop,
                 alive=lambda: os.getppid() == parent,
             )
-            signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
-            loop.run(setup.make_pace())
+            with handled(lambda *_: loop.request_stop()):
+                loop.run(setup.make_pace())
     except Exception as error:
         # every error must reach the waiting process; the rig is already off
         board.message = str(error) if isinstance(error, RigFault | ValueError) else f"{type(error).__name__}: {error}"

@@ -9,7 +9,7 @@ LONGEST_CONTRADICTION = 8
 The velocity of a drive is filtered, so that it follows some readings later.
 """
 
-STILL, MOVES = 1.0, 5.0
+LARGEST_REST, LEAST_MOVEMENT = 1.0, 5.0
 """Movements in a reading, by position or velocity, up to which a motor stands still, and from which it moves [counts].
 
 Between them they cannot contradict each other, whatever the delay of the velocity.
@@ -45,7 +45,7 @@ def with_position(track: PositionTrack, position: int, velocity: float) -> Posit
     """
     moved = abs(position - track.position)
     slower, faster = sorted((float(moved), abs(velocity)))
-    contradicts = (slower <= STILL and faster >= MOVES) or (
-        (position - track.position) * velocity < 0 and slower >= MOVES
+    contradicts = (slower <= LARGEST_REST and faster >= LEAST_MOVEMENT) or (
+        (position - track.position) * velocity < 0 and slower >= LEAST_MOVEMENT
     )
     return PositionTrack(position, track.contradictions + 1 if contradicts else 0)

@@ -19,7 +19,7 @@ from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, FlightState, Hop
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.plausibility import judge_sensors
 from stepgap.robots.hopper.reduced import uprightness
-from stepgap.robots.hopper.safety import DOUBTFUL, STOPS, brakes, check_torque
+from stepgap.robots.hopper.safety import DOUBTS, STOPS, brakes, check_torque
 from stepgap.robots.hopper.sensing import sense, update_flight, yaw_of
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
@@ -37,7 +37,7 @@ _STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
     )
 )
 
-_DOUBTFUL = int(DOUBTFUL)
+_DOUBTS = int(DOUBTS)
 
 
 @as_written
@@ -127,7 +127,7 @@ def _update_status(leg, hop, motion, limited):
     """`HopProgress` with a new status if the step has failed: the safety function stopped the robot, or it fell."""
     status = hop.status
     if limited & STOPS:
-        status = StepStatus.DOUBTFUL.value if limited & _DOUBTFUL else StepStatus.STOPPED.value
+        status = StepStatus.DOUBTFUL.value if limited & _DOUBTS else StepStatus.STOPPED.value
     elif uprightness(leg, motion.hip_height, motion.alpha_1, motion.alpha_2) < 0.0:
         status = StepStatus.FELL.value
     return _with_status(hop, status)

@@ -57,7 +57,7 @@ Nor is a doubtful sensor. Where an angle or a height beyond its limit is itself 
 brake is harmless: its torque is limited, and it is released if the speed grows.
 """
 
-DOUBTFUL = Limited(sum(reason for reason in Limited if reason >= Limited.MOTOR_1_FROZEN))
+DOUBTS = Limited(sum(reason for reason in Limited if reason >= Limited.MOTOR_1_FROZEN))
 """Reasons to doubt a sensor, which `plausibility` finds."""
 
 BRAKE_GROWTH = 10.0

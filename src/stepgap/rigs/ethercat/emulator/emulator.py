@@ -3,6 +3,7 @@
 import gc
 import os
 import select
+import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -10,7 +11,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from time import monotonic_ns
 
-from stepgap.base.signals import terminated_as_interrupted
+from stepgap.base.signals import LOST_TERMINAL, terminated_as_interrupted
 from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
@@ -98,6 +99,8 @@ def _request_realtime() -> None:
 def _run_in_process(
     interface: str, make_machine: Callable[[], Machine], settings: RingSettings, parent: Connection
 ) -> None:
+    for number in LOST_TERMINAL:  # also sent to the master, whose robot has to land: until then the ring is needed
+        signal.signal(number, signal.SIG_IGN)
     try:
         run_emulator(interface, make_machine(), settings, lambda _: parent.send(READY), parent)
     except (NoNetwork, ValueError) as reason:
