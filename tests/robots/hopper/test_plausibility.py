@@ -21,7 +21,13 @@ from stepgap.step import StepStatus
 
 ROBOT, GAINS = RobotParameters(), Gains()
 LIMITS = SafetyLimits(
-    torque=38.0, jump_angle=0.004, frozen_time=0.016, ground_height=0.03, lost_frames=5, stale_ticks=5
+    torque=38.0,
+    jump_angle=0.004,
+    sample_jitter=0.1,
+    frozen_time=0.016,
+    ground_height=0.03,
+    lost_frames=5,
+    stale_ticks=5,
 )
 TICK, COUNT = 1e-3, 2 * np.pi / 16384
 
@@ -126,7 +132,7 @@ def test_a_reading_that_is_not_new_changes_nothing():
     track, _ = with_angle(EncoderTrack(), TICK, COUNT, 0.001, 1.0, 0.0, True)
     again, jump = with_angle(track, TICK, COUNT, 0.001, 2.0, 0.0, True)
     assert again == track
-    assert jump == (0.0, 0.0, 0.0, 0.0)
+    assert jump == (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_standing_still_counts_only_under_torque_and_ends_with_a_movement():

@@ -55,13 +55,16 @@ class Jump(NamedTuple):
         size: Jump in the interval before the latest [rad].
         change: Change of the movement per tick in the latest interval, beyond that of an impact, which stops the link;
             it shows a large jump at once [rad].
-        speed: Larger movement per tick of the intervals beside that of `size` [rad].
+        speed: Largest movement per tick of the intervals beside that of `size`, and half of that in it, since a reading
+            may be a tick late [rad].
+        pace: Larger movement per tick of the two intervals before that of `change` [rad].
         restless: Change of torque before the jump, which may cause a jump, too [N·m].
     """
 
     size: float
     change: float
     speed: float
+    pace: float
     restless: float
 
 
@@ -81,21 +84,23 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
         should_move: Whether something moves the link, so that standing still is counted.
     """
     if track.readings > 0 and time <= track.time:
-        return track, Jump(0.0, 0.0, 0.0, 0.0)
+        return track, Jump(0.0, 0.0, 0.0, 0.0, 0.0)
     if track.readings == 0:
         first = EncoderTrack(1, time, angle, 0.0, 0.0, 0.0, 0.0, torque, 0.0, 0.0, angle, 0.0)
-        return first, Jump(0.0, 0.0, 0.0, 0.0)
+        return first, Jump(0.0, 0.0, 0.0, 0.0, 0.0)
     took, moved = time - track.time, angle - track.angle
-    size = change = speed = 0.0
+    size = change = speed = pace = 0.0
     longest = max(took, max(track.took, track.took_before)) / tick
     scale = 1.0 / max(1.0, longest * longest)
     if track.readings >= 2:
         before = track.moved / track.took
         change = scale * tick * (abs(moved / took - before) - abs(before))
+        pace = tick * abs(before)
     if track.readings >= 3:
-        before, after = track.moved_before / track.took_before, moved / took
-        size = scale * abs(track.moved - 0.5 * (before + after) * track.took)
-        speed = tick * max(abs(before), abs(after))
+        before, latest = track.moved_before / track.took_before, moved / took
+        size = scale * abs(track.moved - 0.5 * (before + latest) * track.took)
+        speed = tick * max(abs(before), max(abs(latest), 0.5 * abs(track.moved / track.took)))
+        pace = max(pace, tick * abs(before))
     restless = max(RESTLESS_KEPT * track.restless, abs(torque - track.torque))
     anchor, still = track.anchor, track.still
     if abs(angle - anchor) > STILL_COUNTS * count:
@@ -106,4 +111,4 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
         min(track.readings + 1, 3), time, angle, took, moved, track.took, track.moved, torque, restless,
         track.restless, anchor, still,
     )  # fmt: skip
-    return after, Jump(size, change, speed, track.restless_before)
+    return after, Jump(size, change, speed, pace, track.restless_before)

@@ -44,6 +44,8 @@ class SafetyLimits(RigLimits):
         brake_ticks: Number of ticks of braking before torque goes off.
         jump_angle: Smallest jump of an encoder for which it is doubted [rad], 4 counts at least; just after touchdown
             four times as much for the motors.
+        sample_jitter: Largest error of the time of a reading, in ticks, by which a moving encoder seems to jump; 1
+            where drives and sensors are not synchronised with the frames.
         frozen_time: Time for which a motor's encoder may stand still under torque, until it is doubted [s]; multiples
             of it hold for the pitch in flight and for a foot at the ground without contact force.
         ground_height: Largest height of the foot above or below the ground in stance, by leg and boom [m]: the sum of
@@ -64,6 +66,7 @@ class SafetyLimits(RigLimits):
     brake_torque: float = inf
     brake_ticks: int = 300
     jump_angle: float = inf
+    sample_jitter: float = 1.0
     frozen_time: float = inf
     ground_height: float = inf
 
@@ -86,6 +89,7 @@ class SafetyLimits(RigLimits):
             least = getattr(self, low)
             require(least < getattr(self, high), high, getattr(self, high), f"exceed {low} = {least}")
         require(0 <= self.brake_ticks <= 2000, "brake_ticks", self.brake_ticks, "lie between 0 and 2000")
+        require(0 <= self.sample_jitter <= 2, "sample_jitter", self.sample_jitter, "lie between 0 and 2")
         require(0 <= self.brake_damping < inf, "brake_damping", self.brake_damping, "be finite and not negative")
 
     @classmethod

@@ -34,8 +34,11 @@ The largest change, also of links that stop, was 0.025 rad. So a jump of 2.3° a
 the reading that contains it.
 """
 
-SPEED_SHARE = 0.1
-"""Part of the movement per tick that is added to the smallest detected jump, since time stamps are not exact."""
+JITTER_SHARE, JITTER_CHANGE = 1.5, 2.0
+"""Largest jump and change that are seen where a reading is taken a tick too late, in movements per tick.
+
+A link that moves by v in each tick then seems to move by v, 0, 2 v.
+"""
 
 LIGHT_LINK = 8e-4
 """Smallest inertia of a top link with its part of the bottom link [kg·m²]: how far a change of torque moves it.
@@ -139,8 +142,9 @@ def _doubts(limits, track, jump, hit, tick, count, longest_still):
     least, doubts = max(limits.jump_angle, JUMP_COUNTS * count), 0
     if track.still > longest_still:
         doubts |= _FROZEN
-    explained = SPEED_SHARE * jump.speed + tick * tick / LIGHT_LINK * jump.restless
-    if jump.size > hit * least + explained or jump.change > CHANGE * least:
+    jitter = limits.sample_jitter
+    explained = JITTER_SHARE * jitter * jump.speed + tick * tick / LIGHT_LINK * jump.restless
+    if jump.size > hit * least + explained or jump.change > CHANGE * least + JITTER_CHANGE * jitter * jump.pace:
         doubts |= _JUMPED
     return doubts
 

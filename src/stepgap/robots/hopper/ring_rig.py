@@ -70,15 +70,15 @@ def emulated_settings(
             touchdown_force=sensor_model.touchdown_force,
             takeoff_length=sensor_model.takeoff_length,
         ),
-        limits=_limits(most),
+        limits=_limits(most, 0.1 if ring.lock_step else 1.0),
         tick=sensor_model.tick,
         reply_timeout=PATIENT_REPLY if ring.lock_step else sensor_model.tick / 2,
         watchdog=PATIENT_WATCHDOG if ring.lock_step else 0.05,
     )
 
 
-def _limits(torque: float) -> SafetyLimits:
-    """Complete limits for a torque [N·m] that a hopping twin never reaches, since a simulation cannot break."""
+def _limits(torque: float, jitter: float) -> SafetyLimits:
+    """Complete limits for a torque [N·m] and a sample jitter; a hopping twin never reaches them: it cannot break."""
     return SafetyLimits(
         torque=torque,
         torque_step=2 * torque,
@@ -93,6 +93,7 @@ def _limits(torque: float) -> SafetyLimits:
         late_ticks=40,
         brake_torque=10.0,
         jump_angle=0.004,
+        sample_jitter=jitter,
         frozen_time=0.016,
         ground_height=0.03,
     )
