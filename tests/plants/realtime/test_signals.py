@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import termios
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -40,7 +41,7 @@ with terminated_as_interrupted():
             sleep(0.01)
     finally:
         session.close()
-        Path("states").write_text(" ".join(str(int(row[-2])) for row in sink.rows))
+        Path("states").write_text("".join(f"{row[0]} {int(row[-2])}\\n" for row in sink.rows))
 """
 REPOSITORY = Path(__file__).parents[3]
 
@@ -75,8 +76,13 @@ def hopping(tmp_path):
 def check_landing(program, shared, folder):
     """The program ends by itself, after the robot has landed for its whole time; nothing is left behind."""
     program.wait(600)
-    states = [RigState(int(state)) for state in (folder / "states").read_text().split()]
-    assert states.count(RigState.STOP) >= 20
+    rows = [line.split() for line in (folder / "states").read_text().splitlines()]
+    states = [RigState(int(state)) for _, state in rows]
+    stop = [float(time) for (time, _), state in zip(rows, states, strict=True) if state == RigState.STOP]
+    longest = max(
+        float(late[0]) - float(early[0]) for early, late in pairwise(rows)
+    )  # on a busy machine, ticks are late
+    assert stop[-1] - stop[0] >= 0.2 - longest
     assert states[-1] in (RigState.STOP, RigState.OFF)
     assert RigState.FAULT not in states
     assert not any(path.exists() for path in shared)
