@@ -31,7 +31,6 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
 
     from stepgap.plants.commissioning.check import describe, fingerprint, measure, write_check
     from stepgap.plants.commissioning.limp import limp_setup
-    from stepgap.plants.realtime.process import RealtimeSetup
     from stepgap.rigs.entry_points import load_rig
     from stepgap.rigs.limp_rig import FrameCount
     from stepgap.robots.hopper.limits import SafetyLimits
@@ -45,13 +44,8 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     control, limits = robot.control(), SafetyLimits.of(robot.parameters)
     if rig_file is None:
         print("no rig.toml given: timing of this machine alone, with constant sensor values")
-        result = measure(
-            RealtimeSetup(partial(still_hopper, 1e-3), control),
-            frames,
-            1e-3,
-            limits.late_ticks,
-            seconds,
-        )
+        setup = limp_setup(partial(still_hopper, 1e-3), control, frames)
+        result = measure(setup, frames, 1e-3, limits.late_ticks, seconds)
         print(describe(result, bus=False))
     else:
         mark, make_rig = fingerprint(rig_file), partial(load_rig, plant or ETHERCAT, rig_file, robot)

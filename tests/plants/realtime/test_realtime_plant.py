@@ -42,14 +42,16 @@ def patient():
 
     Without commands it falls after some hops.
     """
-    status = Path(f"/proc/{os.getppid()}/stat")
+    status, now = Path(f"/proc/{os.getppid()}/stat"), 0.0
 
     def pace(due):
+        nonlocal now
+        now = max(now, due)
         sleep(1e-4)
         begin = monotonic()
         while is_runnable(status) and monotonic() - begin < LONGEST_PAUSE:
             sleep(1e-4)
-        return due
+        return now
 
     return pace
 

@@ -96,7 +96,8 @@ def swing(rig, ticks, late=lambda: 0.0):
     loop = ControlLoop(rig, control, BOUNDS.space(), board, rows.append)
 
     def pace(due):
-        rig.now = max(rig.now, due) + late()
+        if due > 0:
+            rig.now = max(rig.now, due) + late()
         if len(rows) == ticks:
             board.request = Request.STOP
         return rig.now
@@ -141,6 +142,21 @@ def test_time_advances_while_ticks_are_missed():
     assert np.diff(rows[:, 0])[100] == pytest.approx(TICK + 0.0075)
     np.testing.assert_allclose(np.delete(np.diff(rows[:, 0]), 100), TICK)
     assert rows[101, COLUMN["late"]] == pytest.approx(0.0075)
+
+
+def test_the_time_that_a_tick_took_is_in_the_next_row():
+    rig, works = SwingingRig(), iter([0.0] * 20 + [0.4e-3] + [0.0] * 10_000)
+    write = rig.write
+
+    def slow_write(torques):
+        rig.now += next(works)
+        return write(torques)
+
+    rig.write = slow_write
+    _, _, rows = swing(rig, 40)
+    took = np.zeros(len(rows))
+    took[21] = 0.4e-3
+    np.testing.assert_allclose(rows[:, COLUMN["took"]], took, atol=1e-12)
 
 
 def test_delays_of_the_frames_between_two_ticks_add_up():

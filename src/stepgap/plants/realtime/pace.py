@@ -4,10 +4,11 @@ import ctypes
 import gc
 import os
 from collections.abc import Callable
+from pathlib import Path
 from time import perf_counter, sleep
 
 Pace = Callable[[float], float]
-"""Waits until a time since the start and returns the time at its end; both [s]."""
+"""Waits until a time since the start, not at all for time 0, and returns the time at its end; both [s]."""
 
 SPIN = 1.5e-4
 """Time before a due time from which on the clock is polled instead of sleeping [s]."""
@@ -17,9 +18,19 @@ _PRIORITY = 80
 
 MCL_CURRENT_AND_FUTURE = 3
 
+ISOLATED = Path("/sys/devices/system/cpu/isolated")
+"""Cores that the kernel leaves to programs that ask for them (`isolcpus`), such as `2-3`; empty if there are none."""
+
+LATENCY = Path("/dev/cpu_dma_latency")
+"""Device that keeps the processor from sleep states that end later than a time, as long as it is open."""
+
 
 class WallClock:
-    """A `Pace` that sleeps until shortly before a due time, then spins; its time starts when it is created."""
+    """A `Pace` that sleeps until shortly before a due time, then spins; its time starts when it is created.
+
+    Python sleeps until an absolute time on the monotonic clock (`clock_nanosleep`), so an interruption before that does
+    not make it late.
+    """
 
     def __init__(self) -> None:
         self._start = perf_counter()
@@ -37,20 +48,63 @@ class WallClock:
         return perf_counter() - self._start
 
 
-def ask_for_realtime() -> list[str]:
-    """Requests SCHED_FIFO and locked memory, and disables the garbage collector; returns the refused requests."""
+def isolated_cores(text: str) -> set[int]:
+    """Numbers in a list of cores as the kernel writes it, such as `2-3,6`."""
+    ranges = [part.split("-") for part in text.strip().split(",") if part]
+    return {core for first, *last in ranges for core in range(int(first), int(last[0] if last else first) + 1)}
+
+
+def ask_for_realtime(isolated: Path = ISOLATED, latency: Path = LATENCY) -> list[str]:
+    """Makes this process a real-time process as far as the kernel permits, and returns the refused requests.
+
+    It gets SCHED_FIFO, locked memory, the last isolated core if there are any, and a processor that does not sleep
+    deeply as long as the process lives; the garbage collector is disabled.
+
+    Args:
+        isolated: File with the isolated cores.
+        latency: Device for the latency of the processor.
+    """
     gc.collect()
     gc.freeze()
     gc.disable()
-    refused = []
+    answers = _schedule_first(), _lock_memory(), _use_isolated_core(isolated), _keep_awake(latency)
+    return [refused for refused in answers if refused]
+
+
+def _schedule_first() -> str:
+    """Requests SCHED_FIFO; returns why it is refused, as do the next functions."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     except (AttributeError, PermissionError):
-        refused.append("real-time scheduling (SCHED_FIFO) is refused: it needs root, CAP_SYS_NICE or an rtprio limit")
+        return "real-time scheduling (SCHED_FIFO) is refused: it needs root, CAP_SYS_NICE or an rtprio limit"
+    return ""
+
+
+def _lock_memory() -> str:
     try:
         locked = ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT_AND_FUTURE) == 0
     except (AttributeError, OSError):
         locked = False
-    if not locked:
-        refused.append("locked memory (mlockall) is refused: it needs root, CAP_IPC_LOCK or a memlock limit")
-    return refused
+    return "" if locked else "locked memory (mlockall) is refused: it needs root, CAP_IPC_LOCK or a memlock limit"
+
+
+def _use_isolated_core(isolated: Path) -> str:
+    try:
+        cores = isolated_cores(isolated.read_text("ascii"))
+    except FileNotFoundError:  # not Linux
+        return ""
+    try:
+        os.sched_setaffinity(0, {max(cores)} if cores else os.sched_getaffinity(0))
+    except OSError as error:
+        return f"the isolated core {max(cores)} is refused: {error.strerror}"
+    return ""
+
+
+def _keep_awake(latency: Path) -> str:
+    try:
+        os.write(os.open(latency, os.O_WRONLY), bytes(4))  # 0 µs as an int32; the device acts until it is closed
+    except FileNotFoundError:  # neither every system nor every processor has it
+        return ""
+    except OSError as error:
+        return f"a processor without sleep states is refused: {latency}: {error.strerror}"
+    return ""

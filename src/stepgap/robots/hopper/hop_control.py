@@ -6,7 +6,7 @@ from math import degrees
 from typing import Any
 
 import numpy as np
-from numba import boolean, float64, int64, typeof
+from numba import typeof
 from numba.core.compiler_lock import global_compiler_lock
 
 from stepgap.base.compiled_record import Record, as_record, from_record
@@ -25,22 +25,25 @@ from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel, hopp
 from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
 
-_SCALARS = (*[float64] * 7, boolean, boolean, int64, boolean, int64, *[float64] * 5)
-"""Types of the arguments of `tick` after the arrays; integer counts are converted to floats."""
+_SCALARS = (*[0.0] * 7, False, False, 0, False, 0, *[0.0] * 5)
+"""Arguments of `tick` after the arrays, by which their types are known; integer counts are converted to floats."""
 
 
-def _compile(*arrays: Array | Record) -> None:
-    """Compiles the tick for these arrays in advance, because no tick may wait for compilation."""
-    settings, memory, _ = map(typeof, arrays)
+def _prepare(settings: Record, memory: Record, row: Array) -> None:
+    """Compiles the tick for these arrays and calls it with copies, because no tick may wait for compilation.
+
+    The first call of a compiled function takes a millisecond longer than the others.
+    """
     wanted: Any = (
-        (tick, (*map(typeof, arrays), *_SCALARS)),
-        (interrupted_hop, (settings, memory, float64, float64)),
+        (tick, (settings, memory.copy(), row.copy(), *_SCALARS)),
+        (interrupted_hop, (settings, memory.copy(), 0.0, 0.0)),
     )
     with global_compiler_lock:  # another thread may create a controller at the same time
-        for function, kinds in wanted:
+        for function, arguments in wanted:
             if not function.signatures:
-                function.compile(kinds)
+                function.compile(tuple(map(typeof, arguments)))
                 function.disable_compile()
+            function(*arguments)
 
 
 class HopControl(TickControl):
@@ -56,7 +59,7 @@ class HopControl(TickControl):
     def __init__(self, sensor_model: HopperSensorModel, robot: RobotParameters, gains: Gains, limits: SafetyLimits):
         self._settings = as_record(TickSettings(sensor_model, masses_of(robot), joint_law(robot, gains), limits))
         self._memory, self._row = as_record(HopState()), np.zeros(len(TICK_UNITS))
-        _compile(self._settings, self._memory, self._row)
+        _prepare(self._settings, self._memory, self._row)
 
     def observe(self, reading: HopperReading) -> HopState:
         """State after a tick with this reading in which the motors stay limp."""

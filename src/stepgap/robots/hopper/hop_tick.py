@@ -25,17 +25,7 @@ from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
 
 # Numba cannot compile enum flags, so compiled code uses their integer values.
-_STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = (
-    int(flag)
-    for flag in (
-        TickFlag.STEP_ENDED,
-        TickFlag.FAILED,
-        TickFlag.STOPPED,
-        TickFlag.BRAKES,
-        TickFlag.TAKES_COMMAND,
-        TickFlag.UNREADABLE,
-    )
-)
+_STEP_ENDED, _FAILED, _STOPPED, _BRAKES, _TAKES_COMMAND, UNREADABLE = map(int, TickFlag)
 
 _DOUBTS = int(DOUBTS)
 
