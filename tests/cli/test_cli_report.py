@@ -21,6 +21,7 @@ from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult, refused
 from tests.quick_runs import leave_out_drawing
 from tests.report.sweep.tables import combinations_of, write_results_table
+from tests.rig_ticks import rig_rows
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
 
@@ -108,7 +109,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     kinematics = find_kinematics(Experiment())
     for iteration in (0, 1):
         ticks = replay(finished, iteration)
-        rows = np.column_stack([ticks.selected(TICK_UNITS).rows, np.full(len(ticks), RigState.HOP), 0 * ticks["time"]])
+        rows = rig_rows(ticks.selected(TICK_UNITS).rows, RigState.HOP)
         with TickLog(Path(f"run/ticks/ticks-{iteration}.mcap"), LOG_UNITS) as log:
             log.append(rows)
     settings = Path("run/experiment.toml")

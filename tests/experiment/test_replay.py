@@ -28,6 +28,7 @@ from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.step import StepStatus
 from tests.quick_runs import leave_out_repeats, leave_out_report
+from tests.rig_ticks import rig_rows
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
@@ -149,7 +150,7 @@ def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
     unread = np.array([ticks[-1, 0], *[np.nan] * (len(TICK_UNITS) - 1)])
     parts = [(ticks[:30], RigState.READY), (ticks[:20], RigState.STAND), (ticks, RigState.HOP)]
     parts += [(ticks[-700:], RigState.STOP), (unread[None], RigState.FAULT)]
-    rows = [np.column_stack([part, np.full(len(part), state), np.zeros(len(part))]) for part, state in parts]
+    rows = [rig_rows(part, state) for part, state in parts]
     path = run / "ticks" / f"ticks-{iteration}.mcap"
     path.unlink(missing_ok=True)
     with TickLog(path, LOG_UNITS) as log:

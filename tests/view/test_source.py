@@ -15,6 +15,7 @@ from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
 from stepgap.robots.scene import Motion
 from stepgap.view.source import STILL, Source
+from tests.rig_ticks import rig_rows
 from tests.view.conftest import STEPS
 
 
@@ -75,8 +76,7 @@ def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
     source = Source(copy)
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
     with TickLog(copy / "ticks" / "ticks-0.mcap", LOG_UNITS) as log:
-        state = [np.full(len(table), RigState.HOP), np.zeros(len(table))]
-        log.append(np.column_stack([table.selected(TICK_UNITS).rows, *state]))
+        log.append(rig_rows(table.selected(TICK_UNITS).rows, RigState.HOP))
     hops = found(source, 0)
     for step, hop in enumerate(hops):
         time = table["time"][table["step"] == step]

@@ -1,0 +1,13 @@
+"""Rows of a rig's tick log from ticks of the twin."""
+
+import numpy as np
+
+from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.plants.realtime.states import RigState
+from stepgap.step import Array
+
+
+def rig_rows(ticks: Array, state: RigState) -> Array:
+    """Appends the fields of the control loop to ticks; none is late, and the robot is always in one state."""
+    values = [state if name == "state" else 0.0 for name in LOOP_UNITS]
+    return np.column_stack([ticks, np.tile(values, (len(ticks), 1))])
