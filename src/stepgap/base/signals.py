@@ -12,6 +12,9 @@ LOST_TERMINAL = tuple(getattr(signal, name) for name in ("SIGHUP", "SIGQUIT") if
 ENDING = (signal.SIGTERM, *LOST_TERMINAL)
 """Signals that end a program."""
 
+PAUSING = tuple(getattr(signal, name) for name in ("SIGTSTP",) if hasattr(signal, name))
+"""Signals with which a terminal stops all its programs until they are continued (Ctrl-Z); Windows has none."""
+
 
 @contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
@@ -21,16 +24,22 @@ def terminated_as_interrupted() -> Iterator[None]:
 
 
 @contextmanager
-def handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handles the signals of `ENDING` within the block, in the main thread; those that are ignored remain ignored.
+def handled(
+    handler: Callable[[int, FrameType | None], None], numbers: tuple[signal.Signals, ...] = ENDING
+) -> Iterator[None]:
+    """Handles signals within the block, in the main thread; those that are ignored remain ignored.
 
     `nohup` starts a program with SIGHUP ignored.
+
+    Args:
+        handler: Called with the number of a signal and the present frame.
+        numbers: The signals.
     """
     if current_thread() is not main_thread():
         yield
         return
-    before = {number: signal.getsignal(number) for number in ENDING}
-    wanted = [number for number in ENDING if before[number] != signal.SIG_IGN]
+    before = {number: signal.getsignal(number) for number in numbers}
+    wanted = [number for number in numbers if before[number] != signal.SIG_IGN]
     for number in wanted:
         signal.signal(number, handler)
     try:

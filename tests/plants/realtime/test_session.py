@@ -4,7 +4,7 @@ import multiprocessing
 import subprocess
 import sys
 import time
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
@@ -163,7 +163,10 @@ def test_ctrl_c_during_the_landing_switches_torque_off_and_keeps_every_tick(made
 
 
 def test_the_death_of_the_parent_before_the_start_is_detected():
-    """The parent's id is an argument; a process that asks for it late would get the id of the reaper of orphans."""
+    """The parent's id is an argument; a process that asks for it late would get the id of the reaper of orphans.
+
+    It frees the memory, so that this process may not do so a second time.
+    """
     board, ring = Board.create(), TickRing.create(len(LOG_UNITS), 10)
     process = get_context("spawn").Process(target=run_realtime, args=(SETUP, board.name, ring.name, 2**22))
     try:
@@ -172,12 +175,13 @@ def test_the_death_of_the_parent_before_the_start_is_detected():
         assert process.exitcode == 0
         assert board.state == RigState.OFF
         assert board.ticks > 0
+        for name in (board.name, ring.name):
+            assert not (SHARED / name).exists()
+            resource_tracker.unregister(f"/{name}", "shared_memory")
     finally:
         process.kill()
         board.close()
-        board.unlink()
         ring.close()
-        ring.unlink()
 
 
 FULL = """

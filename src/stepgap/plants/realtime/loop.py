@@ -37,12 +37,17 @@ class LoopSettings:
         stand_time: Time in which torque increases from zero while the landing posture is taken [s].
         landing_time: Time in which a robot that is to stop lands and lowers its leg, until torque is switched off [s].
         missed_commands: Largest number of consecutive hops without a command.
+        tick_silence: Longest time without a tick [s]; then the real-time process is killed, and the watchdog of the
+            drives switches torque off.
+        connect_time: Longest time before the first tick [s], in which code may be compiled.
     """
 
     calibrate_time: float = 0.2
     stand_time: float = 0.5
     landing_time: float = 2.0
     missed_commands: int = 1
+    tick_silence: float = 3.0
+    connect_time: float = 300.0
 
 
 class ControlLoop:

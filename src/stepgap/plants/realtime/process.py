@@ -5,13 +5,13 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from stepgap.base.signals import handled
+from stepgap.base.signals import ENDING, PAUSING, handled
 from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_control import RobotControl
-from stepgap.plants.ticks.tick_ring import TickRing
+from stepgap.plants.ticks.tick_ring import TickRing, free_memory
 from stepgap.rigs.rig import Rig, RigFault
 
 
@@ -64,7 +64,7 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: 
                 setup.loop,
                 alive=lambda: os.getppid() == parent,
             )
-            with handled(lambda *_: loop.request_stop()):
+            with handled(lambda *_: loop.request_stop(), (*ENDING, *PAUSING)):
                 loop.run(setup.make_pace())
     except Exception as error:
         # every error must reach the waiting process; the rig is already off
@@ -73,3 +73,6 @@ def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: 
     finally:
         ring.close()
         board.close()
+        if os.getppid() != parent:
+            free_memory(board_name)
+            free_memory(ring_name)

@@ -3,14 +3,16 @@
 import os
 from contextlib import ExitStack, suppress
 from multiprocessing import get_context
+from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from threading import Event, Thread
 from typing import Protocol
 
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import LOOP_UNITS
+from stepgap.plants.realtime.loop import LOOP_UNITS, LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
 from stepgap.plants.realtime.states import RigState
+from stepgap.plants.realtime.tick_watch import EXIT_TIME, TickWatch
 from stepgap.plants.ticks.tick_log import TickLogError
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import RigFault
@@ -25,8 +27,8 @@ DRAIN_EVERY = 0.05
 FLUSH_EVERY = 20
 """Number of reads between two flushes; a file that a crash truncates lacks hardly more."""
 
-EXIT_TIME = 5.0
-"""Time in addition to the landing that the process may take to end [s]."""
+WATCH_EVERY = 0.05
+"""Time between two looks whether there are ticks [s]."""
 
 
 class TickSink(Protocol):
@@ -43,7 +45,9 @@ class TickSink(Protocol):
 
 
 class Session:
-    """A real-time process, its shared memory and the thread that reads its ticks.
+    """A real-time process, its shared memory, the thread that reads its ticks, and the one that watches them.
+
+    A process that makes no ticks any more is killed.
 
     Args:
         setup: Setup of the process.
@@ -56,9 +60,10 @@ class Session:
 
     def __init__(self, setup: RealtimeSetup, sink: TickSink):
         self._exit_timeout = setup.loop.landing_time + EXIT_TIME
-        self._over, self._sink_error = Event(), ""
+        self._over, self._sink_error, self._silent = Event(), "", ""
         self._final_message: str | None = None
         self._drain = Thread(target=self._move_ticks, args=(sink,), daemon=True)
+        self._watch = Thread(target=self._watch_ticks, args=(setup.loop,), daemon=True)
         with ExitStack() as stack:
             stack.callback(sink.close)
             try:
@@ -74,6 +79,7 @@ class Session:
             self._process: BaseProcess = get_context("spawn").Process(target=run_realtime, args=arguments, daemon=True)
             self._process.start()
             self._drain.start()
+            self._watch.start()
             self._kept = stack.pop_all()
 
     @property
@@ -91,7 +97,7 @@ class Session:
             return self._final_message
         code = self._process.exitcode
         killed = f"the real-time process was killed by signal {-code}" if code is not None and code < 0 else ""
-        return self._sink_error or killed or self.board.message
+        return self._sink_error or self._silent or killed or self.board.message
 
     def check(self) -> None:
         """Ensures that the process is running.
@@ -131,9 +137,21 @@ class Session:
             self._process.kill()  # the drives' watchdog switches torque off
             self._process.join()
         self._over.set()
+        self._watch.join()
         self._drain.join()
         self._final_message = self.message()
         self._kept.close()
+
+    def _watch_ticks(self, settings: LoopSettings) -> None:
+        """Kills the process when it makes no ticks any more."""
+        watch = TickWatch(self.board, settings)
+        while not self._over.wait(WATCH_EVERY):
+            if wait([self._process.sentinel], 0):
+                return  # it has ended by itself
+            if silent := watch.silent(WATCH_EVERY):
+                self._silent = silent
+                self._process.kill()
+                return
 
     def _move_ticks(self, sink: TickSink) -> None:
         """Moves ticks into the sink until the process has ended."""

@@ -13,6 +13,9 @@ import numpy as np
 
 from stepgap.step import Array
 
+SHARED_FOLDER = Path("/dev/shm")
+"""Folder that shows shared memory, on Linux."""
+
 MARK = int.from_bytes(b"stepring", sys.byteorder)
 HEAD = 8
 """Offset of the count of rows pushed, in words of 64 bits; it has a separate cache line."""
@@ -145,7 +148,7 @@ def created_memory(size: int) -> SharedMemory:
         OSError: There is not enough memory.
     """
     memory = SharedMemory(create=True, size=size)
-    file = Path("/dev/shm", memory.name)  # its path on Linux
+    file = SHARED_FOLDER / memory.name
     try:
         if file.exists():
             with file.open("r+b") as backing:
@@ -155,6 +158,11 @@ def created_memory(size: int) -> SharedMemory:
         memory.unlink()
         raise
     return memory
+
+
+def free_memory(name: str) -> None:
+    """Frees shared memory whose creator was killed; its resource tracker does so too, unless it was killed as well."""
+    (SHARED_FOLDER / name).unlink(missing_ok=True)
 
 
 def attached_memory(name: str) -> SharedMemory:
