@@ -171,7 +171,7 @@ def test_settings_that_change_during_a_run_give_no_torque(tmp_path: Path, monkey
     rig = tmp_path / "rig.toml"
     rig.write_bytes(EXAMPLE.read_bytes())
     timing = Timing(6000, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0)
-    write_check(rig, fingerprint(rig), Check(1e-3, 2, timing, 0, "", ""))
+    write_check(rig, fingerprint(rig), Check(1e-3, 2, False, timing, 0, "", ""))
     plants = run_plants.choose_plants(Experiment(plant="ethercat", rig=str(rig)), REFERENCE, True, tmp_path)
     plants.make(np.random.default_rng(0))
     rig.write_text(rig.read_text("utf-8").replace("torque = 38.0", "torque = 39.0"), "utf-8")

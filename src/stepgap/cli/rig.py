@@ -20,7 +20,7 @@ LONGEST_DURATION = 86_400.0
 
 
 def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds: Seconds = 10.0) -> None:
-    """Measure the timing of this machine and of the bus, without torque; exit code 1 if it is not good enough.
+    """Measure the timing of this machine and of the bus, and the watchdogs, without torque; exit code 1 if not passed.
 
     Args:
         rig_file: rig.toml of the robot; the result is written next to it. [default: only the machine is measured]
@@ -29,7 +29,7 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     """
     from functools import partial
 
-    from stepgap.plants.commissioning.check import describe, fingerprint, measure, write_check
+    from stepgap.plants.commissioning.check import describe, fingerprint, measure, with_watchdog, write_check
     from stepgap.plants.commissioning.limp import limp_setup
     from stepgap.rigs.entry_points import load_rig
     from stepgap.rigs.limp_rig import FrameCount
@@ -45,13 +45,13 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     if rig_file is None:
         print("no rig.toml given: timing of this machine alone, with constant sensor values")
         setup = limp_setup(partial(still_hopper, 1e-3), control, frames)
-        result = measure(setup, frames, 1e-3, limits.late_ticks, seconds)
+        result = measure(setup, frames, 1e-3, limits, seconds)
         print(describe(result, bus=False))
     else:
         mark, make_rig = fingerprint(rig_file), partial(load_rig, plant or ETHERCAT, rig_file, robot)
         found, setup = make_rig(), limp_setup(make_rig, control, frames)
-        late_ticks = (found.limits or limits).late_ticks
-        result = measure(setup, frames, found.sensor_model.tick, late_ticks, seconds)
+        result = measure(setup, frames, found.sensor_model.tick, found.limits or limits, seconds)
+        result = with_watchdog(result, make_rig)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))
         print(file)

@@ -13,11 +13,14 @@ class RigLimits:
         lost_frames: Largest number of consecutive lost frames.
         stale_ticks: Largest number of consecutive ticks that repeat the reading of the tick before.
         late_ticks: Largest number of consecutive missed ticks.
+        simulated: The robot is a simulation, which may get torque from a computer without real-time privileges and
+            without a proven watchdog.
     """
 
     lost_frames: int = 2
     stale_ticks: int = 2
     late_ticks: int = 2
+    simulated: bool = False
 
     def __post_init__(self) -> None:
         for name, most in (("lost_frames", 5), ("stale_ticks", 5), ("late_ticks", MOST_LATE_TICKS)):

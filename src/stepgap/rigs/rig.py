@@ -1,6 +1,7 @@
 """The interface of a rig: sensor counts in, torques out."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -50,6 +51,19 @@ HEALTHY = Health()
 
 LOST = Health(frame_lost=True, stale=True)
 """A tick whose frame was lost, so that the reading is that of the tick before."""
+
+
+@dataclass(frozen=True)
+class WatchdogTimes:
+    """How long after the last message of the computer motors kept their torque.
+
+    Attributes:
+        setting: Time that the settings demand [s].
+        measured: Time by the name of the motor, or of its drive [s]; it includes the time of the measurement itself.
+    """
+
+    setting: float
+    measured: Mapping[str, float]
 
 
 class RigFault(StepGapError):
@@ -109,6 +123,16 @@ class Rig(ABC):
         Raises:
             RigFault: A torque is not finite, or the drives refuse it.
         """
+
+    def watchdog_times(self) -> WatchdogTimes | None:
+        """Sends no more torques and measures when the motors switch torque off by themselves; close the rig then.
+
+        Call it on a connected rig without torque. It returns None if the rig cannot measure this.
+
+        Raises:
+            RigFault: A motor would keep its torque, or the rig has failed.
+        """
+        return None
 
     @abstractmethod
     def close(self) -> None:

@@ -1,9 +1,13 @@
 """The result of a check, and the settings and machine for which it is valid."""
 
 import json
+import os
 import platform
+from contextlib import nullcontext
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,13 +23,18 @@ from stepgap.plants.commissioning.check import (
     describe,
     fingerprint,
     timing_of,
+    with_watchdog,
     write_check,
 )
+from stepgap.plants.realtime.pace import NO_LOCKED_MEMORY, NO_PRIORITY
+from stepgap.rigs.rig import RigFault, SensorModel, WatchdogTimes
+from stepgap.rigs.still_rig import StillRig
 
 TICK = 1e-3
 GOOD = Check(
     tick=TICK,
     late_ticks=2,
+    simulated=False,
     timing=Timing(5000, 1e-6, 2e-6, 3e-6, 4e-6, 1.0, 0, 0),
     lost_frames=0,
     refused="",
@@ -71,6 +80,78 @@ def test_the_rule(timing: dict[str, float], fault: str, expected: str) -> None:
     assert expected in text
 
 
+IN_TIME = WatchdogTimes(0.05, {"drive_1": 0.051, "drive_2": 0.069})
+TOO_SLOW = WatchdogTimes(0.05, {"drive_1": 0.051, "drive_2": 0.071})
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        ({"watchdog": IN_TIME}, ""),
+        ({"watchdog": TOO_SLOW}, "drive_2 kept its torque for 71 ms without frames; its watchdog is 50 ms"),
+        ({"watchdog_fault": "drive_1 accepts torque"}, "drive_1 accepts torque"),
+        ({"refused": f"{NO_PRIORITY}; the isolated core 3 is refused"}, NO_PRIORITY),
+        ({"refused": NO_LOCKED_MEMORY}, NO_LOCKED_MEMORY),
+        ({"refused": "the isolated core 3 is refused"}, ""),
+    ],
+)
+def test_privileges_and_watchdog_are_required_of_a_real_robot_only(found: dict[str, Any], expected: str) -> None:
+    check = replace(GOOD, **found)
+    assert "; ".join(check.failures()) == expected
+    assert expected in describe(check, bus=True)
+    assert not replace(check, simulated=True).failures()
+
+
+class WatchedRig(StillRig):
+    """A rig whose watchdog is measured with given results, one after the other; a text is a fault."""
+
+    def __init__(self, found: list[WatchdogTimes | str | None]):
+        super().__init__(SensorModel(tick=TICK), ())
+        self.found, self.closed = found, 0
+
+    def watchdog_times(self) -> WatchdogTimes | None:
+        result = self.found.pop(0)
+        if isinstance(result, str):
+            raise RigFault(result)
+        return result
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.mark.parametrize(
+    ("found", "watchdog", "fault"),
+    [
+        ([None], None, ""),
+        ([IN_TIME], IN_TIME, ""),
+        ([TOO_SLOW, IN_TIME], IN_TIME, ""),
+        ([TOO_SLOW, WatchdogTimes(0.05, {"drive_1": 0.09}), TOO_SLOW], TOO_SLOW, ""),
+        ([TOO_SLOW, "no frame comes back"], None, "no frame comes back"),
+    ],
+)
+def test_the_shortest_measurement_of_a_watchdog_counts(found: Any, watchdog: WatchdogTimes | None, fault: str) -> None:
+    """Each is an upper bound, since the measuring program may be late."""
+    rig, count = WatchedRig(list(found)), len(found)
+    check = with_watchdog(GOOD, lambda: rig)
+    assert (check.watchdog, check.watchdog_fault) == (watchdog, fault)
+    assert (rig.found, rig.closed) == ([], count)
+    assert with_watchdog(replace(GOOD, fault="a drive failed"), lambda: rig).fault == "a drive failed"
+
+
+@pytest.mark.parametrize(
+    ("age", "valid"),
+    [(0, True), (6.99, True), (7.01, False), (-1, False)],
+)
+def test_a_check_expires_after_a_week(tmp_path: Path, age: float, valid: bool) -> None:
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text("")
+    file = write_check(rig_file, fingerprint(rig_file), GOOD)
+    written = datetime.now(UTC) - timedelta(days=age)
+    file.write_text(json.dumps({**json.loads(file.read_text()), "date": written.isoformat()}))
+    with nullcontext() if valid else pytest.raises(InputError, match="older than 7 days; run `stepgap rig check"):
+        checked(rig_file)
+
+
 def test_a_check_is_valid_for_these_settings_on_this_machine_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,9 +167,13 @@ def test_a_check_is_valid_for_these_settings_on_this_machine_only(
     content = json.loads(file.read_text("utf-8"))
     assert content["timing"]["p99"] == 2e-6
     assert (content["passed"], content["host"], content["kernel"]) == (True, platform.node(), platform.release())
-    for name, message in (("node", "another machine"), ("release", "another kernel")):
+    for module, name, message in (
+        (platform, "node", "another machine"),
+        (platform, "release", "another kernel"),
+        (os, "getuid", "by another user"),
+    ):
         with monkeypatch.context() as patched:
-            patched.setattr(platform, name, lambda: "elsewhere")
+            patched.setattr(module, name, lambda: "elsewhere")
             with pytest.raises(InputError, match=message):
                 checked(rig_file)
     write_check(rig_file, fingerprint(rig_file), replace(GOOD, timing=replace(GOOD.timing, ticks=4999)))

@@ -1,10 +1,11 @@
-"""Check of computer and bus before a robot gets torque: how late ticks begin and how many frames are lost."""
+"""Check of computer and bus before a robot gets torque: late ticks, lost frames, privileges, and the watchdog."""
 
 import json
+import os
 import platform
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,11 @@ from stepgap.base.errors import InputError
 from stepgap.base.files import write_whole
 from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
 from stepgap.plants.commissioning.limp import ticks_of
+from stepgap.plants.realtime.pace import NEEDED_FOR_TORQUE
 from stepgap.plants.realtime.process import RealtimeSetup
+from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.limp_rig import FrameCount
+from stepgap.rigs.rig import Rig, RigFault, WatchdogTimes
 from stepgap.step import Array
 
 PUNCTUAL = 0.999
@@ -24,6 +28,15 @@ PUNCTUAL = 0.999
 
 LEAST_SECONDS = 5.0
 """Least duration of a measurement before a robot gets torque [s]."""
+
+LONGEST_AGE = timedelta(days=7)
+"""Time for which a check is valid."""
+
+WATCHDOG_MARGIN = 0.02
+"""Time by which a measured watchdog may exceed its setting [s]; the measurement itself takes some of it."""
+
+_WATCHDOG_ATTEMPTS = 3
+"""Number of measurements of the watchdog, of which the shortest counts: each is an upper bound."""
 
 _ADVICE = (
     "remedies: no other load on this machine; an rtprio and a memlock limit for your user "
@@ -68,18 +81,24 @@ class Check:
     Attributes:
         tick: Time between two ticks [s].
         late_ticks: Largest allowed number of consecutive missed ticks.
+        simulated: The robot is a simulation: privileges and watchdog are reported, but not required.
         timing: Statistics of the delays.
         lost_frames: Number of frames that did not come back in time.
         refused: The requests that the kernel refused; empty if there were none.
         fault: Why the measurement was aborted; empty if it was not.
+        watchdog: When the motors gave up their torque without messages; None if it was not measured.
+        watchdog_fault: Why the watchdog is not proven; empty if it is, or if it was not measured.
     """
 
     tick: float
     late_ticks: int
+    simulated: bool
     timing: Timing
     lost_frames: int
     refused: str
     fault: str
+    watchdog: WatchdogTimes | None = None
+    watchdog_fault: str = ""
 
     def failures(self) -> list[str]:
         """Describes what is not within the limits; empty if the check is passed."""
@@ -93,7 +112,21 @@ class Check:
             )
         if self.fault:
             found.append(self.fault)
+        if not self.simulated:
+            found += [refusal for refusal in NEEDED_FOR_TORQUE if refusal in self.refused]
+            found += [self.watchdog_fault] if self.watchdog_fault else _slow_watchdogs(self.watchdog)
         return found
+
+
+def _slow_watchdogs(watchdog: WatchdogTimes | None) -> list[str]:
+    """Describes the motors that kept their torque for too long."""
+    if watchdog is None:
+        return []
+    return [
+        f"{motor} kept its torque for {1e3 * time:.0f} ms without frames; its watchdog is {1e3 * watchdog.setting:g} ms"
+        for motor, time in watchdog.measured.items()
+        if time > watchdog.setting + WATCHDOG_MARGIN
+    ]
 
 
 def timing_of(late: Array, tick: float) -> Timing:
@@ -126,21 +159,49 @@ def _longest(missed: Sequence[int]) -> int:
     return most
 
 
-def measure(setup: RealtimeSetup, frames: FrameCount, tick: float, late_ticks: int, seconds: float) -> Check:
+def measure(setup: RealtimeSetup, frames: FrameCount, tick: float, limits: RigLimits, seconds: float) -> Check:
     """Measures a rig without torque.
 
     Args:
         setup: Setup of that rig.
         frames: Count of the frames that it lost.
         tick: Its tick [s].
-        late_ticks: Largest allowed number of consecutive missed ticks.
+        limits: Its limits.
         seconds: Duration, rounded to ticks [s].
 
     Raises:
         RigFault: There was no tick at all.
     """
     ticks = ticks_of(setup, round(seconds / tick))
-    return Check(tick, late_ticks, timing_of(ticks.column("late"), tick), frames.lost, ticks.refused, ticks.fault)
+    timing = timing_of(ticks.column("late"), tick)
+    return Check(tick, limits.late_ticks, limits.simulated, timing, frames.lost, ticks.refused, ticks.fault)
+
+
+def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
+    """Adds the proof of the watchdog: without torque, messages to the motors end, and the motors must notice it.
+
+    Args:
+        check: The result so far; if it has a fault, the rig is left alone.
+        make_rig: Creates the rig.
+    """
+    if check.fault:
+        return check
+    best = check
+    for _ in range(_WATCHDOG_ATTEMPTS):
+        try:
+            with make_rig() as rig:
+                found = rig.watchdog_times()
+        except RigFault as fault:
+            return replace(check, watchdog_fault=str(fault))
+        if found and (best.watchdog is None or _longest_time(found) < _longest_time(best.watchdog)):
+            best = replace(check, watchdog=found)
+        if not _slow_watchdogs(found):
+            break
+    return best
+
+
+def _longest_time(watchdog: WatchdogTimes) -> float:
+    return max(watchdog.measured.values())
 
 
 def describe(check: Check, bus: bool) -> str:
@@ -152,6 +213,10 @@ def describe(check: Check, bus: bool) -> str:
     """
     timing, failures = check.timing, check.failures()
     rule = f"at most {check.late_ticks} ticks missed in a row, {100 * PUNCTUAL:g} % within half a tick, no fault"
+    if check.simulated:
+        rule += "; for a simulated robot (limits.simulated) neither privileges nor watchdog"
+    else:
+        rule += "; SCHED_FIFO and locked memory; watchdogs in time"
     rows = {
         "ticks": f"  {timing.ticks}, one every {1e6 * check.tick:g} µs",
         "late by   50 %": f"≤ {1e6 * timing.p50:.1f} µs",
@@ -162,6 +227,7 @@ def describe(check: Check, bus: bool) -> str:
         "ticks missed": f"  {timing.missed}, at most {timing.missed_in_a_row} in a row",
         "frames lost": f"  {check.lost_frames if bus else 'no bus was measured'}",
         "the kernel refused": f"  {check.refused or 'nothing'}",
+        "watchdog": f"  {_describe_watchdog(check)}",
         "rule": f"  {rule}",
         "result": "  passed" if not failures else f"  not passed: {'; '.join(failures)}",
     }
@@ -173,13 +239,22 @@ def describe(check: Check, bus: bool) -> str:
     return "\n".join(lines)
 
 
+def _describe_watchdog(check: Check) -> str:
+    if check.watchdog_fault:
+        return check.watchdog_fault
+    if check.watchdog is None:
+        return "not measured"
+    times = ", ".join(f"{motor} {1e3 * time:.0f} ms" for motor, time in check.watchdog.measured.items())
+    return f"no torque after the last frame: {times} (setting {1e3 * check.watchdog.setting:g} ms)"
+
+
 def check_file(rig_file: Path) -> Path:
     """Path of the result of a check: `RIG.check.json` next to `RIG.toml`."""
     return rig_file.with_suffix(".check.json")
 
 
 def fingerprint(rig_file: Path) -> dict[str, str]:
-    """Identifies the settings and the machine for which a check is valid.
+    """Identifies the settings, the machine and the user for which a check is valid.
 
     Raises:
         InputError: The file cannot be read.
@@ -188,7 +263,8 @@ def fingerprint(rig_file: Path) -> dict[str, str]:
         digest = sha256(rig_file.read_bytes()).hexdigest()
     except OSError as error:
         raise InputError(f"{rig_file}: {error.strerror}; give an existing TOML file") from None
-    return {"settings_sha256": digest, "host": platform.node(), "kernel": platform.release()}
+    user = str(os.getuid()) if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
+    return {"settings_sha256": digest, "host": platform.node(), "kernel": platform.release(), "user": user}
 
 
 def write_check(rig_file: Path, mark: dict[str, str], check: Check) -> Path:
@@ -204,7 +280,7 @@ def write_check(rig_file: Path, mark: dict[str, str], check: Check) -> Path:
     """
     file, date = check_file(rig_file), datetime.now(UTC).isoformat(timespec="seconds")
     seconds = check.timing.ticks * check.tick
-    content = {"schema": 1, **mark, "date": date, "passed": not check.failures(), "seconds": seconds, **asdict(check)}
+    content = {"schema": 2, **mark, "date": date, "passed": not check.failures(), "seconds": seconds, **asdict(check)}
     try:
         write_whole(file, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
     except OSError as error:
@@ -213,7 +289,7 @@ def write_check(rig_file: Path, mark: dict[str, str], check: Check) -> Path:
 
 
 def checked(rig_file: Path) -> None:
-    """Ensures that exactly these settings have passed a check on this machine, with this kernel.
+    """Ensures that exactly these settings have passed a check on this machine, kernel and user within the last week.
 
     Raises:
         InputError: They have not; the message is one line with the remedy.
@@ -226,15 +302,27 @@ def checked(rig_file: Path) -> None:
         "settings_sha256": "the settings have changed since the check",
         "host": "the check was done on another machine",
         "kernel": "the check was done with another kernel",
+        "user": "the check was done by another user, who may have other privileges",
     }
     for key, reason in reasons.items():
         if found.get(key) != mark[key]:
             raise InputError(f"{file}: {reason}; {remedy}")
     if found.get("passed") is not True:
         raise InputError(f"{file}: the check was not passed; remove the cause, then {remedy}")
+    if not _is_recent(found.get("date")):
+        raise InputError(f"{file}: the check is older than {LONGEST_AGE.days} days; {remedy}")
     seconds = found.get("seconds")
     if not isinstance(seconds, float) or not seconds >= LEAST_SECONDS:
         raise InputError(f"{file}: the check measured {seconds} s, less than {LEAST_SECONDS:g}; {remedy}")
+
+
+def _is_recent(date: object) -> bool:
+    """Whether a date as `write_check` writes it lies within `LONGEST_AGE` before now."""
+    try:
+        age = datetime.now(UTC) - datetime.fromisoformat(str(date))
+    except (ValueError, TypeError):
+        return False
+    return timedelta() <= age <= LONGEST_AGE
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -25,6 +25,13 @@ LATENCY = Path("/dev/cpu_dma_latency")
 """Device that keeps the processor from sleep states that end later than a time, as long as it is open."""
 
 
+NO_PRIORITY = "real-time scheduling (SCHED_FIFO) is refused: it needs root, CAP_SYS_NICE or an rtprio limit"
+NO_LOCKED_MEMORY = "locked memory (mlockall) is refused: it needs root, CAP_IPC_LOCK or a memlock limit"
+
+NEEDED_FOR_TORQUE = (NO_PRIORITY, NO_LOCKED_MEMORY)
+"""Refusals with which a real robot gets no torque; without the other requests ticks are only later."""
+
+
 class WallClock:
     """A `Pace` that sleeps until shortly before a due time, then spins; its time starts when it is created.
 
@@ -76,7 +83,7 @@ def _schedule_first() -> str:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     except (AttributeError, PermissionError):
-        return "real-time scheduling (SCHED_FIFO) is refused: it needs root, CAP_SYS_NICE or an rtprio limit"
+        return NO_PRIORITY
     return ""
 
 
@@ -85,7 +92,7 @@ def _lock_memory() -> str:
         locked = ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT_AND_FUTURE) == 0
     except (AttributeError, OSError):
         locked = False
-    return "" if locked else "locked memory (mlockall) is refused: it needs root, CAP_IPC_LOCK or a memlock limit"
+    return "" if locked else NO_LOCKED_MEMORY
 
 
 def _use_isolated_core(isolated: Path) -> str:

@@ -27,6 +27,9 @@ SEARCH_TIME = 1.0
 
 WATCHDOG_ATTEMPTS = 5
 
+_NO_ANSWER = 0
+"""State of a slave whose answer was lost."""
+
 _U8, _U16, _U32 = Struct("<B"), Struct("<H"), Struct("<I")
 
 
@@ -147,6 +150,16 @@ class Bus:
         """
         state = self._master.read_state()
         return state == self._soem.OP_STATE if state else None
+
+    def out_of_operation(self) -> list[int]:
+        """Numbers of the slaves that report another state than OP; costs frames without process data."""
+        self._block(True)
+        self._master.read_state()
+        return [
+            number
+            for number, device in enumerate(self._master.slaves)
+            if device.state not in (_NO_ANSWER, self._soem.OP_STATE)
+        ]
 
     def state_report(self) -> str:
         """States of the slaves that are not in OP, one line; too slow for a tick."""

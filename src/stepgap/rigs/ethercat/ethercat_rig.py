@@ -19,14 +19,28 @@ from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
 from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
 from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import HEALTHY, LOST, DoubtfulSensor, Health, Reading, Rig, RigFault, SensorModel, Torques
+from stepgap.rigs.rig import (
+    HEALTHY,
+    LOST,
+    DoubtfulSensor,
+    Health,
+    Reading,
+    Rig,
+    RigFault,
+    SensorModel,
+    Torques,
+    WatchdogTimes,
+)
 
-_ERROR_CODE, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6072, 0x6076
+_ERROR_CODE, _STATUSWORD, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6041, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
 
 STATES_EVERY = 50
 """Number of good frames between two checks of the slaves' states."""
 
+
+WATCHDOG_PATIENCE = 0.1
+"""Time in addition to twice the watchdog's until it counts as missing [s]."""
 
 _LAST_FRAMES = 3
 """Number of frames without torque that are sent at the end, in case one is lost."""
@@ -139,6 +153,28 @@ class EthercatRig(Rig):
         self._bus.send()
         self._frame_pending = True
         return tuple(sent)
+
+    def watchdog_times(self) -> WatchdogTimes:
+        """Sends a last frame, without torque, and measures when the drives leave OP and the state *operation enabled*.
+
+        Raises:
+            RigFault: A drive still accepts torque after twice the time of its watchdog.
+        """
+        self.write((0.0,) * len(self._drives))
+        last, measured = monotonic(), {}
+        self._bus.receive()
+        watched = {drive: self._settings.slaves[drive].name for drive in self._drives}
+        while monotonic() < last + 2 * self._settings.watchdog + WATCHDOG_PATIENCE:
+            for drive in watched.keys() & self._bus.out_of_operation():
+                if state_of(self._bus.read_object(drive, _STATUSWORD, _U16)) != State.ENABLED:
+                    measured[watched.pop(drive)] = monotonic() - last
+            if not watched:
+                return WatchdogTimes(self._settings.watchdog, measured)
+            sleep(self._settings.tick)
+        raise RigFault(
+            f"{self._bus.label(min(watched))} accepts torque {monotonic() - last:.2f} s after the last frame: "
+            f"its watchdog of {self._settings.watchdog:g} s does not work"
+        )
 
     def close(self) -> None:
         """Switches torque and drives off and brings the slaves to INIT; may be called twice."""

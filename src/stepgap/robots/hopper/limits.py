@@ -117,6 +117,7 @@ class SafetyLimits(RigLimits):
             lost_frames=self.lost_frames,
             stale_ticks=self.lost_frames,
             late_ticks=MOST_LATE_TICKS,
+            simulated=self.simulated,
             brake_damping=0.0,
             brake_ticks=0,
         )

@@ -91,6 +91,7 @@ def _limits(torque: float, jitter: float) -> SafetyLimits:
         lost_frames=5,
         stale_ticks=5,
         late_ticks=40,
+        simulated=True,
         brake_torque=10.0,
         jump_angle=0.004,
         sample_jitter=jitter,
