@@ -4,7 +4,11 @@ import numpy as np
 
 from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.states import RigState
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.step import Array
+
+LOG_UNITS = {**TICK_UNITS, **LOOP_UNITS}
+"""Fields of a log of the hopper on a rig without diagnostics."""
 
 
 def rig_rows(ticks: Array, state: RigState) -> Array:

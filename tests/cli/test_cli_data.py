@@ -161,7 +161,7 @@ def test_every_tick_of_a_deployment(run: Path, stepgap: Command) -> None:
 
 def test_a_rigs_own_ticks_are_copied_or_recovered(run: Path, stepgap: Command) -> None:
     (run / "experiment.toml").write_text('plant = "ethercat"\n')
-    ticks = np.arange(14 * 4000.0).reshape(4000, 14) * 1e-3
+    ticks = np.arange(4000.0 * len(TICK_UNITS)).reshape(4000, len(TICK_UNITS)) * 1e-3
     for number in range(2):
         with TickLog(run / "ticks" / f"ticks-{number}.mcap", TICK_UNITS) as rows:
             rows.append(ticks)
@@ -274,7 +274,7 @@ def test_the_intact_steps_of_a_damaged_record(
 
 
 def test_the_intact_ticks_of_a_damaged_log(stepgap: Command) -> None:
-    ticks = np.arange(28000.0).reshape(2000, 14) * 1e-3
+    ticks = np.arange(2000.0 * len(TICK_UNITS)).reshape(2000, len(TICK_UNITS)) * 1e-3
     with TickLog(Path("a.mcap"), TICK_UNITS) as rows:
         rows.append(ticks)
     whole = Path("a.mcap").read_bytes()

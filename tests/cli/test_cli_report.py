@@ -16,12 +16,12 @@ from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.tick_log import TickLog
-from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult, refused
 from tests.quick_runs import leave_out_drawing
 from tests.report.sweep.tables import combinations_of, write_results_table
-from tests.rig_ticks import rig_rows
+from tests.rig_ticks import LOG_UNITS, rig_rows
 
 SHORT = 'reference = "targets.csv"\n[learning]\niterations = 1\n'
 

@@ -25,10 +25,10 @@ from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.kinematics import TRUE_UNITS
 from stepgap.robots.hopper.leg import foot, four_bar
 from stepgap.robots.hopper.parameters import CommandBounds, RobotParameters
-from stepgap.robots.hopper.tick import LOG_UNITS, TICK_UNITS
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.step import StepStatus
 from tests.quick_runs import leave_out_repeats, leave_out_report
-from tests.rig_ticks import rig_rows
+from tests.rig_ticks import LOG_UNITS, rig_rows
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 

@@ -112,7 +112,7 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
 
     def make(_: np.random.Generator) -> Plant:
         checked(Path(settings.rig))  # every deployment reads the file again
-        return RealtimePlant(setup, logs, ask_to_hold)
+        return RealtimePlant(setup, logs, ask_to_hold, Path(settings.rig).read_text("utf-8"))
 
     checked(Path(settings.rig))
     return Plants(make, replays=False)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stepgap.plants.ticks.log_description import FieldMeaning
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, Torques
@@ -153,6 +154,10 @@ class RobotControl(ABC):
     @abstractmethod
     def units(self) -> Mapping[str, str]:
         """Fields of a row of the tick log, with their units; the first is the time."""
+
+    @abstractmethod
+    def meaning(self, rig: Rig) -> FieldMeaning:
+        """Meaning of the numbers in a row: names of enums and bits, and the limits of a rig."""
 
     @abstractmethod
     def control(self, rig: Rig) -> TickControl:

@@ -1,5 +1,6 @@
 """A rig whose motors get no torque, whatever is commanded: for measurements, calibration and trials."""
 
+from collections.abc import Mapping
 from ctypes import c_longlong
 from dataclasses import dataclass, field
 from multiprocessing import RawValue
@@ -51,6 +52,16 @@ class LimpRig(Rig):
     def health(self) -> Health:
         """Health of the rig."""
         return self._rig.health
+
+    @property
+    def diagnostic_units(self) -> Mapping[str, str]:
+        """Those of the rig."""
+        return self._rig.diagnostic_units
+
+    @property
+    def diagnostics(self) -> tuple[float, ...]:
+        """Those of the rig."""
+        return self._rig.diagnostics
 
     def connect(self) -> None:
         """Connects the rig."""

@@ -91,6 +91,16 @@ class Rig(ABC):
         return None
 
     @property
+    def diagnostic_units(self) -> Mapping[str, str]:
+        """Names and units of the `diagnostics`; known before the rig is connected."""
+        return {}
+
+    @property
+    def diagnostics(self) -> tuple[float, ...]:
+        """What the drives reported with the last reading, for logs only, as `diagnostic_units` describes it."""
+        return ()
+
+    @property
     def truth(self) -> tuple[float, ...]:
         """State of the robot as it truly was at the end of the last step; empty where it is unknown, as on hardware.
 

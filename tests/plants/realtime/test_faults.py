@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import ControlLoop
+from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
 from stepgap.plants.realtime.states import RigState
 from stepgap.rigs.ethercat.emulator.faults import (
     DriveFault,
@@ -29,7 +29,7 @@ from stepgap.robots.hopper.ethercat import hopper_on_ethercat
 from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.ring_rig import emulated_settings
-from stepgap.robots.hopper.tick import LOG_UNITS
+from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepStatus
@@ -48,7 +48,8 @@ SETTINGS = replace(
     watchdog=WATCHDOG,
     reply_timeout=0.45,  # a busy machine may keep the ring waiting, whose time stands still meanwhile
 )
-COLUMN = {name: index for index, name in enumerate(LOG_UNITS)}
+RIG_UNITS = hopper_on_ethercat(SETTINGS, ROBOT).diagnostic_units
+COLUMN = {name: index for index, name in enumerate({**TICK_UNITS, **RIG_UNITS, **LOOP_UNITS})}
 COMMAND = (-4.0, -3.0)
 HOPPING = 1600
 """Approximate number of ticks before the robot's first thrust."""

@@ -9,10 +9,10 @@ from stepgap.plants.realtime.states import RigState
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepStatus
+from tests.rig_ticks import LOG_UNITS
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=38.0, torque_step=20.0, joint_speed=80.0, fold_angle=2.6, lowest_hip=0.1, highest_hip=0.9)

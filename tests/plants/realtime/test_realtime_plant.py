@@ -23,7 +23,6 @@ from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.ethercat import hopper_on_ethercat
 from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.tick import LOG_UNITS
 from stepgap.step import StepStatus
 from tests.plants.realtime.test_faults import LIMITS, SETTINGS, WATCHDOG
 from tests.rigs.ethercat.ring_process import RecordedTwin, live_ring
@@ -32,7 +31,6 @@ pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 COMMAND = np.array([-4.0, -3.0])
-COLUMN = {name: index for index, name in enumerate(LOG_UNITS)}
 LONGEST_PAUSE = 1.0
 """Longest time that the pace waits for the learning process [s], which a test may have stopped or killed."""
 
@@ -70,6 +68,7 @@ SETUP = RealtimeSetup(
     LoopSettings(missed_commands=50),  # on a busy machine a command may come late
     patient,
 )
+COLUMN = {name: index for index, name in enumerate(SETUP.units)}
 
 
 @contextmanager

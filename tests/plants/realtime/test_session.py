@@ -22,7 +22,7 @@ from stepgap.rigs.still_rig import StillRig
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
-from stepgap.robots.hopper.tick import LOG_UNITS
+from tests.rig_ticks import LOG_UNITS
 
 SHARED = Path("/dev/shm")
 SENSORS = HopperSensorModel(
@@ -48,12 +48,15 @@ class Sink:
     """Stores ticks, or fails with a given error."""
 
     def __init__(self, error=None):
-        self.rows, self.closed, self._error = [], 0, error
+        self.rows, self.events, self.closed, self._error = [], [], 0, error
 
     def append(self, rows):
         self.rows += rows.tolist()
         if self._error and self.rows:
             raise self._error
+
+    def note(self, event):
+        self.events.append(event)
 
     def flush(self): ...
 

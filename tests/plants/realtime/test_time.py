@@ -12,7 +12,7 @@ from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
-from stepgap.robots.hopper.tick import LOG_UNITS
+from tests.rig_ticks import LOG_UNITS
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 LIMITS = SafetyLimits(torque=38.0, late_ticks=50)

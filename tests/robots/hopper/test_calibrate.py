@@ -26,7 +26,7 @@ from stepgap.robots.hopper.ethercat import RigSettings, hopper_on_ethercat, read
 from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.parameters import Gains, RobotParameters
 from stepgap.robots.hopper.sensors import HopperReading, hopper_sensors
-from stepgap.robots.hopper.tick import LOG_UNITS
+from tests.rig_ticks import LOG_UNITS
 
 ROBOT = RobotParameters()
 EXAMPLE = Path(__file__).parents[3] / "examples" / "rig.toml"

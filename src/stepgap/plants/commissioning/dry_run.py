@@ -16,6 +16,7 @@ from stepgap.plants.commissioning.limp import ended, limp_setup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_control import RobotControl
+from stepgap.plants.ticks.log_description import LogEvent
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.limp_rig import FrameCount
 from stepgap.rigs.rig import Rig, RigFault
@@ -54,6 +55,10 @@ class WatchedLog:
                 break
         self.worst = max([self.worst, *rows[:, -1].tolist()])
 
+    def note(self, event: LogEvent) -> None:
+        """Adds an event to the log."""
+        self._log.note(event)
+
     def flush(self) -> None:
         """Flushes the log."""
         self._log.flush()
@@ -78,7 +83,7 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
     path, frames, rig = next_path(FOLDER), FrameCount(), make_rig()
     setup = limp_setup(make_rig, robot_control, frames)
     try:
-        log = WatchedLog(TickLog(path, setup.units), setup.units)
+        log = WatchedLog(TickLog(path, setup.units, setup.described()), setup.units)
     except TickLogError as error:
         raise InputError(str(error)) from None
     wanted, fault = float("inf") if seconds is None else seconds / rig.sensor_model.tick, ""

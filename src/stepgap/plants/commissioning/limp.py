@@ -12,6 +12,7 @@ from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_control import RobotControl
+from stepgap.plants.ticks.log_description import LogEvent
 from stepgap.rigs.limp_rig import FrameCount, LimpRig
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array
@@ -78,6 +79,9 @@ class _Memory:
     def append(self, rows: Array) -> None:
         self.blocks.append(rows)
         self.count += len(rows)
+
+    def note(self, event: LogEvent) -> None:
+        pass
 
     def flush(self) -> None:
         pass

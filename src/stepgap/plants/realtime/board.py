@@ -14,7 +14,7 @@ from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.tick_ring import attached_memory, created_memory
 from stepgap.step import StepStatus
 
-LONGEST_MESSAGE = 512
+LONGEST_MESSAGE = 2048
 """Largest length of a message [bytes]."""
 
 

@@ -12,6 +12,7 @@ from stepgap.plants.realtime.pace import Pace
 from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
 from stepgap.plants.tick_clock import TickClock
 from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, TickControl, TickFlag
+from stepgap.plants.ticks.log_description import FieldMeaning
 from stepgap.rigs.rig import DoubtfulSensor, Health, Reading, Rig, RigFault
 from stepgap.step import StepSpace, StepStatus
 
@@ -20,6 +21,9 @@ LOOP_UNITS: Mapping[str, str] = MappingProxyType({"took": "s", "state": "", "lat
 
 `took` is the time from the start of the tick before to the end of its work, `late` the delay of the start of this one.
 """
+
+LOOP_MEANING = FieldMeaning(names={"state": {state.value: state.name for state in RigState}})
+"""Meaning of the fields in `LOOP_UNITS`."""
 
 ALIVE_EVERY = 64
 """Number of ticks between two checks whether the learning process is alive."""
@@ -58,7 +62,7 @@ class ControlLoop:
         control: Tick control of the robot.
         space: Step space with the bounds of the command.
         board: Gives requests and commands, and takes the results of hops.
-        log: Takes the row of every tick: the fields of the control, then those in `LOOP_UNITS`.
+        log: Takes the row of every tick: the fields of the control, the rig's diagnostics, and those in `LOOP_UNITS`.
         settings: Durations and limits.
         alive: Returns whether the learning process is alive.
     """
@@ -128,7 +132,7 @@ class ControlLoop:
             raise RigFault(f"a sensor value is not finite: {reading}")
         self._applied = self._rig.write(torques if self._powered else (0.0,) * len(torques))
         self._written = time
-        self._log((*control.row(self._applied), self._took, self._state, late))
+        self._log((*control.row(self._applied), *self._rig.diagnostics, self._took, self._state, late))
         if self._flags & _STOPPED:
             self._fail(f"the safety function stopped the robot: {control.stopped}", control.status)
             return self._powered and bool(self._flags & _BRAKES)
@@ -220,7 +224,8 @@ class ControlLoop:
     def _end_with(self, fault: RigFault, now: float, late: float) -> bool:
         """Latches a fault of the rig and logs a last row without values; returns False."""
         self._fail(str(fault), StepStatus.DOUBTFUL if isinstance(fault, DoubtfulSensor) else StepStatus.STOPPED)
-        self._log((now, *[nan] * (len(self._control.units) - 1), self._took, self._state, late))
+        unread = [nan] * (len(self._control.units) - 1)
+        self._log((now, *unread, *self._rig.diagnostics, self._took, self._state, late))
         return False
 
     def _fail(self, message: str, status: StepStatus) -> None:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from stepgap.base.signals import ENDING, PAUSING, handled
 from stepgap.plants.realtime.board import Board
-from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
+from stepgap.plants.realtime.loop import LOOP_MEANING, LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_control import RobotControl
+from stepgap.plants.ticks.log_description import LogDescription
 from stepgap.plants.ticks.tick_ring import TickRing, free_memory
 from stepgap.rigs.rig import Rig, RigFault
 
@@ -34,7 +35,16 @@ class RealtimeSetup:
     @property
     def units(self) -> dict[str, str]:
         """Fields of a row of the tick log, with their units."""
-        return {**self.robot_control.units, **LOOP_UNITS}
+        return {**self.robot_control.units, **self.make_rig().diagnostic_units, **LOOP_UNITS}
+
+    def described(self, settings: str = "") -> LogDescription:
+        """Description of a log that is opened now.
+
+        Args:
+            settings: Text of the file that describes the rig.
+        """
+        meaning = self.robot_control.meaning(self.make_rig())
+        return LogDescription.here(settings, meaning.joined(LOOP_MEANING))
 
 
 def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: int) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 
 from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.board import FinishedHop, Request
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.realtime.states import RigState
@@ -29,11 +28,14 @@ class RealtimePlant(Plant):
     Args:
         setup: The rig and its control.
         logs: Folder for the ticks of every deployment, `ticks-*.mcap`.
+        settings: Text of the file that describes the rig, for the logs.
         on_ready: Called when the rig is connected and limp, before torque is given for the first time.
     """
 
-    def __init__(self, setup: RealtimeSetup, logs: Path, on_ready: Callable[[], None] = lambda: None):
-        self._setup, self._logs, self._on_ready = setup, logs, on_ready
+    def __init__(
+        self, setup: RealtimeSetup, logs: Path, on_ready: Callable[[], None] = lambda: None, settings: str = ""
+    ):
+        self._setup, self._logs, self._on_ready, self._settings = setup, logs, on_ready, settings
         self._space, self._session = setup.robot_control.space, None
         self._state, self._hop, self._fault = np.full(2, np.nan), 0, ""
 
@@ -56,7 +58,7 @@ class RealtimePlant(Plant):
         self.stop()
         self._hop, self._fault = 0, ""
         try:
-            log = TickLog(next_path(self._logs), {**self._setup.robot_control.units, **LOOP_UNITS})
+            log = TickLog(next_path(self._logs), self._setup.units, self._setup.described(self._settings))
         except TickLogError as error:
             raise RigFault(str(error)) from None
         self._session = session = Session(self._setup, log)

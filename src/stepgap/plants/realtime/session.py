@@ -2,6 +2,7 @@
 
 import os
 from contextlib import ExitStack, suppress
+from math import isnan, nan
 from multiprocessing import get_context
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
@@ -9,10 +10,11 @@ from threading import Event, Thread
 from typing import Protocol
 
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import LOOP_UNITS, LoopSettings
+from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
 from stepgap.plants.realtime.states import RigState
 from stepgap.plants.realtime.tick_watch import EXIT_TIME, TickWatch
+from stepgap.plants.ticks.log_description import LogEvent
 from stepgap.plants.ticks.tick_log import TickLogError
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import RigFault
@@ -27,6 +29,9 @@ DRAIN_EVERY = 0.05
 FLUSH_EVERY = 20
 """Number of reads between two flushes; a file that a crash truncates lacks hardly more."""
 
+FIRST_TICKS = "the first ticks"
+"""Text of an event that relates the time of the ticks to UTC."""
+
 WATCH_EVERY = 0.05
 """Time between two looks whether there are ticks [s]."""
 
@@ -35,7 +40,10 @@ class TickSink(Protocol):
     """Destination of ticks, such as a `TickLog`."""
 
     def append(self, rows: Array) -> None:
-        """Takes ticks, with the fields of the robot's control and `LOOP_UNITS`; shape (k, fields)."""
+        """Takes ticks, with the fields of `RealtimeSetup.units`; shape (k, fields)."""
+
+    def note(self, event: LogEvent) -> None:
+        """Takes a message about the deployment."""
 
     def flush(self) -> None:
         """Makes the ticks durable."""
@@ -70,9 +78,7 @@ class Session:
                 self.board = Board.create()
                 stack.callback(self.board.unlink)
                 stack.callback(self.board.close)
-                self._ring = stack.enter_context(
-                    TickRing.create(len(setup.robot_control.units) + len(LOOP_UNITS), KEPT_ROWS)
-                )
+                self._ring = stack.enter_context(TickRing.create(len(setup.units), KEPT_ROWS))
             except OSError as error:
                 raise RigFault(f"no shared memory for the ticks: {error.strerror}; free space in /dev/shm") from None
             arguments = setup, self.board.name, self._ring.name, os.getpid()
@@ -154,12 +160,20 @@ class Session:
                 return
 
     def _move_ticks(self, sink: TickSink) -> None:
-        """Moves ticks into the sink until the process has ended."""
-        over, reads = False, 0
+        """Moves ticks and messages into the sink until the process has ended."""
+        over, reads, time, noted = False, 0, nan, ""
         try:
             while not over:
                 over = self._over.wait(DRAIN_EVERY)
-                sink.append(self._ring.drain())
+                rows, message = self._ring.drain(), self._silent or self.board.message
+                sink.append(rows)
+                if len(rows):
+                    first, time = isnan(time), float(rows[-1, 0])
+                    if first:
+                        sink.note(LogEvent.now(time, FIRST_TICKS))
+                if message not in ("", noted):
+                    sink.note(LogEvent.now(time, message))
+                    noted = message
                 if self._ring.lost and not self._sink_error:
                     self._land(f"{self._ring.lost} ticks are missing in the log, which was not written fast enough")
                 reads += 1

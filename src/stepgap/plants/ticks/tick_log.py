@@ -1,6 +1,7 @@
 """The log of every tick: MCAP files that Foxglove and PlotJuggler open, and recovery from damaged files.
 
-One channel, `ticks`, has one message per tick. Chunks are not compressed: all complete ticks of a truncated chunk can
+One channel, `ticks`, has one message per tick. Metadata records contain the description of the log and its events, such
+as the reason of a stop. Chunks are not compressed: all complete ticks of a truncated chunk can
 be read. A tick of n numbers takes 47 + 9 n bytes, one more for each number after the fifteenth: with 20 numbers at
 1 kHz an hour is 0.84 GB.
 
@@ -22,11 +23,12 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Metadata, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from stepgap.base.errors import StepGapError
+from stepgap.plants.ticks.log_description import DESCRIPTION, EVENT, LogDescription, LogEvent
 from stepgap.plants.ticks.tick_message import CHANNEL, HEAD_SIZE, SCHEMA_NAME, TickLayout
 from stepgap.step import Array
 
@@ -55,13 +57,14 @@ class TickLog:
         path: The file, which must not exist; its folder is created.
         units: Unit of each field by its name, in the order of a row; the first is time [s]. Names consist of letters,
             digits and underscores, units have no comma.
+        description: When and with what it is recorded.
 
     Raises:
         TickLogError: The file exists or cannot be written.
         ValueError: A name or a unit is not valid.
     """
 
-    def __init__(self, path: Path, units: Mapping[str, str]):
+    def __init__(self, path: Path, units: Mapping[str, str], description: LogDescription | None = None):
         self._path, self._layout, self._ticks = path, TickLayout(dict(units)), 0
         with _reporting(path):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -71,6 +74,8 @@ class TickLog:
             self._writer.start()
             schema = self._writer.register_schema(SCHEMA_NAME, SchemaEncoding.Protobuf, self._layout.schema)
             self._writer.register_channel(TOPIC, MessageEncoding.Protobuf, schema, self._layout.metadata)
+            if description:
+                self._writer.add_metadata(DESCRIPTION, description.to_metadata())
             self._file.flush()
 
     def append(self, rows: Array) -> None:
@@ -92,6 +97,16 @@ class TickLog:
                 self._writer.add_message(CHANNEL, time, content[i * size + HEAD_SIZE : (i + 1) * size], time, number)
             self._file.flush()
         self._ticks += len(messages)
+
+    def note(self, event: LogEvent) -> None:
+        """Adds an event.
+
+        Raises:
+            TickLogError: As for `append`.
+        """
+        with self._writing():
+            self._writer.add_metadata(EVENT, event.to_metadata())
+            self._file.flush()
 
     def flush(self) -> None:
         """Ends the chunk and waits until all appended ticks are on the disk.
@@ -158,6 +173,16 @@ def read_ticks(path: Path) -> tuple[dict[str, str], Array]:
     return dict(layout.units), np.concatenate([np.empty((0, len(layout.units))), *blocks])
 
 
+def read_description(path: Path) -> tuple[LogDescription, list[LogEvent]]:
+    """Reads the description and the events of a log, as far as the file is intact; an older log has none.
+
+    Raises:
+        TickLogError: The file is not an MCAP file.
+    """
+    with _opened(path) as file:
+        return _described(file)
+
+
 class Recovered(NamedTuple):
     """Result of the recovery of a log.
 
@@ -186,10 +211,13 @@ def recover_ticks(path: Path, out: Path) -> Recovered:
     ticks = 0
     with _opened(path) as file:
         layout = _layout(file, path)
-        with TickLog(out, layout.units) as log:
+        description, events = _described(file)
+        with TickLog(out, layout.units, description) as log:
             for messages in _messages(file, layout, faults):
                 log.append(layout.rows(messages))
                 ticks += len(messages)
+            for event in events:
+                log.note(event)
     return Recovered(ticks, tuple(faults))
 
 
@@ -215,7 +243,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
 
 
 class _Part(NamedTuple):
-    """A schema, a channel, or the content of a chunk.
+    """A schema, a channel, metadata, or the content of a chunk.
 
     Attributes:
         offset: Start of its record [bytes].
@@ -247,7 +275,7 @@ def _parts(file: BinaryIO, faults: list[str]) -> Iterator[_Part]:
         if opcode == Opcode.FOOTER and end + len(MCAP0_MAGIC) == size:
             return
         complete = opcode != 0 and end <= size
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK):
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.CHUNK):
             body = file.read(min(length, LARGEST_RECORD))
             content, intact = _chunk(body) if opcode == Opcode.CHUNK else (body, True)
             yield _Part(offset, opcode, content, complete, complete and intact)
@@ -283,9 +311,26 @@ def _split(content: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
 def _definitions(file: BinaryIO) -> Iterator[tuple[int, bytes, bool]]:
     """Yields all schemas and channels of a file: opcode, content, and whether it is intact."""
     for part in _parts(file, []):
+        if part.opcode == Opcode.METADATA:
+            continue
         chunk = part.opcode == Opcode.CHUNK
         for opcode, body in _split(part.content)[0] if chunk else [(part.opcode, part.content)]:
             yield opcode, body, part.intact
+
+
+def _described(file: BinaryIO) -> tuple[LogDescription, list[LogEvent]]:
+    """Description and events in the metadata records of a file; damaged ones are left out."""
+    description, events = LogDescription(), list[LogEvent]()
+    for part in _parts(file, []):
+        if part.opcode != Opcode.METADATA or not part.intact:
+            continue
+        with suppress(McapError, struct.error, ValueError):
+            record = Metadata.read(ReadDataStream(BytesIO(part.content)))
+            if record.name == EVENT:
+                events.append(LogEvent.of_metadata(record.metadata))
+            elif record.name == DESCRIPTION:
+                description = LogDescription.of_metadata(record.metadata)
+    return description, events
 
 
 def _layout(file: BinaryIO, path: Path) -> TickLayout:

@@ -1,7 +1,7 @@
 """A robot on an EtherCAT bus as a `Rig`: drives in cyclic synchronous torque, encoders, force sensors."""
 
-from collections.abc import Callable
-from math import isfinite
+from collections.abc import Callable, Mapping
+from math import isfinite, nan
 from struct import Struct
 from time import monotonic, sleep
 
@@ -34,6 +34,12 @@ from stepgap.rigs.rig import (
 
 _ERROR_CODE, _STATUSWORD, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6041, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
+
+STATUSWORD_UNIT = "CiA 402"
+"""Unit of a field whose number is a status word."""
+
+DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive units", "torque": "drive units"}
+"""Inputs of a drive that are logged, with their units."""
 
 STATES_EVERY = 50
 """Number of good frames between two checks of the slaves' states."""
@@ -73,6 +79,14 @@ class EthercatRig(Rig):
             _Angle(settings, device) if isinstance(device, Encoder) else _Force(settings, device)
             for device in settings.devices.values()
         )
+        self._diagnosed = [
+            (name, value, unit, settings.position(device.slave))
+            for name, device in settings.devices.items()
+            if isinstance(device, Motor)
+            for value, unit in DIAGNOSTICS.items()
+            if value in Packing(settings.pdo_set(settings.slaves[settings.position(device.slave)]).inputs).names
+        ]
+        self._diagnostics = (nan,) * len(self._diagnosed)
         self._connected, self._fault = False, ""
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
         self._reading = settings.reading((0.0,) * len(self._sensors))
@@ -91,6 +105,16 @@ class EthercatRig(Rig):
     def health(self) -> Health:
         """Whether the last frame was lost, so that the reading is an older one."""
         return LOST if self._lost else HEALTHY
+
+    @property
+    def diagnostic_units(self) -> Mapping[str, str]:
+        """Status word of every drive, and its velocity and torque if it sends them, in its own units."""
+        return {f"{motor}_{name}": unit for motor, name, unit, _ in self._diagnosed}
+
+    @property
+    def diagnostics(self) -> tuple[float, ...]:
+        """Those values in the last good frame."""
+        return self._diagnostics
 
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.
@@ -214,8 +238,9 @@ class EthercatRig(Rig):
 
     def _update_reading(self) -> None:
         """Updates the reading from a good frame; a drive that takes no torque or a doubtful sensor is a fault."""
-        for drive in self._drives:
-            values = self._bus.inputs(drive)
+        inputs = {drive: self._bus.inputs(drive) for drive in self._drives}
+        self._diagnostics = tuple([float(inputs[drive][name]) for _, name, _, drive in self._diagnosed])
+        for drive, values in inputs.items():
             if state_of(values["statusword"]) != State.ENABLED or values["mode_display"] != CYCLIC_TORQUE:
                 fault = self._trip(f"{self._bus.label(drive)} no longer accepts torque commands")
                 raise RigFault(f"{fault}: {self._drive_report()}")

@@ -11,6 +11,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from stepgap.base.compiled_record import Record, as_record, from_record
 from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, RobotControl, TickControl
+from stepgap.plants.ticks.log_description import FieldMeaning
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, Torques
 from stepgap.robots.hopper.dynamics import masses_of
@@ -22,7 +23,7 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParamete
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel, hopper_sensors
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick import TICK_BITS, TICK_NAMES, TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
 
 _SCALARS = (*[0.0] * 7, False, False, 0, False, 0, *[0.0] * 5)
@@ -150,6 +151,13 @@ class HopperControl(RobotControl):
     def units(self) -> Mapping[str, str]:
         """Fields of a row of the tick log."""
         return TICK_UNITS
+
+    def meaning(self, rig: Rig) -> FieldMeaning:
+        """Names of phases and reasons, and the ranges of what the safety function judges."""
+        limits = self._limits_of(rig)
+        torques = dict.fromkeys(("applied_1", "applied_2"), (-limits.torque, limits.torque))
+        late = {"late": (0.0, (limits.late_ticks + 1) * rig.sensor_model.tick)}
+        return FieldMeaning(TICK_NAMES, TICK_BITS, {**limits.ranges(), **torques, **late})
 
     def control(self, rig: Rig) -> HopControl:
         """Compiled control of a rig at the start of a deployment."""

@@ -185,7 +185,7 @@ def tick(
         settings: Record of `TickSettings`.
         memory: Record of `HopState`, which is updated.
         row: Row of the tick log, which is filled with the fields of `TICK_UNITS` except the applied torques, not known
-            yet; shape (14,).
+            yet; shape (19,).
         time: This and the other arguments are the fields of `TickInputs`.
 
     Returns:
@@ -209,6 +209,9 @@ def tick(
     )
     row[6], row[7], row[8] = state.phase, state.motion.alpha_1, state.motion.alpha_2
     row[9], row[10], row[13] = state.asked_1, state.asked_2, state.limited
+    motion = state.motion
+    row[14], row[15], row[16] = motion.rate_1, motion.rate_2, abs(motion.rate_1) + abs(motion.rate_2)
+    row[17], row[18] = motion.leg_length, motion.hip_height
     return torques, flags
 
 

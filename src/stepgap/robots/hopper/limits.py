@@ -105,6 +105,16 @@ class SafetyLimits(RigLimits):
             if isinf(getattr(self, field.name)) or (field.name == "shortest_leg" and self.shortest_leg <= 0)
         )
 
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Ranges of the logged motion beyond which the robot is stopped, by the name of the field of a tick."""
+        return {
+            "alpha_1": (-self.lean_angle, self.lean_angle),
+            "alpha_2": (-inf, self.fold_angle),
+            "joint_speed": (0.0, self.joint_speed),
+            "leg_length": (self.shortest_leg, self.longest_leg),
+            "measured_height": (self.lowest_hip, self.highest_hip),
+        }
+
     def limp(self) -> Self:
         """Limits of a robot whose motors get no torque: faults of the bus stop it, but neither its pose nor its speed.
 

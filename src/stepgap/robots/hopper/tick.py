@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple, Self
 
-from stepgap.plants.realtime.loop import LOOP_UNITS
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
@@ -26,13 +25,25 @@ TICK_UNITS: Mapping[str, str] = MappingProxyType(
         "applied_1": "N·m",
         "applied_2": "N·m",
         "limited": "",
+        "rate_1": "rad/s",
+        "rate_2": "rad/s",
+        "joint_speed": "rad/s",
+        "leg_length": "m",
+        "measured_height": "m",
     }
 )
-"""Fields of a tick in the order of a log row, with their units; `phase` and `limited` are the numbers of the enums."""
+"""Fields of a tick in the order of a log row, with their units; `phase` and `limited` are the numbers of the enums.
 
+Angles, `joint_speed` = |α̇₁| + |α̇₂|, `leg_length` and the hip's `measured_height` are what the safety function judges.
+"""
 
-LOG_UNITS: Mapping[str, str] = MappingProxyType({**TICK_UNITS, **LOOP_UNITS})
-"""Fields of a row of a real-time process's tick log, with their units."""
+TICK_NAMES: Mapping[str, Mapping[int, str]] = MappingProxyType({"phase": {phase.value: phase.name for phase in Phase}})
+"""Names of the numbers of an enum in a field."""
+
+TICK_BITS: Mapping[str, Mapping[int, str]] = MappingProxyType(
+    {"limited": {reason.value: reason.name or "" for reason in Limited}}
+)
+"""Names of the bits of a field."""
 
 
 class Tick(NamedTuple):
@@ -47,6 +58,11 @@ class Tick(NamedTuple):
         asked: Torques that the control law requested.
         applied: Torques that the rig reports as applied.
         limited: Reasons why they differ.
+        rate_1: α̇₁ [rad/s].
+        rate_2: α̇₂ [rad/s].
+        joint_speed: |α̇₁| + |α̇₂| [rad/s].
+        leg_length: ℓ [m].
+        measured_height: y of the hip, as measured [m].
     """
 
     time: float
@@ -57,11 +73,18 @@ class Tick(NamedTuple):
     asked: tuple[float, float]
     applied: Torques
     limited: Limited
+    rate_1: float
+    rate_2: float
+    joint_speed: float
+    leg_length: float
+    measured_height: float
 
     @classmethod
     def of(cls, row: Sequence[float]) -> Self:
         """Converts a log row with the fields of `TICK_UNITS`."""
-        time, *reading, phase, alpha_1, alpha_2, asked_1, asked_2, applied_1, applied_2, limited = map(float, row)
+        time, *rest = map(float, row)
+        reading, (phase, alpha_1, alpha_2, *torques, limited) = rest[:5], rest[5:13]
+        asked_1, asked_2, applied_1, applied_2 = torques
         return cls(
             time,
             HopperReading(*reading),
@@ -71,4 +94,5 @@ class Tick(NamedTuple):
             (asked_1, asked_2),
             (applied_1, applied_2),
             Limited(int(limited)),
+            *rest[13:],
         )
