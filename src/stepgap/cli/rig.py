@@ -141,6 +141,33 @@ def dry_run_(
     dry_run(partial(load_rig, plant, rig_file, robot), control, seconds)
 
 
+def incident(log: Path, /, *, seconds: Seconds = 1.0, out: Path | None = None) -> None:
+    """Explain why a robot was stopped: the last second of a tick log in words, and as a figure.
+
+    Args:
+        log: Log of a deployment, such as run/ticks/ticks-0.mcap; also a truncated one.
+        seconds: Time before the fault that is shown [s].
+        out: New figure, .png, .svg or .pdf. [default: beside the log]
+    """
+    from stepgap.base.output_files import check_new, free_name, write_new
+    from stepgap.plants.ticks.tick_log import TickLogError
+    from stepgap.records.incident import describe_incident, read_incident
+    from stepgap.report.fit import PICTURE_FORMATS
+    from stepgap.report.incident import incident_picture
+
+    _check_seconds(seconds)
+    picture = out or free_name(log.with_name(f"{log.stem}_incident.png"))
+    if (form := picture.suffix[1:].lower()) not in PICTURE_FORMATS:
+        raise InputError(f"{picture}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
+    check_new(picture, "--out")
+    try:
+        found = read_incident(log, seconds)
+    except TickLogError as error:
+        raise InputError(str(error)) from None
+    print(describe_incident(found))
+    write_new(picture, "--out", incident_picture(found, form))
+
+
 def emulate(
     experiment: Path | None = None,
     /,
@@ -200,3 +227,4 @@ add_verb(rig, "check", check)
 add_verb(rig, "calibrate", calibrate)
 add_verb(rig, "dry-run", dry_run_)
 add_verb(rig, "emulate", emulate)
+add_verb(rig, "incident", incident)

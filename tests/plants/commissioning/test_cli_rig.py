@@ -134,6 +134,11 @@ def test_a_dry_run_displays_and_logs_the_torques_of_the_control_law(stepgap: Com
     angle = 360 / 16384 * (2100 - 2050) / 2
     assert f"alpha_1 {angle:+.2f}°" in shown
     assert "contact +1.0 N" in shown
+    explained = stepgap("rig", "incident", "dry-run/ticks-0.mcap")
+    assert (explained.code, explained.err) == (0, "")
+    assert explained.out.startswith(f"dry-run/ticks-0.mcap: {len(ticks)} ticks, ")
+    assert explained.out.endswith("\ndry-run/ticks-0_incident.png\n")
+    assert Path("dry-run/ticks-0_incident.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_calibration_corrects_the_pose_and_keeps_comments(stepgap: Command, rig_file: Path, ring: RigSettings) -> None:

@@ -2,14 +2,19 @@
 
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
+from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.log_description import LogEvent
+from stepgap.plants.ticks.tick_log import TickLog
+from stepgap.records.incident import Incident, describe_incident, read_incident
 from stepgap.rigs.ethercat.emulator.faults import (
     DriveFault,
     DuplicatedFrame,
@@ -26,7 +31,7 @@ from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.ethercat import hopper_on_ethercat
-from stepgap.robots.hopper.hop_control import HopControl
+from stepgap.robots.hopper.hop_control import HopControl, HopperControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.ring_rig import emulated_settings
 from stepgap.robots.hopper.tick import TICK_UNITS
@@ -106,6 +111,17 @@ SURVIVED = {
     "a duplicated frame": DuplicatedFrame(0),
     "an emergency without more": SentEmergency(0, "drive_2"),
 }
+
+
+def incident_of(hopping: Deployment, path: Path) -> Incident:
+    """The incident in the log of a deployment, written as a session writes it."""
+    setup = RealtimeSetup(partial(hopper_on_ethercat, SETTINGS, ROBOT), HopperControl(ROBOT, GAINS, BOUNDS))
+    with TickLog(path, setup.units, setup.described()) as log:
+        log.append(np.array(hopping.rows))
+        log.note(LogEvent.now(hopping.rows[-1][0], hopping.board.message))
+    return read_incident(path, 1.0)
+
+
 STOPPED = {
     "three lost frames": (LostFrames(0, cycles=3), "3 frames in a row"),
     "a slave gone and back": (Unplugged(0, "coupler", cycles=20), "3 frames in a row"),
@@ -126,7 +142,7 @@ def test_the_robot_continues_hopping_after(name):
 
 
 @pytest.mark.parametrize("name", STOPPED)
-def test_torque_is_off_for_good_after(name):
+def test_torque_is_off_for_good_and_the_log_explains_it_after(name, tmp_path):
     fault, expected = STOPPED[name]
     with deployment(at(fault)) as (ring, hopping):
         assert not hopping.run(HOPPING + 1500)
@@ -135,6 +151,9 @@ def test_torque_is_off_for_good_after(name):
         assert len(hopping.rows) >= HOPPING - 5, "every tick before is kept"
         assert hopping.rows[-1][COLUMN["state"]] == RigState.FAULT
         check_torques(ring, hopping)
+        explained = describe_incident(incident_of(hopping, tmp_path / "a.mcap"))
+        assert "state: HOP → FAULT\n" in explained
+        assert expected in explained
         behind = ring.wait(round(WATCHDOG * 1000) + 5)
         assert behind.now == [0.0, 0.0]
         assert behind.enabled == [False, False]

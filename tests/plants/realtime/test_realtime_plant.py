@@ -17,8 +17,9 @@ from stepgap.plants.realtime.board import Request
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
+from stepgap.plants.realtime.session import FIRST_TICKS
 from stepgap.plants.realtime.states import RigState
-from stepgap.plants.ticks.tick_log import read_ticks
+from stepgap.plants.ticks.tick_log import read_description, read_ticks
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.ethercat import hopper_on_ethercat
@@ -97,7 +98,7 @@ def check_off(ring):
 def test_it_hops_lands_and_keeps_every_tick(tmp_path):
     prompts, yaws = [], []
     with live_ring(make_machine=RecordedTwin) as ring:
-        with RealtimePlant(SETUP, tmp_path, lambda: prompts.append("hold the robot")) as plant:
+        with RealtimePlant(SETUP, tmp_path, lambda: prompts.append("hold the robot"), "as in rig.toml") as plant:
             state = plant.start()
             assert prompts == ["hold the robot"]
             for _ in range(3):
@@ -116,6 +117,10 @@ def test_it_hops_lands_and_keeps_every_tick(tmp_path):
     np.testing.assert_allclose(np.diff(rows[:, 0]), 1e-3)
     states = [RigState(state).name for state in dict.fromkeys(rows[:, COLUMN["state"]])]
     assert states == ["CALIBRATE", "READY", "STAND", "HOP", "STOP", "OFF"]
+    description, events = read_description(tmp_path / "ticks-0.mcap")
+    assert description.settings == "as in rig.toml"
+    assert [event.text for event in events] == [FIRST_TICKS]
+    assert events[0].time in rows[:, 0]
     applied = rows[:, COLUMN["applied_1"] : COLUMN["applied_2"] + 1]
     first = int(np.argmax(given.any(axis=1))), int(np.argmax(applied.any(axis=1)))
     count = len(applied) - first[1]

@@ -164,13 +164,23 @@ def read_ticks(path: Path) -> tuple[dict[str, str], Array]:
     Raises:
         TickLogError: The file is not a tick log, or it is damaged.
     """
+    units, rows, faults = read_intact_ticks(path)
+    if faults:
+        raise TickLogError(f"{path}: {faults[0]}; `recover_ticks` recovers the intact part")
+    return units, rows
+
+
+def read_intact_ticks(path: Path) -> tuple[dict[str, str], Array, tuple[str, ...]]:
+    """Reads the intact part of a log, as of a process that was killed: units, ticks (k, fields), and its faults.
+
+    Raises:
+        TickLogError: The file is not a tick log.
+    """
     faults: list[str] = []
     with _opened(path) as file:
         layout = _layout(file, path)
         blocks = [layout.rows(messages) for messages in _messages(file, layout, faults)]
-    if faults:
-        raise TickLogError(f"{path}: {faults[0]}; `recover_ticks` recovers the intact part")
-    return dict(layout.units), np.concatenate([np.empty((0, len(layout.units))), *blocks])
+    return dict(layout.units), np.concatenate([np.empty((0, len(layout.units))), *blocks]), tuple(faults)
 
 
 def read_description(path: Path) -> tuple[LogDescription, list[LogEvent]]:

@@ -2,6 +2,9 @@
 
 from enum import Enum, auto
 
+STATUSWORD_UNIT = "CiA 402"
+"""Unit of a logged field whose number is a status word."""
+
 CYCLIC_TORQUE = 10
 """Mode of operation: cyclic synchronous torque."""
 

@@ -10,6 +10,7 @@ from stepgap.rigs.ethercat.cia402 import (
     CYCLIC_TORQUE,
     DISABLE_VOLTAGE,
     ENABLE,
+    STATUSWORD_UNIT,
     State,
     Wanted,
     next_controlword,
@@ -35,10 +36,7 @@ from stepgap.rigs.rig import (
 _ERROR_CODE, _STATUSWORD, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6041, 0x6072, 0x6076
 _U16, _U32 = Struct("<H"), Struct("<I")
 
-STATUSWORD_UNIT = "CiA 402"
-"""Unit of a field whose number is a status word."""
-
-DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive units", "torque": "drive units"}
+DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
 """Inputs of a drive that are logged, with their units."""
 
 STATES_EVERY = 50

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import degrees
+from math import degrees, inf
 from typing import Any
 
 import numpy as np
@@ -156,7 +156,7 @@ class HopperControl(RobotControl):
         """Names of phases and reasons, and the ranges of what the safety function judges."""
         limits = self._limits_of(rig)
         torques = dict.fromkeys(("applied_1", "applied_2"), (-limits.torque, limits.torque))
-        late = {"late": (0.0, (limits.late_ticks + 1) * rig.sensor_model.tick)}
+        late = {"late": (-inf, (limits.late_ticks + 1) * rig.sensor_model.tick)}
         return FieldMeaning(TICK_NAMES, TICK_BITS, {**limits.ranges(), **torques, **late})
 
     def control(self, rig: Rig) -> HopControl:

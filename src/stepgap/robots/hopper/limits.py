@@ -110,7 +110,7 @@ class SafetyLimits(RigLimits):
         return {
             "alpha_1": (-self.lean_angle, self.lean_angle),
             "alpha_2": (-inf, self.fold_angle),
-            "joint_speed": (0.0, self.joint_speed),
+            "joint_speed": (-inf, self.joint_speed),
             "leg_length": (self.shortest_leg, self.longest_leg),
             "measured_height": (self.lowest_hip, self.highest_hip),
         }
