@@ -3,7 +3,7 @@
 import numpy as np
 
 from stepgap.plants.realtime.loop import LOOP_UNITS
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.step import Array
 

@@ -13,8 +13,8 @@ from stepgap.experiment.replay import find_kinematics, replay
 from stepgap.experiment.settings import Experiment
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin

@@ -15,8 +15,8 @@ from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.replay import logged_ticks, replay, replayed_steps
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.rig_plant import RigPlant
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.log_description import FieldMeaning, LogDescription, LogEvent
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError
 from stepgap.records.incident import changes_of, describe_incident, margins_of, reaction_of, read_incident
 from stepgap.report.incident import incident_picture

@@ -8,7 +8,7 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.experiment.replay import replay
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.records.steps_csv import RecordError, read_step_log

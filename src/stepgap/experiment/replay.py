@@ -13,7 +13,7 @@ from stepgap.experiment.plants import simulation_of
 from stepgap.experiment.settings import PROCESS, Experiment, read_experiment
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.compiled_rig import Rows
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.stream import numbered
 from stepgap.plants.ticks.tick_log import TickLogError, read_ticks
 from stepgap.plants.ticks.tick_table import TickTable

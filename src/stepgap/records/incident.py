@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.log_description import LogDescription, LogEvent, Range
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLogError, read_description, read_intact_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.ethercat.cia402 import STATUSWORD_UNIT, state_of

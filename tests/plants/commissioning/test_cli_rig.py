@@ -17,7 +17,7 @@ import tomli_w
 from stepgap.base.errors import InputError
 from stepgap.base.settings_file import to_table
 from stepgap.plants.commissioning.check import checked
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import read_ticks
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.emulator import emulated

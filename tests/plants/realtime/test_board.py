@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.plants.realtime.board import LONGEST_MESSAGE, Board, FinishedHop, Request
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.step import StepStatus
 
 

@@ -11,8 +11,8 @@ import pytest
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
 from stepgap.plants.realtime.process import RealtimeSetup
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.ticks.log_description import LogEvent
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.records.incident import Incident, describe_incident, read_incident
 from stepgap.rigs.ethercat.emulator.faults import (

@@ -5,7 +5,7 @@ import pytest
 
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits

@@ -18,7 +18,7 @@ from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.realtime.session import FIRST_TICKS
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import read_description, read_ticks
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.rigs.ethercat.emulator.faults import FrozenSensor, NoisySensor, ReportedError, ShiftedSensor
 from stepgap.step import StepStatus
 from tests.plants.realtime import test_faults

@@ -14,7 +14,7 @@ import pytest
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
 from stepgap.plants.realtime.session import Session
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLogError
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import RigFault

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 
 PROGRAM = """
 import sys
@@ -24,7 +24,7 @@ from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.realtime.board import Request
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.session import Session
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from tests.plants.realtime.test_session import SETUP, Sink
 
 sink = Sink()

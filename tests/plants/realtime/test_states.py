@@ -1,6 +1,7 @@
 from itertools import product
 
-from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
+from stepgap.plants.realtime.states import MOVING, Signals, next_state
+from stepgap.plants.ticks.rig_state import RigState
 
 EVERY = [
     (state, Signals(*values)) for state in RigState for values in product([False, True], repeat=len(Signals._fields))

@@ -14,9 +14,9 @@ from stepgap.base.errors import InputError
 from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.commissioning.limp import ended, limp_setup
 from stepgap.plants.realtime.session import Session
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.log_description import LogEvent
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.limp_rig import FrameCount
 from stepgap.rigs.rig import Rig, RigFault

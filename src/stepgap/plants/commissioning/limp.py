@@ -10,9 +10,9 @@ import numpy as np
 from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.log_description import LogEvent
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.rigs.limp_rig import FrameCount, LimpRig
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array

@@ -10,7 +10,7 @@ from math import nan
 from multiprocessing.shared_memory import SharedMemory
 from typing import NamedTuple, Self
 
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_ring import attached_memory, created_memory
 from stepgap.step import StepStatus
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from stepgap.plants.realtime.board import Board, FinishedHop, Request
 from stepgap.plants.realtime.pace import Pace
-from stepgap.plants.realtime.states import MOVING, RigState, Signals, next_state
+from stepgap.plants.realtime.states import MOVING, Signals, next_state
 from stepgap.plants.tick_clock import TickClock
 from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, TickControl, TickFlag
 from stepgap.plants.ticks.log_description import FieldMeaning
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.rigs.rig import DoubtfulSensor, Health, Reading, Rig, RigFault
 from stepgap.step import StepSpace, StepStatus
 

@@ -9,9 +9,9 @@ from stepgap.base.signals import ENDING, PAUSING, handled
 from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import LOOP_MEANING, LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.log_description import LogDescription
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_ring import TickRing, free_memory
 from stepgap.rigs.rig import Rig, RigFault
 

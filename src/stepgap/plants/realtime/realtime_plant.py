@@ -10,7 +10,7 @@ from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.board import FinishedHop, Request
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus

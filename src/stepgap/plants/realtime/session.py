@@ -12,9 +12,9 @@ from typing import Protocol
 from stepgap.plants.realtime.board import Board, Request
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup, run_realtime
-from stepgap.plants.realtime.states import RigState
 from stepgap.plants.realtime.tick_watch import EXIT_TIME, TickWatch
 from stepgap.plants.ticks.log_description import LogEvent
+from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLogError
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import RigFault

@@ -1,21 +1,8 @@
 """The state machine of a deployment on hardware."""
 
-from enum import IntEnum
 from typing import NamedTuple
 
-
-class RigState(IntEnum):
-    """States of a deployment on hardware; torque is on only in STAND, HOP and STOP, and while a FAULT brakes."""
-
-    OFF = 0
-    CONNECT = 1
-    CALIBRATE = 2
-    READY = 3
-    STAND = 4
-    HOP = 5
-    STOP = 6
-    FAULT = 7
-
+from stepgap.plants.ticks.rig_state import RigState
 
 MOVING = frozenset({RigState.STAND, RigState.HOP, RigState.STOP})
 """States in which the control laws' torques are written."""

@@ -2,7 +2,7 @@
 
 from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import LoopSettings
-from stepgap.plants.realtime.states import RigState
+from stepgap.plants.ticks.rig_state import RigState
 
 EXIT_TIME = 5.0
 """Longest time from the last tick to the end of the process [s]."""
