@@ -12,6 +12,7 @@ from stepgap.rigs.rig import HEALTHY, Health
 from stepgap.robots.hopper import RobotParameters
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.safety import BRAKE_GROWTH, BRAKED, DOUBTS, JointMotion, Limited, Watch, check_torque
+from stepgap.robots.hopper.stage import Stage
 
 LIMITS = SafetyLimits.of(RobotParameters())
 TIGHT = SafetyLimits(
@@ -38,7 +39,9 @@ def record_of(limits):
 
 def checked_torque(limits, watch, motion, health, torque_1, torque_2, doubts=0):
     """Result of the compiled check, with its reason as a `Limited`."""
-    checked = check_torque(record_of(limits), watch, motion, health, int(doubts), float(torque_1), float(torque_2))
+    stage = Stage(limits.torque, limits.joint_speed)
+    torques = float(torque_1), float(torque_2)
+    checked = check_torque(record_of(limits), stage, watch, motion, health, int(doubts), *torques)
     return checked._replace(limited=Limited(checked.limited))
 
 

@@ -123,7 +123,12 @@ class HopControl(TickControl):
     def stopped(self) -> str:
         """Reasons for which the safety function stopped the robot, as text."""
         stopped = Limited(int(self._memory["watch"]["stopped"][0]))
-        return ", ".join(reason.name.lower().replace("_", " ") for reason in stopped if reason.name)
+        names = ", ".join(reason.name.lower().replace("_", " ") for reason in stopped if reason.name)
+        if Limited.JOINT_SPEED not in stopped:
+            return names
+        rate_1, rate_2 = (abs(float(self._memory["motion"][name][0])) for name in ("rate_1", "rate_2"))
+        most = float(self._memory["stage"]["joint_speed"][0])
+        return f"{names} ({rate_1 + rate_2:.1f} rad/s; at most {most:.1f} in this stage)"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.plausibility import SensorWatch
 from stepgap.robots.hopper.safety import JointMotion, Watch
 from stepgap.robots.hopper.sensors import HopperSensorModel
+from stepgap.robots.hopper.stage import Stage
 
 STEP_TIMEOUT = 4.0
 """Longest time from apex to apex [s]."""
@@ -147,6 +148,8 @@ class HopState(NamedTuple):
         asked_1: Torque that the law requested of motor 1 [N·m].
         asked_2: Torque that the law requested of motor 2 [N·m].
         limited: Reason why the written torques differ; the number of a `Limited`.
+        hops: Number of hops that have reached their apex.
+        stage: Limits of torque and speed that held.
     """
 
     mode: int = int(Mode.STEP)
@@ -162,3 +165,5 @@ class HopState(NamedTuple):
     asked_1: float = 0.0
     asked_2: float = 0.0
     limited: int = 0
+    hops: int = 0
+    stage: Stage = Stage(0.0, 0.0)

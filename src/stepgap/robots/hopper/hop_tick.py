@@ -21,6 +21,7 @@ from stepgap.robots.hopper.plausibility import judge_sensors
 from stepgap.robots.hopper.reduced import uprightness
 from stepgap.robots.hopper.safety import DOUBTS, STOPS, brakes, check_torque
 from stepgap.robots.hopper.sensing import sense, update_flight, yaw_of
+from stepgap.robots.hopper.stage import stage_of
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
 
@@ -50,7 +51,8 @@ def hop_tick(settings, state, inputs):
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
     sensors, doubts = judge_sensors(settings, state, sampled, phase, motion, body, inputs)
-    checked = check_torque(settings.limits, state.watch, motion, inputs, doubts, requested[0], requested[1])
+    stage = stage_of(settings.limits, inputs.mode, inputs.share, state.hops)
+    checked = check_torque(settings.limits, stage, state.watch, motion, inputs, doubts, requested[0], requested[1])
     hop = _update_status(settings.law.leg, hop, motion, checked.limited)
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
@@ -58,7 +60,7 @@ def hop_tick(settings, state, inputs):
     flags |= _flags(settings.limits, hop, phase, checked)
     after = HopState(
         inputs.mode, phase, sampled, motion, rates, flight, hop, apex, sensors, checked.watch, asked[0], asked[1],
-        checked.limited,
+        checked.limited, state.hops + int(flags & _STEP_ENDED != 0), stage,
     )  # fmt: skip
     return after, (checked.torque_1, checked.torque_2), flags
 

@@ -17,6 +17,8 @@ _POSITIVE = frozenset(
         "fold_angle",
         "longest_leg",
         "brake_torque",
+        "posture_torque",
+        "posture_speed",
         "jump_angle",
         "frozen_time",
         "ground_height",
@@ -39,6 +41,10 @@ class SafetyLimits(RigLimits):
         longest_leg: Largest leg length ℓ [m].
         lowest_hip: Smallest height of the hip [m].
         highest_hip: Largest height of the hip [m].
+        posture_torque: Largest motor torque while the robot takes its posture, and at the end of its landing [N·m].
+        posture_speed: Largest speed of a top link while the robot takes its posture [rad/s].
+        first_share: Part of `torque` and `joint_speed` that is allowed in the first hop of a deployment.
+        first_hops: Number of hops that must reach their apex until the full limits hold; they grow from hop to hop.
         brake_damping: Damping of the motors that brake after the robot has left its bounds [N·m·s/rad].
         brake_torque: Largest torque of a motor that brakes [N·m].
         brake_ticks: Number of ticks of braking before torque goes off.
@@ -62,6 +68,10 @@ class SafetyLimits(RigLimits):
     longest_leg: float = inf
     lowest_hip: float = -inf
     highest_hip: float = inf
+    posture_torque: float = inf
+    posture_speed: float = inf
+    first_share: float = 0.5
+    first_hops: int = 0
     brake_damping: float = 0.8
     brake_torque: float = inf
     brake_ticks: int = 300
@@ -88,6 +98,8 @@ class SafetyLimits(RigLimits):
         for low, high in (("shortest_leg", "longest_leg"), ("lowest_hip", "highest_hip")):
             least = getattr(self, low)
             require(least < getattr(self, high), high, getattr(self, high), f"exceed {low} = {least}")
+        require(0 < self.first_share <= 1, "first_share", self.first_share, "be positive and at most 1")
+        require(0 <= self.first_hops <= 1000, "first_hops", self.first_hops, "lie between 0 and 1000")
         require(0 <= self.brake_ticks <= 2000, "brake_ticks", self.brake_ticks, "lie between 0 and 2000")
         require(0 <= self.sample_jitter <= 2, "sample_jitter", self.sample_jitter, "lie between 0 and 2")
         require(0 <= self.brake_damping < inf, "brake_damping", self.brake_damping, "be finite and not negative")
@@ -98,11 +110,12 @@ class SafetyLimits(RigLimits):
         return cls(torque=robot.torque_limit)
 
     def without_effect(self) -> tuple[str, ...]:
-        """Names of the limits that are infinite or, for the shortest leg, zero."""
+        """Names of the limits that are infinite or, for the shortest leg and the first hops, zero."""
+        zero = {"shortest_leg", "first_hops"}
         return tuple(
             field.name
             for field in fields(self)
-            if isinf(getattr(self, field.name)) or (field.name == "shortest_leg" and self.shortest_leg <= 0)
+            if isinf(getattr(self, field.name)) or (field.name in zero and getattr(self, field.name) <= 0)
         )
 
     def ranges(self) -> dict[str, tuple[float, float]]:

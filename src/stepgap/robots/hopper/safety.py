@@ -139,11 +139,12 @@ class Checked(NamedTuple):
 
 
 @as_written
-def check_torque(limits, watch, motion, health, doubts, torque_1, torque_2):
+def check_torque(limits, stage, watch, motion, health, doubts, torque_1, torque_2):
     """Limits the torques; after a fault they brake for a while and then stay zero.
 
     Args:
         limits: Limits; fields as in `SafetyLimits`.
+        stage: Limits of torque and speed at this tick; fields as in `Stage`.
         watch: Watch of the previous tick; fields as in `Watch`.
         motion: JointMotion at this tick; fields as in `JointMotion`.
         health: Health at this tick; fields as in `Health`.
@@ -158,7 +159,7 @@ def check_torque(limits, watch, motion, health, doubts, torque_1, torque_2):
     stale = watch.stale + 1 if health.stale else 0
     late = watch.late + health.late if health.late else 0
     stopped = watch.stopped | doubts | _unhealthy(limits, health.emergency_stop, lost, stale, late)
-    stopped |= _out_of_range(limits, motion, torque_1 + torque_2)
+    stopped |= _out_of_range(limits, stage.joint_speed, motion, torque_1 + torque_2)
     if stopped:
         braked, speed = watch.braked + 1, abs(motion.rate_1) + abs(motion.rate_2)
         slowest = min(watch.slowest, speed)
@@ -171,7 +172,7 @@ def check_torque(limits, watch, motion, health, doubts, torque_1, torque_2):
         return Checked(
             torque_1, torque_2, stopped, Watch(torque_1, torque_2, lost, stale, late, stopped, braked, slowest)
         )
-    torque_1, torque_2, limited = _within_limits(limits, watch, motion.alpha_2, torque_1, torque_2)
+    torque_1, torque_2, limited = _within_limits(limits, stage.torque, watch, motion.alpha_2, torque_1, torque_2)
     return Checked(torque_1, torque_2, limited, Watch(torque_1, torque_2, lost, stale, late, 0, 0, inf))
 
 
@@ -195,9 +196,9 @@ def _brake(limits, before, speed):
 
 
 @as_written
-def _within_limits(limits, watch, alpha_2, torque_1, torque_2):
+def _within_limits(limits, most, watch, alpha_2, torque_1, torque_2):
     """Returns the torques within limits [N·m], and why they differ from the requested ones."""
-    limited, most, step = 0, limits.torque, limits.torque_step
+    limited, step = 0, limits.torque_step
     if alpha_2 < limits.stretch_angle and torque_1 < torque_2:
         torque_1 = torque_2 = 0.5 * (torque_1 + torque_2)
         limited |= _STRETCH
@@ -217,13 +218,13 @@ def _within(most, value, centre):
 
 
 @as_written
-def _out_of_range(limits, motion, torques):
+def _out_of_range(limits, joint_speed, motion, torques):
     """Reasons why the motion or the torques, given as their sum, are not allowed."""
     angles, rates = motion.alpha_1 + motion.alpha_2, motion.rate_1 + motion.rate_2
     if not isfinite(torques + angles + rates + motion.leg_length + motion.hip_height):
         return _NOT_FINITE
     reason = 0
-    if abs(motion.rate_1) + abs(motion.rate_2) > limits.joint_speed:
+    if abs(motion.rate_1) + abs(motion.rate_2) > joint_speed:
         reason |= _JOINT_SPEED
     if abs(motion.alpha_1) > limits.lean_angle or motion.alpha_2 > limits.fold_angle:
         reason |= _JOINT_ANGLE
