@@ -12,9 +12,10 @@ import select
 import signal
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from functools import partial
+from math import inf
 from multiprocessing import RawArray, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -24,6 +25,7 @@ from time import monotonic, sleep
 import numpy as np
 
 from stepgap.base.signals import terminated_as_interrupted
+from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.rigs.ethercat.emulator.emulator import run_emulator
@@ -40,6 +42,8 @@ from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin_machine import TwinMachine
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
+LOOP = LoopSettings(release_time=inf)
+"""Nobody holds a key in this benchmark."""
 RING = RingSettings(lock_step=False)
 COMMAND = np.array([-5.0, -8.0])
 SIGNALS = signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGSTOP, signal.SIGKILL
@@ -71,8 +75,12 @@ def serve(interface: str, last, pipe: Connection) -> None:
 
 def hop(settings: BusSettings, folder: Path, pipe: Connection) -> None:
     """Hops until the run ends; sends the id of the real-time process when the robot hops."""
-    setup = RealtimeSetup(partial(hopper_on_ethercat, settings, ROBOT), HopperControl(ROBOT, GAINS, BOUNDS))
-    with suppress(KeyboardInterrupt, RigFault), terminated_as_interrupted(), RealtimePlant(setup, folder) as plant:
+    setup = RealtimeSetup(partial(hopper_on_ethercat, settings, ROBOT), HopperControl(ROBOT, GAINS, BOUNDS), LOOP)
+    with (
+        suppress(KeyboardInterrupt, RigFault),
+        terminated_as_interrupted(),
+        RealtimePlant(setup, folder, lambda board: nullcontext()) as plant,
+    ):
         plant.start()
         assert plant._session is not None
         plant.take_step(COMMAND)

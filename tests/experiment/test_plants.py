@@ -3,11 +3,9 @@
 import csv
 import json
 import os
-import select
 import signal
 import subprocess
 import sys
-from io import StringIO
 from pathlib import Path
 from time import sleep
 
@@ -22,7 +20,6 @@ from stepgap.experiment.inputs import write_experiment
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.plants.commissioning.check import Check, Timing, fingerprint, write_check
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
-from stepgap.rigs.rig import RigFault
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig.toml"
 REFERENCE = Reference(("speed", "height"), np.array([[0.1, 0.56]]))
@@ -34,6 +31,9 @@ MISSING_LIMITS = (
     "longest_leg",
     "lowest_hip",
     "highest_hip",
+    "posture_torque",
+    "posture_speed",
+    "first_hops",
     "brake_torque",
     "jump_angle",
     "frozen_time",
@@ -109,33 +109,6 @@ def test_the_plant_and_its_rig_are_settings_of_a_run(tmp_path: Path) -> None:
     assert read_experiment(tmp_path / "mine.toml").rig == str(tmp_path / "my_rig.toml")
 
 
-def test_without_an_answer_at_the_keyboard_there_is_no_torque(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    with Path(os.devnull).open() as no_keyboard:
-        monkeypatch.setattr(sys, "stdin", no_keyboard)
-        with pytest.raises(RigFault, match="not a terminal"):
-            run_plants.ask_to_hold()
-    assert capsys.readouterr().err == "", "nobody is asked"
-
-
-def test_a_terminal_that_is_closed_gives_no_torque(monkeypatch: pytest.MonkeyPatch) -> None:
-    ours, theirs = os.openpty()
-
-    class Screen(StringIO):
-        def write(self, text: str) -> int:
-            if "Hold the robot up" in text:
-                os.write(ours, b"\x04")  # end of input, as Ctrl-D
-            return len(text)
-
-    with os.fdopen(theirs) as terminal:
-        monkeypatch.setattr(sys, "stdin", terminal)
-        monkeypatch.setattr(sys, "stderr", Screen())
-        with pytest.raises(RigFault, match="Enter was not pressed"):
-            run_plants.ask_to_hold()
-    os.close(ours)
-
-
 @pytest.mark.parametrize("key", [*MISSING_LIMITS, "lean_angle, torque_step"])
 def test_without_all_limits_there_is_no_torque(tmp_path: Path, key: str) -> None:
     """Each of the limits that may be left out for a simulation, and two together."""
@@ -147,24 +120,6 @@ def test_without_all_limits_there_is_no_torque(tmp_path: Path, key: str) -> None
         run_plants.choose_plants(settings, REFERENCE, True, tmp_path)
     order = [name for name in MISSING_LIMITS if name in names]
     assert f"{rig}: [limits] lacks {', '.join(order)}; torque needs" in str(refusal.value)
-
-
-def test_input_before_the_question_is_not_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    ours, theirs = os.openpty()
-
-    class Screen(StringIO):
-        def write(self, text: str) -> int:
-            if "Hold the robot up" in text:
-                os.write(ours, b"\n")
-            return len(text)
-
-    os.write(ours, b"\n")
-    with os.fdopen(theirs) as terminal:
-        monkeypatch.setattr(sys, "stdin", terminal)
-        monkeypatch.setattr(sys, "stderr", Screen())
-        run_plants.ask_to_hold()
-        assert select.select([theirs], [], [], 0)[0] == [], "the first answer was discarded, the second one was used"
-    os.close(ours)
 
 
 def test_settings_that_change_during_a_run_give_no_torque(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,9 @@
 """Plants of `stepgap run`: a simulated plant of the robot, another program, or a rig by name."""
 
 import re
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,13 +19,14 @@ from stepgap.plants.commissioning.check import checked
 from stepgap.plants.plant import Plant
 from stepgap.plants.process.line_channel import Child, Connection
 from stepgap.plants.process.process_plant import ProcessPlant
+from stepgap.plants.realtime.consent import hold_key, press_enter
+from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.records.summary import NoiseFloor
 from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import RigFault
 from stepgap.robots.robot import Simulation
 from stepgap.step import StepMap
 
@@ -108,11 +109,13 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
             f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` tests all but torque"
         )
     _check_limits(settings.rig, limits)
-    setup = RealtimeSetup(make_rig, control)
+    simulated = limits is not None and limits.simulated
+    loop, consent = (LoopSettings(release_time=inf), press_enter) if simulated else (LoopSettings(), hold_key)
+    setup = RealtimeSetup(make_rig, control, loop)
 
     def make(_: np.random.Generator) -> Plant:
         checked(Path(settings.rig))  # every deployment reads the file again
-        return RealtimePlant(setup, logs, ask_to_hold, Path(settings.rig).read_text("utf-8"))
+        return RealtimePlant(setup, logs, consent, Path(settings.rig).read_text("utf-8"))
 
     checked(Path(settings.rig))
     return Plants(make, replays=False)
@@ -137,23 +140,3 @@ def _of_process(settings: Experiment, program: Sequence[str]) -> Plants:
     connect = partial(Connection, int(port[1])) if port else partial(Child, tuple(program))
     space = settings.robot.space
     return Plants(lambda _: ProcessPlant(connect, space, settings.process), replays=False)
-
-
-def ask_to_hold() -> None:
-    """Waits until a person holds the robot.
-
-    Raises:
-        RigFault: There is no answer.
-    """
-    if not sys.stdin.isatty():
-        raise RigFault("standard input is not a terminal, so nobody can press Enter, and no torque was given")
-    import termios  # not available on Windows
-
-    termios.tcflush(sys.stdin, termios.TCIFLUSH)  # earlier input is not an answer
-    print(
-        "Hold the robot up with its foot off the ground and press Enter: it takes its landing posture within half a "
-        "second. Then release it. Ctrl-C lands it.",
-        file=sys.stderr,
-    )
-    if not sys.stdin.readline():
-        raise RigFault("Enter was not pressed, so no torque was given")

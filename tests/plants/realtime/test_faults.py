@@ -3,13 +3,14 @@
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, partial
+from math import inf
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop
+from stepgap.plants.realtime.loop import LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.ticks.log_description import LogEvent
 from stepgap.plants.ticks.rig_state import RigState
@@ -66,7 +67,9 @@ class Deployment:
     def __init__(self, rig):
         self.rig, self.board, self.rows, self.ticks = rig, Board.create(), [], 0
         control = HopControl(rig.sensor_model, ROBOT, GAINS, rig.limits)
-        self.loop = ControlLoop(rig, control, BOUNDS.space(), self.board, self.rows.append)
+        self.loop = ControlLoop(
+            rig, control, BOUNDS.space(), self.board, self.rows.append, LoopSettings(release_time=inf)
+        )
         self.board.request = Request.HOP
         self.hops = []
 

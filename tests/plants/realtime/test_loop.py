@@ -1,5 +1,7 @@
 """The states of a deployment on the twin, tick by tick, without clock or second process."""
 
+from math import inf
+
 import numpy as np
 import pytest
 
@@ -23,12 +25,12 @@ COMMAND = (-4.0, -3.0)
 class Deployment:
     """A loop on the twin, and its log."""
 
-    def __init__(self, alive=lambda: True, hold=1.0, limits=LIMITS):
+    def __init__(self, alive=lambda: True, hold=1.0, limits=LIMITS, release_time=inf):
         self.rows, self.board = [], Board.create()
         self.twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=hold)
         self.twin.connect()
         control = HopControl(self.twin.sensor_model, ROBOT, GAINS, limits)
-        settings = LoopSettings()
+        settings = LoopSettings(release_time=release_time)
         self.loop = ControlLoop(self.twin, control, BOUNDS.space(), self.board, self.rows.append, settings, alive)
 
     def __enter__(self):

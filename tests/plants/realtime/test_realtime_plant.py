@@ -6,6 +6,7 @@ import select
 import signal
 from contextlib import contextmanager
 from functools import partial
+from math import inf
 from multiprocessing import get_context
 from pathlib import Path
 from time import monotonic, sleep
@@ -66,15 +67,21 @@ def is_runnable(status):
 SETUP = RealtimeSetup(
     partial(hopper_on_ethercat, SETTINGS, ROBOT),
     HopperControl(ROBOT, GAINS, BOUNDS),
-    LoopSettings(missed_commands=50),  # on a busy machine a command may come late
+    LoopSettings(missed_commands=50, release_time=inf),  # on a busy machine a command may come late
     patient,
 )
 COLUMN = {name: index for index, name in enumerate(SETUP.units)}
 
 
 @contextmanager
+def unattended(board):
+    """Nobody needs to hold a key here."""
+    yield
+
+
+@contextmanager
 def hopping(folder: Path):
-    with live_ring(make_machine=RecordedTwin) as ring, RealtimePlant(SETUP, folder) as plant:
+    with live_ring(make_machine=RecordedTwin) as ring, RealtimePlant(SETUP, folder, unattended) as plant:
         plant.start()
         yield ring, plant
 
@@ -97,10 +104,16 @@ def check_off(ring):
 
 def test_it_hops_lands_and_keeps_every_tick(tmp_path):
     prompts, yaws = [], []
+
+    @contextmanager
+    def asked(board):
+        prompts.append(board.state)
+        yield
+
     with live_ring(make_machine=RecordedTwin) as ring:
-        with RealtimePlant(SETUP, tmp_path, lambda: prompts.append("hold the robot"), "as in rig.toml") as plant:
+        with RealtimePlant(SETUP, tmp_path, asked, "as in rig.toml") as plant:
             state = plant.start()
-            assert prompts == ["hold the robot"]
+            assert prompts == [RigState.READY]
             for _ in range(3):
                 record = plant.take_step(COMMAND)
                 assert record.status == StepStatus.OK
@@ -145,7 +158,7 @@ def test_after_a_killed_real_time_process_torque_is_off_and_no_logged_tick_is_lo
 
 def learn_and_die(setup: RealtimeSetup, folder: Path, pipe):
     """A learning process that lets the robot hop, and is killed."""
-    plant = RealtimePlant(setup, folder)
+    plant = RealtimePlant(setup, folder, unattended)
     plant.start()
     plant.take_step(COMMAND)
     assert plant._session is not None
@@ -188,7 +201,7 @@ def take_steps(plant, count):
 def test_on_a_full_disk_the_robot_lands_and_written_ticks_are_kept(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     with live_ring(make_machine=RecordedTwin) as ring:
-        plant = RealtimePlant(SETUP, tmp_path)
+        plant = RealtimePlant(SETUP, tmp_path, unattended)
         with plant:
             plant.start()
             resource.setrlimit(resource.RLIMIT_FSIZE, ((tmp_path / "ticks-0.mcap").stat().st_size + 70_000, hard))
@@ -201,8 +214,10 @@ def test_on_a_full_disk_the_robot_lands_and_written_ticks_are_kept(tmp_path):
 
 
 def test_without_a_person_holding_it_the_robot_gets_no_torque(tmp_path):
-    def nobody():
+    @contextmanager
+    def nobody(board):
         raise RigFault("nobody is there")
+        yield
 
     with live_ring(make_machine=RecordedTwin) as ring, RealtimePlant(SETUP, tmp_path, nobody) as plant:
         with pytest.raises(RigFault, match="nobody is there"):
@@ -219,12 +234,12 @@ def test_a_command_that_is_not_finite_ends_the_deployment(tmp_path):
 
 
 def test_a_missing_ring_is_reported(tmp_path):
-    with RealtimePlant(SETUP, tmp_path) as plant, pytest.raises(RigFault, match="cannot be opened"):
+    with RealtimePlant(SETUP, tmp_path, unattended) as plant, pytest.raises(RigFault, match="cannot be opened"):
         plant.start()
 
 
 def test_a_second_deployment_has_its_own_log(tmp_path):
-    with live_ring(make_machine=RecordedTwin), RealtimePlant(SETUP, tmp_path) as plant:
+    with live_ring(make_machine=RecordedTwin), RealtimePlant(SETUP, tmp_path, unattended) as plant:
         for _ in range(2):
             plant.start()
             assert plant.take_step(COMMAND).status == StepStatus.OK

@@ -28,7 +28,8 @@ from stepgap.plants.ticks.rig_state import RigState
 from tests.plants.realtime.test_session import SETUP, Sink
 
 sink = Sink()
-times = LoopSettings(calibrate_time=0.02, stand_time=0.02, landing_time=0.2, tick_silence=float(sys.argv[1]))
+times = LoopSettings(calibrate_time=0.02, stand_time=0.02, landing_time=0.2, release_time=float("inf"))
+times = replace(times, tick_silence=float(sys.argv[1]))
 setup = replace(SETUP, loop=times)
 with terminated_as_interrupted():
     session = Session(setup, sink)

@@ -1,12 +1,12 @@
 """The loop's time when frames are lost and ticks are late: there is no clock, the pace defines the time."""
 
-from math import sin, tau
+from math import inf, sin, tau
 
 import numpy as np
 import pytest
 
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.loop import ControlLoop
+from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
 from stepgap.rigs.rig import HEALTHY, Health, Rig, RigFault
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.hop_control import HopControl
@@ -93,7 +93,7 @@ def swing(rig, ticks, late=lambda: 0.0):
     """Runs a limp rig: returns the board's counts of ticks and missed ticks, what was sensed, and the log."""
     control, board, rows = WatchedControl(rig.sensor_model, ROBOT, GAINS, LIMITS), Board.create(), []
     control.sensed = []
-    loop = ControlLoop(rig, control, BOUNDS.space(), board, rows.append)
+    loop = ControlLoop(rig, control, BOUNDS.space(), board, rows.append, LoopSettings(release_time=inf))
 
     def pace(due):
         if due > 0:

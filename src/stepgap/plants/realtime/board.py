@@ -39,8 +39,9 @@ class Field(IntEnum):
     TICKS = 15
     MISSED_TICKS = 16
     WORST_LATENESS = 17
-    MESSAGE_LENGTH = 18
-    MESSAGE = 19
+    PRESSES = 18
+    MESSAGE_LENGTH = 19
+    MESSAGE = 20
 
 
 class Request(IntEnum):
@@ -126,6 +127,15 @@ class Board:
     def emergency_stop(self) -> bool:
         """Whether the software stop was requested; the request cannot be revoked."""
         return self._words[Field.EMERGENCY_STOP] != 0
+
+    @property
+    def presses(self) -> int:
+        """Number of times that the key came by which a person consents to torque, as long as it is held."""
+        return self._words[Field.PRESSES]
+
+    @presses.setter
+    def presses(self, presses: int) -> None:
+        self._words[Field.PRESSES] = presses
 
     def stop_at_once(self) -> None:
         """Requests the software stop: torque off at the next tick. Only a contactor or STO is an emergency stop."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, isnan, nan
+from math import inf, isfinite, isnan, nan
 from types import MappingProxyType
 
 import numpy as np
@@ -42,6 +42,8 @@ class LoopSettings:
         stand_time: Time in which torque increases from zero while the landing posture is taken [s].
         landing_time: Time in which a robot that is to stop lands and lowers its leg, until torque is switched off [s].
         missed_commands: Largest number of consecutive hops without a command.
+        release_time: Time without a press of the key by which a person consents to torque, after which it counts as
+            released [s]; infinite where nobody holds a key, as with a simulated robot.
         tick_silence: Longest time without a tick [s]; then the real-time process is killed, and the watchdog of the
             drives switches torque off.
         connect_time: Longest time before the first tick [s], in which code may be compiled.
@@ -51,6 +53,7 @@ class LoopSettings:
     stand_time: float = 0.5
     landing_time: float = 2.0
     missed_commands: int = 1
+    release_time: float = 0.5
     tick_silence: float = 3.0
     connect_time: float = 300.0
 
@@ -83,6 +86,7 @@ class ControlLoop:
         self._lower, self._upper = space.command_lower.tolist(), space.command_upper.tolist()
         self._clock, self._applied, self._written, self._flags = TickClock(self._tick_time), (0.0, 0.0), 0.0, 0
         self._state, self._entered, self._powered = RigState.CALIBRATE, 0.0, False
+        self._presses, self._pressed = 0, -inf
         self._hop, self._missed, self._count, self._stop_requested, self._took = 0, 0, 0, False, 0.0
 
     @property
@@ -126,6 +130,7 @@ class ControlLoop:
     def _act(self, reading: Reading, health: Health, late: float) -> bool:
         """Computes and writes the torques; returns False when the robot is off."""
         time, control = self._clock.time, self._control
+        self._watch_key()
         self._enter(next_state(self._state, self._signals()))
         age = time - self._written if self._rig.sensor_model.sampled_at_write else 0.0
         torques, self._flags = control.tick(time, reading, self._order(), self._applied, health, age)
@@ -150,11 +155,27 @@ class ControlLoop:
         return Signals(
             connected=True,
             calibrated=since >= self._settings.calibrate_time,
-            hop_requested=request == Request.HOP,
+            hop_requested=request == Request.HOP and self._key_is_held(),
             stop_requested=self._stop_requested or request == Request.STOP,
             stood=since >= self._settings.stand_time,
             at_rest=since >= self._settings.landing_time,
         )
+
+    def _key_is_held(self) -> bool:
+        """Whether the key by which a person consents to torque was pressed recently."""
+        presses, time = self._board.presses, self._clock.time
+        if presses != self._presses:
+            self._presses, self._pressed = presses, time
+        return time - self._pressed <= self._settings.release_time
+
+    def _watch_key(self) -> None:
+        """After the release of the key, lands a hopping robot, and switches torque off before it hops."""
+        if self._state not in (RigState.STAND, RigState.HOP) or self._key_is_held() or self._stop_requested:
+            return
+        if self._state == RigState.STAND:
+            raise RigFault("the key was released before the robot hopped: torque is off")
+        self._board.message = "the key was released: the robot lands"
+        self._stop_requested = True
 
     def _enter(self, state: RigState) -> None:
         if state == self._state:

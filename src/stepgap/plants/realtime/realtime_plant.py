@@ -1,6 +1,6 @@
 """A plant in real time: the loop runs in a separate process, and this one gives it a command for every hop."""
 
-from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from time import sleep
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.board import FinishedHop, Request
+from stepgap.plants.realtime.consent import Consent, hold_key
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.ticks.rig_state import RigState
@@ -28,14 +29,13 @@ class RealtimePlant(Plant):
     Args:
         setup: The rig and its control.
         logs: Folder for the ticks of every deployment, `ticks-*.mcap`.
+        consent: Asks a person for consent, when the rig is connected and limp, before torque is given.
         settings: Text of the file that describes the rig, for the logs.
-        on_ready: Called when the rig is connected and limp, before torque is given for the first time.
     """
 
-    def __init__(
-        self, setup: RealtimeSetup, logs: Path, on_ready: Callable[[], None] = lambda: None, settings: str = ""
-    ):
-        self._setup, self._logs, self._on_ready, self._settings = setup, logs, on_ready, settings
+    def __init__(self, setup: RealtimeSetup, logs: Path, consent: Consent = hold_key, settings: str = ""):
+        self._setup, self._logs, self._consent, self._settings = setup, logs, consent, settings
+        self._consented = ExitStack()
         self._space, self._session = setup.robot_control.space, None
         self._state, self._hop, self._fault = np.full(2, np.nan), 0, ""
 
@@ -66,7 +66,7 @@ class RealtimePlant(Plant):
             session.check()
             sleep(_CHECK_EVERY)
         session.check()
-        self._on_ready()
+        self._consented.enter_context(self._consent(session.board))
         session.board.request = Request.HOP
         hop = self._await_hop(session)
         if hop.status != StepStatus.OK:
@@ -98,7 +98,10 @@ class RealtimePlant(Plant):
         """Lands the robot and switches torque off."""
         if self._session:
             self._session, session = None, self._session
-            session.close()
+            try:
+                session.close()
+            finally:
+                self._consented.close()
             self._fault = self._fault or session.message()
 
     def _await_hop(self, session: Session) -> FinishedHop:
