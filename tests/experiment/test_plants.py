@@ -18,7 +18,8 @@ from stepgap.control.reference import Reference
 from stepgap.experiment import plants as run_plants
 from stepgap.experiment.inputs import write_experiment
 from stepgap.experiment.settings import Experiment, read_experiment
-from stepgap.plants.commissioning.check import Check, Timing, fingerprint, write_check
+from stepgap.plants.commissioning.check import Check, Timing, write_check
+from stepgap.plants.commissioning.proof import fingerprint
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig.toml"

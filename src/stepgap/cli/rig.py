@@ -29,8 +29,9 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     """
     from functools import partial
 
-    from stepgap.plants.commissioning.check import describe, fingerprint, measure, with_watchdog, write_check
+    from stepgap.plants.commissioning.check import describe, measure, with_watchdog, write_check
     from stepgap.plants.commissioning.limp import limp_setup
+    from stepgap.plants.commissioning.proof import fingerprint
     from stepgap.rigs.entry_points import load_rig
     from stepgap.rigs.limp_rig import FrameCount
     from stepgap.robots.hopper.limits import SafetyLimits

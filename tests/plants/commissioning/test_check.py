@@ -18,14 +18,13 @@ from stepgap.base.errors import InputError
 from stepgap.plants.commissioning.check import (
     Check,
     Timing,
-    check_file,
     checked,
     describe,
-    fingerprint,
     timing_of,
     with_watchdog,
     write_check,
 )
+from stepgap.plants.commissioning.proof import fingerprint, proof_file
 from stepgap.plants.realtime.pace import NO_LOCKED_MEMORY, NO_PRIORITY
 from stepgap.rigs.rig import RigFault, SensorModel, WatchdogTimes
 from stepgap.rigs.still_rig import StillRig
@@ -162,7 +161,7 @@ def test_a_check_is_valid_for_these_settings_on_this_machine_only(
     with pytest.raises(InputError, match=f"there is no result of a check; run `stepgap rig check {rig_file}` first"):
         checked(rig_file)
     file = write_check(rig_file, fingerprint(rig_file), GOOD)
-    assert file == check_file(rig_file) == tmp_path / "my.rig.check.json"
+    assert file == proof_file(rig_file, "check") == tmp_path / "my.rig.check.json"
     checked(rig_file)
     content = json.loads(file.read_text("utf-8"))
     assert content["timing"]["p99"] == 2e-6
@@ -188,7 +187,7 @@ def test_a_check_is_valid_for_these_settings_on_this_machine_only(
 def test_an_invalid_result_is_refused(tmp_path: Path, content: str) -> None:
     rig_file = tmp_path / "rig.toml"
     rig_file.write_text("")
-    check_file(rig_file).write_text(content)
+    proof_file(rig_file, "check").write_text(content)
     with pytest.raises(InputError, match=r"first$"):
         checked(rig_file)
 

@@ -1,21 +1,14 @@
 """Check of computer and bus before a robot gets torque: late ticks, lost frames, privileges, and the watchdog."""
 
-import json
-import os
-import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime, timedelta
-from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import write_whole
-from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
 from stepgap.plants.commissioning.limp import ticks_of
+from stepgap.plants.commissioning.proof import proof_file, proven, write_proof
 from stepgap.plants.realtime.pace import NEEDED_FOR_TORQUE
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.rigs.limits import RigLimits
@@ -23,14 +16,14 @@ from stepgap.rigs.limp_rig import FrameCount
 from stepgap.rigs.rig import Rig, RigFault, WatchdogTimes
 from stepgap.step import Array
 
+CHECK = "check"
+"""Verb of `stepgap rig`."""
+
 PUNCTUAL = 0.999
 """Fraction of the ticks that must begin within half a tick."""
 
 LEAST_SECONDS = 5.0
 """Least duration of a measurement before a robot gets torque [s]."""
-
-LONGEST_AGE = timedelta(days=7)
-"""Time for which a check is valid."""
 
 WATCHDOG_MARGIN = 0.02
 """Time by which a measured watchdog may exceed its setting [s]; the measurement itself takes some of it."""
@@ -248,26 +241,7 @@ def _describe_watchdog(check: Check) -> str:
     return f"no torque after the last frame: {times} (setting {1e3 * check.watchdog.setting:g} ms)"
 
 
-def check_file(rig_file: Path) -> Path:
-    """Path of the result of a check: `RIG.check.json` next to `RIG.toml`."""
-    return rig_file.with_suffix(".check.json")
-
-
-def fingerprint(rig_file: Path) -> dict[str, str]:
-    """Identifies the settings, the machine and the user for which a check is valid.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
-    try:
-        digest = sha256(rig_file.read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(f"{rig_file}: {error.strerror}; give an existing TOML file") from None
-    user = str(os.getuid()) if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
-    return {"settings_sha256": digest, "host": platform.node(), "kernel": platform.release(), "user": user}
-
-
-def write_check(rig_file: Path, mark: dict[str, str], check: Check) -> Path:
+def write_check(rig_file: Path, mark: Mapping[str, str], check: Check) -> Path:
     """Writes the result next to the settings and returns its path.
 
     Args:
@@ -278,14 +252,8 @@ def write_check(rig_file: Path, mark: dict[str, str], check: Check) -> Path:
     Raises:
         InputError: It cannot be written.
     """
-    file, date = check_file(rig_file), datetime.now(UTC).isoformat(timespec="seconds")
     seconds = check.timing.ticks * check.tick
-    content = {"schema": 2, **mark, "date": date, "passed": not check.failures(), "seconds": seconds, **asdict(check)}
-    try:
-        write_whole(file, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written: {error.strerror}") from None
-    return file
+    return write_proof(rig_file, CHECK, mark, {"passed": not check.failures(), "seconds": seconds, **asdict(check)})
 
 
 def checked(rig_file: Path) -> None:
@@ -294,42 +262,9 @@ def checked(rig_file: Path) -> None:
     Raises:
         InputError: They have not; the message is one line with the remedy.
     """
-    file, remedy = check_file(rig_file), f"run `stepgap rig check {rig_file}` first"
-    mark, found = fingerprint(rig_file), _read(file)
-    if not found:
-        raise InputError(f"{file}: there is no result of a check; {remedy}")
-    reasons = {
-        "settings_sha256": "the settings have changed since the check",
-        "host": "the check was done on another machine",
-        "kernel": "the check was done with another kernel",
-        "user": "the check was done by another user, who may have other privileges",
-    }
-    for key, reason in reasons.items():
-        if found.get(key) != mark[key]:
-            raise InputError(f"{file}: {reason}; {remedy}")
-    if found.get("passed") is not True:
-        raise InputError(f"{file}: the check was not passed; remove the cause, then {remedy}")
-    if not _is_recent(found.get("date")):
-        raise InputError(f"{file}: the check is older than {LONGEST_AGE.days} days; {remedy}")
-    seconds = found.get("seconds")
+    seconds = proven(rig_file, CHECK).get("seconds")
     if not isinstance(seconds, float) or not seconds >= LEAST_SECONDS:
-        raise InputError(f"{file}: the check measured {seconds} s, less than {LEAST_SECONDS:g}; {remedy}")
-
-
-def _is_recent(date: object) -> bool:
-    """Whether a date as `write_check` writes it lies within `LONGEST_AGE` before now."""
-    try:
-        age = datetime.now(UTC) - datetime.fromisoformat(str(date))
-    except (ValueError, TypeError):
-        return False
-    return timedelta() <= age <= LONGEST_AGE
-
-
-def _read(file: Path) -> dict[str, Any]:
-    """Reads the content of a result; empty if there is none."""
-    try:
-        with file.open("rb") as stream:
-            content = json.loads(stream.read(LARGEST_SETTINGS_FILE))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
+        raise InputError(
+            f"{proof_file(rig_file, CHECK)}: the check measured {seconds} s, less than {LEAST_SECONDS:g}; "
+            f"run `stepgap rig check {rig_file}` first"
+        )
