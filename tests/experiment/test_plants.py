@@ -19,7 +19,7 @@ from stepgap.experiment import plants as run_plants
 from stepgap.experiment.inputs import write_experiment
 from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.plants.commissioning.check import Check, Timing, write_check
-from stepgap.plants.commissioning.proof import fingerprint
+from stepgap.plants.commissioning.proof import fingerprint, write_proof
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig.toml"
@@ -128,6 +128,9 @@ def test_settings_that_change_during_a_run_give_no_torque(tmp_path: Path, monkey
     rig.write_bytes(EXAMPLE.read_bytes())
     timing = Timing(6000, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0)
     write_check(rig, fingerprint(rig), Check(1e-3, 2, False, timing, 0, "", ""))
+    with pytest.raises(InputError, match=r"rig\.jog\.json: there is no result of a jog"):
+        run_plants.choose_plants(Experiment(plant="ethercat", rig=str(rig)), REFERENCE, True, tmp_path)
+    write_proof(rig, "jog", fingerprint(rig), {"passed": True})
     plants = run_plants.choose_plants(Experiment(plant="ethercat", rig=str(rig)), REFERENCE, True, tmp_path)
     plants.make(np.random.default_rng(0))
     rig.write_text(rig.read_text("utf-8").replace("torque = 38.0", "torque = 39.0"), "utf-8")

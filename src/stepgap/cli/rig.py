@@ -110,6 +110,52 @@ def calibrate(
 
 
 @announces_compilation
+def jog(
+    rig_file: Path,
+    /,
+    *,
+    plant: Name = ETHERCAT,
+    experiment: Path | None = None,
+    overrides: Overrides = None,
+) -> None:
+    """Try each motor alone with at most 1 N·m: whether the right link moves, in the right direction; run needs it.
+
+    Nobody holds the robot: it hangs with its foot off the ground. A person turns each link by hand, then holds the
+    space bar while one motor vibrates its link by a fraction of a degree.
+
+    Args:
+        rig_file: rig.toml of the robot, which must have passed `rig check`; the result is written next to it.
+        plant: Name of its rig.
+        experiment: TOML file of settings, of which [parameters] and [gains] are used.
+    """
+    from functools import partial
+
+    from stepgap.experiment.plants import require_limits
+    from stepgap.experiment.settings import read_experiment
+    from stepgap.plants.commissioning.check import checked
+    from stepgap.plants.commissioning.jog import JOG
+    from stepgap.plants.commissioning.proof import fingerprint, write_proof
+    from stepgap.rigs.entry_points import load_rig
+    from stepgap.robots.hopper.jog_trial import try_motors
+    from stepgap.robots.hopper.robot import as_hopper
+
+    if not sys.stdin.isatty():
+        raise InputError("rig jog: standard input is not a terminal; torque needs a person at the keyboard")
+    robot = as_hopper(read_experiment(experiment, overrides or []).robot, "motors are tried")
+    make_rig = partial(load_rig, plant, rig_file, robot)
+    limits = make_rig().limits
+    require_limits(str(rig_file), limits)
+    checked(rig_file)
+    mark, settings = fingerprint(rig_file), rig_file.read_text("utf-8")
+    content = try_motors(make_rig, robot.control(), limits is not None and limits.simulated, settings)
+    file = write_proof(rig_file, JOG, mark, content)
+    print("result  passed" if content["passed"] else "result  not passed")
+    print(file)
+    if not content["passed"]:
+        sys.exit(1)
+
+
+@announces_compilation
 def dry_run_(
     rig_file: Path,
     /,
@@ -227,5 +273,6 @@ rig = App(name="rig", help="Commission a robot, on EtherCAT or by the name of it
 add_verb(rig, "check", check)
 add_verb(rig, "calibrate", calibrate)
 add_verb(rig, "dry-run", dry_run_)
+add_verb(rig, "jog", jog)
 add_verb(rig, "emulate", emulate)
 add_verb(rig, "incident", incident)

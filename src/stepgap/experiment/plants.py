@@ -16,10 +16,12 @@ from stepgap.experiment.loop import MeasureNoiseFloor
 from stepgap.experiment.noise_floor import measure_noise_floor
 from stepgap.experiment.settings import PROCESS, Experiment
 from stepgap.plants.commissioning.check import checked
+from stepgap.plants.commissioning.jog import JOG
+from stepgap.plants.commissioning.proof import proven
 from stepgap.plants.plant import Plant
 from stepgap.plants.process.line_channel import Child, Connection
 from stepgap.plants.process.process_plant import ProcessPlant
-from stepgap.plants.realtime.consent import hold_key, press_enter
+from stepgap.plants.realtime.consent import hold_key_to_hop, press_enter
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
@@ -108,27 +110,35 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
         raise InputError(
             f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` tests all but torque"
         )
-    _check_limits(settings.rig, limits)
+    require_limits(settings.rig, limits)
     simulated = limits is not None and limits.simulated
-    loop, consent = (LoopSettings(release_time=inf), press_enter) if simulated else (LoopSettings(), hold_key)
+    loop, consent = (LoopSettings(release_time=inf), press_enter) if simulated else (LoopSettings(), hold_key_to_hop)
     setup = RealtimeSetup(make_rig, control, loop)
 
+    def require_proofs() -> None:
+        checked(Path(settings.rig))
+        if not simulated:
+            proven(Path(settings.rig), JOG)
+
     def make(_: np.random.Generator) -> Plant:
-        checked(Path(settings.rig))  # every deployment reads the file again
+        require_proofs()  # every deployment reads the files again
         return RealtimePlant(setup, logs, consent, Path(settings.rig).read_text("utf-8"))
 
-    checked(Path(settings.rig))
+    require_proofs()
     return Plants(make, replays=False)
 
 
-def _check_limits(rig: str, limits: RigLimits | None) -> None:
-    """Raises InputError unless a rig has limits, all of which limit something."""
+def require_limits(rig: str, limits: RigLimits | None) -> None:
+    """Ensures that a rig has limits, all of which limit something.
+
+    Raises:
+        InputError: It has not.
+    """
     if limits is None:
-        raise InputError(f"--arm, --rig {rig}: the rig has no limits; torque needs a rig whose `limits` are all finite")
+        raise InputError(f"{rig}: the rig has no limits; torque needs a rig whose `limits` are all finite")
     if lacking := limits.without_effect():
         raise InputError(
-            f"--arm, --rig {rig}: [limits] lacks {', '.join(lacking)}; torque needs a finite value of each, as in "
-            "examples/rig.toml"
+            f"{rig}: [limits] lacks {', '.join(lacking)}; torque needs a finite value of each, as in examples/rig.toml"
         )
 
 

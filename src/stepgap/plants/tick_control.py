@@ -29,6 +29,8 @@ class Mode(IntEnum):
     """Step with the command."""
     LAND = 3
     """End the stepping softly."""
+    TORQUE = 4
+    """Give the motors the command as torques [N·m], to try them."""
 
 
 class TickFlag(IntFlag):

@@ -18,7 +18,7 @@ import pytest
 
 from stepgap.plants.realtime import consent
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.consent import hold_key, press_enter
+from stepgap.plants.realtime.consent import hold_key, hold_key_to_hop, press_enter
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.rigs.rig import RigFault
 from tests.plants.realtime.test_loop import COLUMN, Deployment
@@ -68,7 +68,7 @@ def pressing(terminal: int, key: bytes) -> Iterator[None]:
         finger.join()
 
 
-@pytest.mark.parametrize("ask", [hold_key, press_enter])
+@pytest.mark.parametrize("ask", [hold_key_to_hop, press_enter])
 def test_without_a_terminal_nobody_is_asked_and_there_is_no_torque(
     ask: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,7 +100,7 @@ def test_the_presses_of_a_held_key_are_counted_until_it_is_released(monkeypatch:
     board, asked = a_board(), Event()
     with terminal_of_a_person(monkeypatch, lambda _: asked.set()) as (ours, theirs):
         before = termios.tcgetattr(theirs)
-        with pressing(ours, b" "), hold_key(board):
+        with pressing(ours, b" "), hold_key("Hold the space bar.", board):
             first = board.presses
             assert first >= 1
             while board.presses < first + 3:
@@ -122,7 +122,7 @@ def test_other_keys_and_single_presses_are_no_held_key(monkeypatch: pytest.Monke
     with (
         terminal_of_a_person(monkeypatch, lambda _: None),
         pytest.raises(RigFault, match="the terminal was closed"),
-        hold_key(board),
+        hold_key("Hold the space bar.", board),
     ):
         pass
     assert (presses, board.presses) == ([], 0)

@@ -11,6 +11,7 @@ import select
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import partial
 from threading import Event, Thread
 from time import monotonic
 
@@ -34,20 +35,19 @@ _LOOK_EVERY = 0.05
 
 
 @contextmanager
-def hold_key(board: Board) -> Iterator[None]:
+def hold_key(request: str, board: Board) -> Iterator[None]:
     """Waits until a person holds the space bar, and counts its presses on the board until the block ends.
+
+    Args:
+        request: What the person is asked for.
+        board: Where the presses are counted.
 
     Raises:
         RigFault: There is no terminal, or it was closed.
     """
     terminal = _terminal()
     with _unbuffered(terminal):
-        print(
-            "The robot must hang from its cord with its foot off the ground, and nobody may be within its reach. "
-            "Hold the space bar: it takes its landing posture within half a second; then lower it to the ground. "
-            "It lands when you release the key.",
-            file=sys.stderr,
-        )
+        print(request, file=sys.stderr)
         _await_hold(terminal)
         over = Event()
         reader = Thread(target=_count_presses, args=(terminal, board, over), daemon=True)
@@ -58,6 +58,15 @@ def hold_key(board: Board) -> Iterator[None]:
         finally:
             over.set()
             reader.join()
+
+
+hold_key_to_hop: Consent = partial(
+    hold_key,
+    "The robot must hang from its cord with its foot off the ground, and nobody may be within its reach. "
+    "Hold the space bar: it takes its landing posture within half a second; then lower it to the ground. "
+    "It lands when you release the key.",
+)
+"""`hold_key` before a robot hops."""
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import numpy as np
 
 from stepgap.plants.plant import Plant
 from stepgap.plants.realtime.board import FinishedHop, Request
-from stepgap.plants.realtime.consent import Consent, hold_key
+from stepgap.plants.realtime.consent import Consent
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.ticks.rig_state import RigState
@@ -33,7 +33,7 @@ class RealtimePlant(Plant):
         settings: Text of the file that describes the rig, for the logs.
     """
 
-    def __init__(self, setup: RealtimeSetup, logs: Path, consent: Consent = hold_key, settings: str = ""):
+    def __init__(self, setup: RealtimeSetup, logs: Path, consent: Consent, settings: str = ""):
         self._setup, self._logs, self._consent, self._settings = setup, logs, consent, settings
         self._consented = ExitStack()
         self._space, self._session = setup.robot_control.space, None

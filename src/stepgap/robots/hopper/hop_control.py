@@ -21,7 +21,7 @@ from stepgap.robots.hopper.joint_control import joint_law
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.phases import Phase
-from stepgap.robots.hopper.safety import Limited
+from stepgap.robots.hopper.safety import JointMotion, Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel, hopper_sensors
 from stepgap.robots.hopper.tick import TICK_BITS, TICK_NAMES, TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
@@ -76,6 +76,11 @@ class HopControl(TickControl):
     def state(self) -> HopState:
         """State from which the next tick starts."""
         return from_record(HopState, self._memory)
+
+    @property
+    def motion(self) -> JointMotion:
+        """Motion of leg and hip that the last tick measured."""
+        return JointMotion(*(float(self._memory["motion"][name][0]) for name in JointMotion._fields))
 
     @property
     def memory(self) -> tuple[Record, Record, Array]:
@@ -159,7 +164,7 @@ class HopperControl(RobotControl):
 
     def meaning(self, rig: Rig) -> FieldMeaning:
         """Names of phases and reasons, and the ranges of what the safety function judges."""
-        limits = self._limits_of(rig)
+        limits = self.limits_of(rig)
         torques = dict.fromkeys(("applied_1", "applied_2"), (-limits.torque, limits.torque))
         late = {"late": (-inf, (limits.late_ticks + 1) * rig.sensor_model.tick)}
         return FieldMeaning(TICK_NAMES, TICK_BITS, {**limits.ranges(), **torques, **late})
@@ -170,7 +175,7 @@ class HopperControl(RobotControl):
 
     def limp_limits(self, rig: Rig) -> SafetyLimits:
         """Limits of a rig whose motors get no torque."""
-        return self._limits_of(rig).limp()
+        return self.limits_of(rig).limp()
 
     def step_ends(self, ticks: TickTable) -> np.ndarray:
         """Ticks in which the robot had just passed an apex."""
@@ -194,9 +199,9 @@ class HopperControl(RobotControl):
         }
 
     def _new_control(self, rig: Rig) -> HopControl:
-        return HopControl(hopper_sensors(rig.sensor_model), self.robot, self.gains, self._limits_of(rig))
+        return HopControl(hopper_sensors(rig.sensor_model), self.robot, self.gains, self.limits_of(rig))
 
-    def _limits_of(self, rig: Rig) -> SafetyLimits:
+    def limits_of(self, rig: Rig) -> SafetyLimits:
         """Limits that were given, or the rig's, or those of a simulation."""
         limits = self.limits or rig.limits or SafetyLimits.of(self.robot)
         if not isinstance(limits, SafetyLimits):

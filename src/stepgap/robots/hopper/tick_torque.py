@@ -16,6 +16,8 @@ LANDING_DAMPING = 0.5
 @as_written
 def wanted_torque(law, phase, motion, flight, hop, inputs):
     """Torques requested by the law of the mode [N·m]."""
+    if inputs.mode == Mode.TORQUE:
+        return inputs.force_x, inputs.force_y
     grounded = phase == Phase.COMPRESSION or phase == Phase.THRUST
     if inputs.mode == Mode.POSTURE or not grounded:
         share = inputs.share if inputs.mode == Mode.POSTURE else 1.0

@@ -1,0 +1,108 @@
+"""Sessions of `stepgap rig jog`: a limp robot that a person moves by hand, and a step with the consent of a person."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from math import isfinite
+from pathlib import Path
+from time import sleep
+
+from stepgap.base.signals import terminated_as_interrupted
+from stepgap.plants.commissioning.limp import ended
+from stepgap.plants.realtime.board import Request
+from stepgap.plants.realtime.consent import Consent
+from stepgap.plants.realtime.process import RealtimeSetup
+from stepgap.plants.realtime.session import Session
+from stepgap.plants.ticks.log_description import LogEvent
+from stepgap.plants.ticks.rig_state import RigState
+from stepgap.plants.ticks.tick_log import TickLog, next_path, read_intact_ticks
+from stepgap.plants.ticks.tick_table import TickTable
+from stepgap.rigs.rig import RigFault
+from stepgap.step import Array
+
+JOG = "jog"
+"""Verb of `stepgap rig`, and folder of its logs."""
+
+_LOOK_EVERY = 0.02
+"""Time between two looks at the state of the session [s]."""
+
+
+class LastTick:
+    """Keeps the last tick with known sensor values, by the names of its fields."""
+
+    def __init__(self, names: tuple[str, ...]):
+        self._names = names
+        self.fields: Mapping[str, float] = {}
+
+    def append(self, rows: Array) -> None:
+        """Takes ticks."""
+        for row in rows[::-1].tolist():
+            if all(map(isfinite, row)):
+                self.fields = dict(zip(self._names, row, strict=True))
+                return
+
+    def note(self, event: LogEvent) -> None:
+        """Takes a message, which `Session.message` has, too."""
+
+    def flush(self) -> None:
+        """Does nothing."""
+
+    def close(self) -> None:
+        """Does nothing."""
+
+
+@contextmanager
+def limp_robot(setup: RealtimeSetup) -> Iterator[Callable[[], Mapping[str, float]]]:
+    """Runs a limp robot within the block; yields a function that returns its last tick.
+
+    Args:
+        setup: Setup from `limp_setup`.
+
+    Raises:
+        RigFault: The rig failed.
+    """
+    last = LastTick(tuple(setup.units))
+    session = Session(setup, last)
+
+    def look() -> Mapping[str, float]:
+        session.check()
+        return last.fields
+
+    try:
+        with terminated_as_interrupted():
+            while not look():
+                sleep(_LOOK_EVERY)
+            yield look
+    finally:
+        session.close()
+
+
+def ticks_of_step(setup: RealtimeSetup, consent: Consent, settings: str) -> tuple[Path, TickTable]:
+    """Runs a robot until the end of its first step, with the consent of a person; returns the log and its ticks.
+
+    Args:
+        setup: Setup of the rig.
+        consent: Asks a person when the robot is connected and limp.
+        settings: Text of the file that describes the rig, for the log.
+
+    Raises:
+        RigFault: The rig failed, a safety function stopped it, or there is no consent.
+        TickLogError: The log cannot be written.
+    """
+    path = next_path(Path(JOG))
+    session = Session(setup, TickLog(path, setup.units, setup.described(settings)))
+    try:
+        with terminated_as_interrupted():
+            while session.board.state < RigState.READY:
+                session.check()
+                sleep(_LOOK_EVERY)
+            with consent(session.board):
+                session.board.request = Request.HOP
+                while session.board.hop(0) is None and not ended(session):
+                    session.check_sink()
+                    sleep(_LOOK_EVERY)
+    finally:
+        session.close()
+    if fault := session.message():
+        raise RigFault(f"{fault} ({path})")
+    units, rows, _ = read_intact_ticks(path)
+    return path, TickTable(units, rows)
