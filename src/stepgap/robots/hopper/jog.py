@@ -94,11 +94,11 @@ class JogControl(TickControl):
         age: float = 0.0,
     ) -> tuple[Torques, int]:
         """Computes a tick; only an order to step gives torque."""
-        torque = self._torque(time) if order.mode == Mode.STEP and not self._ended else 0.0
+        tries = order.mode == Mode.STEP and not self._ended
+        torque = self._torque(time) if tries else 0.0
         torques = (torque, 0.0) if self._motor == 1 else (0.0, torque)
         given, flags = self._control.tick(time, reading, Order(Mode.TORQUE, 1.0, torques), applied, health, age)
-        ended = TickFlag.STEP_ENDED if order.mode == Mode.STEP and self._ended else 0
-        return given, flags & _KEPT_FLAGS | ended
+        return given, flags & _KEPT_FLAGS | (TickFlag.STEP_ENDED if tries and self._ended else 0)
 
     def _torque(self, time: float) -> float:
         """Torque of the motor at a time [N·m]."""

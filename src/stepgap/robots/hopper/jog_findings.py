@@ -61,7 +61,10 @@ class Answer:
                 "its encoder gives no values, or its friction is larger"
             )
         if self.other > self.amplitude:
-            return f"{motor}: the encoder of {other} moves instead of its own; drives or encoders are exchanged, or its own stands still"
+            return (
+                f"{motor}: the encoder of {other} moves instead of its own; drives or encoders are exchanged, "
+                "or its own stands still"
+            )
         if cos(self.lag - EXPECTED_LAG) < cos(LARGEST_ERROR):
             return (
                 f"{motor}: its link moves against the torque (lag {degrees(self.lag):.0f}°, not 90° to 200°); "
