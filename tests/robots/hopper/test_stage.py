@@ -1,16 +1,28 @@
 """Limits of the stages of a deployment, and a robot with inverted wiring, which they stop."""
 
-from math import inf
+from dataclasses import replace
+from math import inf, pi
+from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.base.compiled_record import as_record
+from stepgap.plants.realtime.board import Board, Request
+from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
 from stepgap.plants.tick_control import Mode
+from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.ethercat import read_rig_settings
+from stepgap.robots.hopper.hop_control import HopControl
 from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.stage import Stage, stage_of
+from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from tests.plants.realtime.test_loop import COLUMN
+from tests.robots.hopper.test_jog import COUNTS, HangingTwin, Wiring
 
+EXAMPLE = Path(__file__).parents[3] / "examples" / "rig.toml"
 LIMITS = SafetyLimits(
     torque=38.0, joint_speed=80.0, posture_torque=3.0, posture_speed=10.0, first_share=0.5, first_hops=4
 )
@@ -51,3 +63,28 @@ def test_no_stage_exceeds_the_limits_and_none_is_zero(mode: int, share: float, h
 def test_a_simulated_robot_has_its_full_limits_in_every_stage(mode: int, share: float, hops: int):
     limits = SafetyLimits(torque=38.0, joint_speed=inf)
     assert stage_of(as_record(limits)[0], mode, share, hops) == Stage(38.0, inf)
+
+
+@pytest.mark.parametrize("motor", [1, 2])
+def test_an_inverted_motor_is_stopped_while_the_robot_takes_its_posture(motor: int):
+    """Such a motor drives its link away from the posture; with the full limits it reached 83 rad/s and 69°."""
+    limits = replace(read_rig_settings(EXAMPLE).limits, late_ticks=40, sample_jitter=0.1)
+    control = HopControl(HangingTwin(Wiring(), RealityGap(), 0).sensor_model, RobotParameters(), Gains(), limits)
+    board, rows = Board.create(), []
+    wiring = Wiring(lambda torque_1, torque_2: (-torque_1, torque_2) if motor == 1 else (torque_1, -torque_2))
+    with HangingTwin(wiring, RealityGap(joint_damping=0.05), seed=motor) as rig:
+        loop = ControlLoop(rig, control, CommandBounds().space(), board, rows.append, LoopSettings(release_time=inf))
+        board.request = Request.HOP
+        while loop.tick():
+            pass
+        angles = np.array(rig.counts)[:, motor - 1] / COUNTS * 360
+        speed = np.abs(np.diff(angles)).max() * 1000 * pi / 180
+    message = board.message
+    board.close()
+    board.unlink()
+    assert message.startswith("the safety function stopped the robot: joint speed (1")
+    assert "at most 10.0 in this stage" in message
+    torques = np.array(rows)[:, [COLUMN["applied_1"], COLUMN["applied_2"]]]
+    assert np.nanmax(np.abs(torques)) <= 3.0
+    assert speed < 12.0
+    assert np.ptp(angles) < 40.0
