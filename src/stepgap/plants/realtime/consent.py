@@ -27,7 +27,7 @@ KEY = b" "
 NEEDED_PRESSES = 5
 """Number of presses in a row by which the key is held: the first ones of a terminal come slowly."""
 
-LONGEST_GAP = 0.25
+LONGEST_REPEAT = 0.25
 """Longest time between two of them [s]; terminals repeat a key some 30 times per second."""
 
 _LOOK_EVERY = 0.05
@@ -123,7 +123,7 @@ def _await_hold(terminal: int) -> None:
         if not found:
             raise RigFault("the terminal was closed, so no torque was given")
         if KEY in found:
-            presses = presses + found.count(KEY) if now - last <= LONGEST_GAP else 1
+            presses = presses + found.count(KEY) if now - last <= LONGEST_REPEAT else 1
             last = now
 
 

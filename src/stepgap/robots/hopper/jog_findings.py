@@ -26,7 +26,7 @@ HAND_ERROR = radians(15.0)
 
 
 @dataclass(frozen=True)
-class Answer:
+class LinkAnswer:
     """Answer of the two top links to the torque of one motor.
 
     Attributes:
@@ -73,7 +73,7 @@ class Answer:
         return ""
 
 
-def answer_of(ticks: TickTable, motor: int) -> Answer:
+def answer_of(ticks: TickTable, motor: int) -> LinkAnswer:
     """Measures the answer in the last part of the trial, in which the amplitude of the torque is constant.
 
     The angle of each link and the torque are fitted by a cubic polynomial of time, for all slow motion, plus a sine and
@@ -95,7 +95,7 @@ def answer_of(ticks: TickTable, motor: int) -> Answer:
     torque, own, other = (_oscillation(time[chosen], signal) for signal in signals)
     lag = (atan2(*torque[::-1]) - atan2(*own[::-1])) % tau
     speed = np.nan_to_num(ticks["joint_speed"])
-    return Answer(
+    return LinkAnswer(
         motor, hypot(*torque), hypot(*own), lag, hypot(*other), float(np.abs(applied).max()), float(speed.max())
     )
 
