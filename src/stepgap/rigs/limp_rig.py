@@ -63,6 +63,11 @@ class LimpRig(Rig):
         """Those of the rig."""
         return self._rig.diagnostics
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Those of the rig."""
+        return self._rig.remarks
+
     def connect(self) -> None:
         """Connects the rig."""
         self._rig.connect()

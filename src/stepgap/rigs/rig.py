@@ -70,6 +70,10 @@ class RigFault(StepGapError):
     """Error of a rig that has stopped: torque is off and remains off."""
 
 
+class MissingObject(RigFault):
+    """Error of a device that lacks an object."""
+
+
 class DoubtfulSensor(RigFault):
     """Fault of a rig that has stopped because of a sensor whose values are doubtful."""
 
@@ -98,6 +102,11 @@ class Rig(ABC):
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """What the drives reported with the last reading, for logs only, as `diagnostic_units` describes it."""
+        return ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a person should know about the connected rig, although it is no fault; one line each."""
         return ()
 
     @property

@@ -81,6 +81,7 @@ class Check:
         fault: Why the measurement was aborted; empty if it was not.
         watchdog: When the motors gave up their torque without messages; None if it was not measured.
         watchdog_fault: Why the watchdog is not proven; empty if it is, or if it was not measured.
+        remarks: What a person should know about the rig, although it is no fault.
     """
 
     tick: float
@@ -92,6 +93,7 @@ class Check:
     fault: str
     watchdog: WatchdogTimes | None = None
     watchdog_fault: str = ""
+    remarks: tuple[str, ...] = ()
 
     def failures(self) -> list[str]:
         """Describes what is not within the limits; empty if the check is passed."""
@@ -183,11 +185,11 @@ def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
     for _ in range(_WATCHDOG_ATTEMPTS):
         try:
             with make_rig() as rig:
-                found = rig.watchdog_times()
+                remarks, found = rig.remarks, rig.watchdog_times()
         except RigFault as fault:
             return replace(check, watchdog_fault=str(fault))
         if found and (best.watchdog is None or _longest_time(found) < _longest_time(best.watchdog)):
-            best = replace(check, watchdog=found)
+            best = replace(check, watchdog=found, remarks=remarks)
         if not _slow_watchdogs(found):
             break
     return best
@@ -221,6 +223,7 @@ def describe(check: Check, bus: bool) -> str:
         "frames lost": f"  {check.lost_frames if bus else 'no bus was measured'}",
         "the kernel refused": f"  {check.refused or 'nothing'}",
         "watchdog": f"  {_describe_watchdog(check)}",
+        "remarks": f"  {'; '.join(check.remarks) or 'none'}",
         "rule": f"  {rule}",
         "result": "  passed" if not failures else f"  not passed: {'; '.join(failures)}",
     }

@@ -11,7 +11,7 @@ from typing import Any
 
 from stepgap.rigs.ethercat.pdo import Packing, Pdo
 from stepgap.rigs.ethercat.rig_settings import BusSettings
-from stepgap.rigs.rig import RigFault
+from stepgap.rigs.rig import MissingObject, RigFault
 
 _ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13
 """Objects that hold the PDOs of sync managers 2 and 3."""
@@ -26,6 +26,9 @@ SEARCH_TIME = 1.0
 """Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may be late."""
 
 WATCHDOG_ATTEMPTS = 5
+
+_NO_OBJECT = 0x06020000
+"""Abort code of an SDO transfer: there is no such object."""
 
 _NO_ANSWER = 0
 """State of a slave whose answer was lost."""
@@ -126,21 +129,22 @@ class Bus:
         """Inputs of a slave from the last good frame."""
         return self._inputs[number].unpack(self._master.slaves[number].input)
 
-    def read_object(self, number: int, index: int, layout: Struct) -> int:
+    def read_object(self, number: int, index: int, layout: Struct, subindex: int = 0) -> int:
         """Reads an object of a slave by SDO; too slow for a tick.
 
         Raises:
+            MissingObject: The slave lacks it.
             RigFault: The slave refuses.
         """
-        return self._read(number, index, 0, layout)
+        return self._read(number, index, subindex, layout)
 
-    def write_object(self, number: int, index: int, layout: Struct, value: int) -> None:
+    def write_object(self, number: int, index: int, layout: Struct, value: float, subindex: int = 0) -> None:
         """Writes an object of a slave by SDO; too slow for a tick.
 
         Raises:
             RigFault: The slave refuses.
         """
-        self._write(number, index, 0, layout, value)
+        self._write(number, index, subindex, layout, value)
 
     def in_operation(self) -> bool | None:
         """Whether every slave reports OP, None if not all of them answer; costs one more frame.
@@ -314,7 +318,7 @@ class Bus:
             raise RigFault(f"{self.label(number)}: {name} must have {layout.size} bytes, not {len(data)}")
         return layout.unpack(data)[0]
 
-    def _write(self, number: int, index: int, subindex: int, layout: Struct, value: int) -> None:
+    def _write(self, number: int, index: int, subindex: int, layout: Struct, value: float) -> None:
         data = layout.pack(value)
         self._transfer(number, index, subindex, lambda device: device.sdo_write(index, subindex, data))
 
@@ -324,9 +328,10 @@ class Bus:
             return transfer(self._master.slaves[number])
         except soem.SdoError as error:
             reason = f"0x{error.abort_code:08X} {error.desc}"
+            kind = MissingObject if error.abort_code == _NO_OBJECT else RigFault
         except (soem.MailboxError, soem.PacketError, soem.WkcError) as error:
-            reason = f"no answer ({type(error).__name__})"
-        raise RigFault(f"{self.label(number)}: object 0x{index:04X}:{subindex:02X} is refused: {reason}")
+            reason, kind = f"no answer ({type(error).__name__})", RigFault
+        raise kind(f"{self.label(number)}: object 0x{index:04X}:{subindex:02X} is refused: {reason}")
 
     def _block(self, blocking: bool) -> None:
         """Sets whether reading the sockets waits in the kernel."""

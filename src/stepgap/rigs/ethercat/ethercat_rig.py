@@ -17,8 +17,10 @@ from stepgap.rigs.ethercat.cia402 import (
     state_of,
 )
 from stepgap.rigs.ethercat.pdo import Packing
+from stepgap.rigs.ethercat.reactions import secure_reactions
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
 from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
+from stepgap.rigs.ethercat.startup import StartupObject, write_startup
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
     HEALTHY,
@@ -34,7 +36,8 @@ from stepgap.rigs.rig import (
 )
 
 _ERROR_CODE, _STATUSWORD, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6041, 0x6072, 0x6076
-_U16, _U32 = Struct("<H"), Struct("<I")
+_MODE, _MODE_DISPLAY = 0x6060, 0x6061
+_U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
 
 DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
 """Inputs of a drive that are logged, with their units."""
@@ -84,8 +87,13 @@ class EthercatRig(Rig):
             for value, unit in DIAGNOSTICS.items()
             if value in Packing(settings.pdo_set(settings.slaves[settings.position(device.slave)]).inputs).names
         ]
+        self._values = {
+            drive: {*Packing(pdos.outputs).names, *Packing(pdos.inputs).names}
+            for drive in self._drives
+            for pdos in [settings.pdo_set(settings.slaves[drive])]
+        }
         self._diagnostics = (nan,) * len(self._diagnosed)
-        self._connected, self._fault = False, ""
+        self._connected, self._fault, self._remarks = False, "", list[str]()
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
         self._reading = settings.reading((0.0,) * len(self._sensors))
 
@@ -114,6 +122,11 @@ class EthercatRig(Rig):
         """Those values in the last good frame."""
         return self._diagnostics
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Objects of the drives that could not be set."""
+        return tuple(self._remarks)
+
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.
 
@@ -123,11 +136,12 @@ class EthercatRig(Rig):
         if self._fault:
             raise RigFault(f"the rig had a fault: {self._fault}; remove its cause, then start again")
         self.close()
-        self._bus.connect(self._check_drives)
+        self._bus.connect(self._prepare)
         self._connected = True
         try:
             self._transition(Wanted.RESET, lambda states: State.FAULT not in states)
             self._transition(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
+            self._check_modes()
             self._update_reading()
         except BaseException:
             self.close()
@@ -205,6 +219,27 @@ class EthercatRig(Rig):
             self._voltage_off()
         self._bus.close()
 
+    def _prepare(self) -> None:
+        """Writes the objects that the settings demand, and prepares the drives, in PREOP."""
+        for number, slave in enumerate(self._settings.slaves):
+            for wanted in slave.startup_objects:
+                write_startup(self._bus, number, wanted)
+        self._remarks = []
+        for drive, motor in zip(self._drives, self._motors, strict=True):
+            if not motor.keep_reactions:
+                self._remarks += secure_reactions(self._bus, drive)
+            if "mode" not in self._values[drive]:
+                write_startup(self._bus, drive, StartupObject(_MODE, 0, "INT8", CYCLIC_TORQUE))
+        self._check_drives()
+
+    def _check_modes(self) -> None:
+        """Ensures that enabled drives which do not report their mode in each frame are in that of torque."""
+        for drive in self._drives:
+            if "mode_display" not in self._values[drive]:
+                mode = self._bus.read_object(drive, _MODE_DISPLAY, _I8)
+                if mode != CYCLIC_TORQUE:
+                    raise RigFault(f"{self._bus.label(drive)} is in mode {mode} (0x6061), not in {CYCLIC_TORQUE}")
+
     def _check_drives(self) -> None:
         """Compares the drives' rated torques with the settings and sets the drives' torque limits."""
         for drive, motor in zip(self._drives, self._motors, strict=True):
@@ -239,7 +274,8 @@ class EthercatRig(Rig):
         inputs = {drive: self._bus.inputs(drive) for drive in self._drives}
         self._diagnostics = tuple([float(inputs[drive][name]) for _, name, _, drive in self._diagnosed])
         for drive, values in inputs.items():
-            if state_of(values["statusword"]) != State.ENABLED or values["mode_display"] != CYCLIC_TORQUE:
+            mode = values.get("mode_display", CYCLIC_TORQUE)
+            if state_of(values["statusword"]) != State.ENABLED or mode != CYCLIC_TORQUE:
                 fault = self._trip(f"{self._bus.label(drive)} no longer accepts torque commands")
                 raise RigFault(f"{fault}: {self._drive_report()}")
         self._reading = self._settings.reading([sensor.value(self._bus) for sensor in self._sensors])
@@ -290,7 +326,8 @@ class EthercatRig(Rig):
     def _report_of(self, drive: int) -> str:
         values = self._bus.inputs(drive)
         state = state_of(values["statusword"]).value
-        text = f"{self._bus.label(drive)} is in state {state}, mode {values['mode_display']}"
+        mode = f", mode {values['mode_display']}" if "mode_display" in values else ""
+        text = f"{self._bus.label(drive)} is in state {state}{mode}"
         try:
             error = self._bus.read_object(drive, _ERROR_CODE, _U16)
         except RigFault:  # for example a drive without power; this must not hide the first fault

@@ -8,6 +8,7 @@ from math import floor, isfinite
 
 from stepgap.base.ranges import format_value, require
 from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
+from stepgap.rigs.ethercat.startup import StartupObject, require_objects
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import Reading
 
@@ -72,17 +73,26 @@ class Slave:
         vendor: Vendor ID.
         product: Product code.
         pdos: Name of its set of PDOs.
+        startup: Objects that are written and read back before it exchanges process data, in this order, each as
+            `StartupObject.parse` reads it.
     """
 
     name: str
     vendor: int
     product: int
     pdos: str = "none"
+    startup: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a string of one line")
         for name in ("vendor", "product"):
             require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
+        require_objects("startup", self.startup)
+
+    @property
+    def startup_objects(self) -> tuple[StartupObject, ...]:
+        """Those objects."""
+        return tuple(map(StartupObject.parse, self.startup))
 
 
 def _check_bits(bits: int) -> None:
@@ -126,12 +136,15 @@ class Motor(Encoder):
         gear: Turns of motor and encoder per turn of the top link.
         velocity_unit: Counts per second of one unit of the drive's velocity (0x606C), which is compared with the
             position; 0 if the drive does not send one, or in another way.
+        keep_reactions: Leave the drive's option codes (0x6007, 0x605A to 0x605E) as they are, instead of setting them
+            so that torque goes off; for a drive that refuses this, after reading its manual.
     """
 
     rated_torque: float
     torque_limit: float
     gear: float = 1.0
     velocity_unit: float = 1.0
+    keep_reactions: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -188,8 +201,9 @@ class ForceSensor:
 RigDevice = Motor | Encoder | ForceSensor
 """A device that a table of `rig.toml` describes: each gives one number of a reading, and a motor takes a torque."""
 
-MOTOR_OUTPUTS = {"target_torque", "controlword", "mode"}
-MOTOR_INPUTS = {"position", "statusword", "mode_display"}
+MOTOR_OUTPUTS = {"target_torque", "controlword"}
+MOTOR_INPUTS = {"position", "statusword"}
+"""What a motor's PDOs must have; its mode of operation is written and read by SDO unless they have it, too."""
 
 
 @dataclass(frozen=True, kw_only=True)

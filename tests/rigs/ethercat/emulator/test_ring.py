@@ -98,7 +98,7 @@ def test_sdo_download_normal():
         (0x2F, 0x6060, 0, 8, 0x06090030),  # a mode that is not there
         (0x2B, 0x1C12, 1, 0x1602, 0x06010003),  # still assigned
         (0x00, 0x1018, 0, 0, 0x05040001),  # a segment of nothing
-        (0x50, 0x1018, 0, 0, 0x05040001),  # complete access
+        (0x50, 0x1018, 0, 0, 0x06010000),  # complete access
     ],
 )
 def test_sdo_refusals(command, index, subindex, data, code):

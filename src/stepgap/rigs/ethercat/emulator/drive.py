@@ -14,7 +14,8 @@ ERROR_REGISTER, _ERROR_CODE = 0x1001, 0x603F
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
 POSITION, VELOCITY = 0x6064, 0x606C
 TARGET_TORQUE, _LARGEST_TORQUE, _RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
-SUPPORTED_MODES = 0x6502
+SUPPORTED_MODES, ABORT_CONNECTION = 0x6502, 0x6007
+OPTION_CODES = (0x605A, 0x605B, 0x605C, 0x605E)
 """Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register)."""
 
 CYCLIC_SYNCHRONOUS_TORQUE = 10
@@ -79,12 +80,17 @@ class DriveSettings:
         rated_torque: Torque of the value 1000 of a torque object [mN·m].
         largest_torque: Limit of the drive, in 1/1000 of `rated_torque`; the master may change it by SDO.
         period: Time of a tick [s].
+        abort_connection: What it does when frames end, after power-up: 0 nothing, 1 fault, 2 or 3 torque off
+            (CiA 402-2, object 0x6007).
+        ramps: Value of its other option codes after power-up: 0 torque off, 1 and 2 ramps (0x605A to 0x605E).
     """
 
     identity: Identity = ELMO_GOLD
     rated_torque: int = 16_000
     largest_torque: int = 2500
     period: float = 1e-3
+    abort_connection: int = 1
+    ramps: int = 1
 
 
 OUTPUT_PDOS = {
@@ -129,7 +135,11 @@ class Drive(EmulatedDevice):
         self._position, self._velocity = ObjectEntry(0, 32, True), ObjectEntry(0, 32, True)
         self._largest = ObjectEntry(settings.largest_torque, 16, writable=True)
         self._error, self._register = ObjectEntry(0, 16), ObjectEntry(0, 8)
+        self._abort = ObjectEntry(settings.abort_connection, 16, True, True)
+        options = {index: ObjectEntry(settings.ramps, 16, True, True) for index in OPTION_CODES}
         entries = {
+            ABORT_CONNECTION: self._abort,
+            **options,
             CONTROLWORD: self._control,
             STATUSWORD: self._status,
             MODE: self._mode,
@@ -167,7 +177,7 @@ class Drive(EmulatedDevice):
             self.state = next_drive_state(self.state, self._control.value, self._before)
             self._before = self._control.value
         elif self.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP):
-            self.trip(COMMUNICATION_LOST)
+            self._lose_connection()
         elif self.state is not DriveState.FAULT:
             self.state = DriveState.SWITCH_ON_DISABLED
         if self.state is not DriveState.FAULT and self._error.value:
@@ -176,6 +186,13 @@ class Drive(EmulatedDevice):
         if self._mode.value in (0, CYCLIC_SYNCHRONOUS_TORQUE):
             self._mode_display.value = self._mode.value
         self._act()
+
+    def _lose_connection(self) -> None:
+        """Acts as the option code 0x6007 demands, after which a drive may go on with its last torque."""
+        if self._abort.value == 1:
+            self.trip(COMMUNICATION_LOST)
+        elif self._abort.value in (2, 3):
+            self.state = DriveState.SWITCH_ON_DISABLED
 
     def trip(self, code: int) -> None:
         """Enters the fault state: torque off, emergency sent, latched until reset; the first fault is kept."""
@@ -203,6 +220,8 @@ class Drive(EmulatedDevice):
 
 
 def _check(index: int, value: int) -> None:
-    """Refuses modes other than cyclic synchronous torque and 0, which is no mode."""
+    """Refuses modes other than cyclic synchronous torque and 0, which is no mode, and unknown option codes."""
+    if index in (ABORT_CONNECTION, *OPTION_CODES) and not 0 <= value <= 3:
+        raise Abort(Abort.VALUE_RANGE)
     if index == MODE and value not in (0, CYCLIC_SYNCHRONOUS_TORQUE):
         raise Abort(Abort.VALUE_RANGE)

@@ -7,7 +7,7 @@ from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary
 MAILBOX_ERROR, COE = 0, 3
 """Mailbox types (ETG.1000.4, mailbox header)."""
 
-EMERGENCY, SDO_REQUEST, SDO_RESPONSE = 1, 2, 3
+EMERGENCY, SDO_REQUEST, SDO_RESPONSE, SDO_INFORMATION = 1, 2, 3, 8
 """CoE services (ETG.1000.6, CoE header). An abort is a request, also from a slave."""
 
 UPLOAD, DOWNLOAD = 0x40, 0x20
@@ -15,11 +15,15 @@ ABORT = 0x80
 COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
 """Command and flags in the SDO command byte (ETG.1000.6, SDO services)."""
 
+INFORMATION_ERROR = 7
+"""Operation code of the answer that refuses a request for information on objects (ETG.1000.6, SDO information)."""
+
 UNSUPPORTED_PROTOCOL = 0x0002
 """Detail of a mailbox error: this mailbox type is not supported."""
 
 _HEADER = Struct("<HHBB")
 _SDO = Struct("<HBHB")
+_INFORMATION_ERROR = Struct("<HBBHI")
 
 
 def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) -> bytes:
@@ -39,9 +43,15 @@ def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) 
         data = request[_HEADER.size + _SDO.size : _HEADER.size + length]
     except error:
         return _message(MAILBOX_ERROR, pack("<HH", 1, UNSUPPORTED_PROTOCOL))
+    if coe >> 12 == SDO_INFORMATION:
+        return _message(
+            COE, _INFORMATION_ERROR.pack(SDO_INFORMATION << 12, INFORMATION_ERROR, 0, 0, Abort.UNKNOWN_COMMAND)
+        )
     try:
-        if coe >> 12 != SDO_REQUEST or command & COMPLETE:
+        if coe >> 12 != SDO_REQUEST:
             raise Abort(Abort.UNKNOWN_COMMAND)
+        if command & COMPLETE and command & COMMAND_MASK in (UPLOAD, DOWNLOAD):
+            raise Abort(Abort.UNSUPPORTED_ACCESS)
         if command & COMMAND_MASK == UPLOAD:
             return _sdo(SDO_RESPONSE, index, subindex, *_uploaded(dictionary.read(index, subindex), room))
         if command & COMMAND_MASK == DOWNLOAD:
