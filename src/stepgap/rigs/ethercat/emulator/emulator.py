@@ -48,7 +48,7 @@ def run_emulator(
         NoNetwork: The interface cannot be created; the message contains the remedy.
         ValueError: The settings do not fit.
     """
-    ring = Ring(machine, settings)
+    ring = Ring(machine, settings, now=None if settings.lock_step else monotonic_ns)
     _request_realtime()
     names = ", ".join(slave.device.name for slave in ring.slaves)
     with terminated_as_interrupted(), suppress(KeyboardInterrupt), wire(interface) as raw:
