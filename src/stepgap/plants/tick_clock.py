@@ -20,3 +20,7 @@ class TickClock:
         self.time = self.due + late
         self.due = (self.time if late > self._interval else self.due) + self._interval
         return self.time
+
+    def shift(self, by: float) -> None:
+        """Shifts the next tick and all later ones [s]."""
+        self.due += by

@@ -63,6 +63,10 @@ class LimpRig(Rig):
         """Those of the rig."""
         return self._rig.diagnostics
 
+    def clock_correction(self) -> float:
+        """That of the rig."""
+        return self._rig.clock_correction()
+
     def connect(self) -> None:
         """Connects the rig."""
         self._rig.connect()

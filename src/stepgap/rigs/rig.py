@@ -100,6 +100,14 @@ class Rig(ABC):
         """What the drives reported with the last reading, for logs only, as `diagnostic_units` describes it."""
         return ()
 
+    def clock_correction(self) -> float:
+        """Time by which the next tick and all later ones shall begin later, called once before each tick [s].
+
+        A rig whose devices have a clock of their own steers the ticks to that clock. Before the first tick it may
+        return the time from now on.
+        """
+        return 0.0
+
     @property
     def truth(self) -> tuple[float, ...]:
         """State of the robot as it truly was at the end of the last step; empty where it is unknown, as on hardware.

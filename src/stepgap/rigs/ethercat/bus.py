@@ -6,9 +6,11 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from struct import Struct
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any
 
+from stepgap.rigs.ethercat.clock_start import start_clocks, synchronise
+from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime, Steering
 from stepgap.rigs.ethercat.pdo import Packing, Pdo
 from stepgap.rigs.ethercat.rig_settings import BusSettings
 from stepgap.rigs.rig import RigFault
@@ -40,10 +42,13 @@ class Bus:
 
     Args:
         settings: The expected bus.
+        host: The computer's clock.
     """
 
-    def __init__(self, settings: BusSettings):
+    def __init__(self, settings: BusSettings, host: HostTime = COMPUTER):
         self._settings = settings
+        self.steering = Steering(settings.cycle, settings.dc, host) if settings.uses_clocks else None
+        """Steers the frames to the reference clock; None without distributed clocks."""
         self._master: Any = None
         sets = [settings.pdo_set(slave) for slave in settings.slaves]
         self._outputs = [Packing(pdos.outputs) for pdos in sets]
@@ -98,6 +103,7 @@ class Bus:
         for number in range(len(self._settings.slaves)):
             self._configure(number)
         prepare()
+        start_clocks(master, self._settings, self.label)
         self._start(master)
 
     def _search(self, master: Any) -> int:
@@ -116,11 +122,23 @@ class Bus:
 
     def send(self) -> None:
         """Sends the frame with all outputs."""
+        if self.steering:
+            self.steering.sent()
         self._master.send_processdata()
 
     def receive(self) -> bool:
         """Waits for the frame; returns whether it came back in time and every slave processed it."""
-        return self._master.receive_processdata(self._timeout) == self._master.expected_wkc
+        good = self._master.receive_processdata(self._timeout) == self._master.expected_wkc
+        if good and self.steering:
+            self.steering.returned(self._master.dc_time)
+        return good
+
+    def wait(self) -> None:
+        """Waits for the time of the next frame, outside of a control loop."""
+        if self.steering:
+            self.steering.wait()
+        else:
+            sleep(self._settings.tick)
 
     def inputs(self, number: int) -> dict[str, int]:
         """Inputs of a slave from the last good frame."""
@@ -276,11 +294,14 @@ class Bus:
             device.output = bytes(wanted[0])
         if master.state_check(soem.SAFEOP_STATE, round(STATE_TIMEOUT * 1e6)) != soem.SAFEOP_STATE:
             raise RigFault(f"a slave refuses SAFEOP: {self._states(soem.SAFEOP_STATE)}")
+        if self.steering:
+            synchronise(master, self._settings, self.label, self.steering, self._exchange)
         master.state = soem.OP_STATE
         self._exchange()
         master.write_state()
         until = monotonic() + STATE_TIMEOUT
-        while master.state_check(soem.OP_STATE, 1000) != soem.OP_STATE:
+        while not self.in_operation():
+            self.wait()
             self._exchange()
             if monotonic() > until:
                 raise RigFault(f"a slave refuses OP: {self._states(soem.OP_STATE)}")

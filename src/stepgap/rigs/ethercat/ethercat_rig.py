@@ -16,6 +16,7 @@ from stepgap.rigs.ethercat.cia402 import (
     next_controlword,
     state_of,
 )
+from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
 from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
@@ -38,6 +39,9 @@ _U16, _U32 = Struct("<H"), Struct("<I")
 
 DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
 """Inputs of a drive that are logged, with their units."""
+
+CLOCK_DIAGNOSTICS = {"clock_offset": "s", "clock_correction": "s"}
+"""Values of the synchronisation with the reference clock that are logged, with their units."""
 
 STATES_EVERY = 50
 """Number of good frames between two checks of the slaves' states."""
@@ -67,10 +71,11 @@ class EthercatRig(Rig):
     Args:
         settings: The robot's bus, with its limit of lost frames.
         sensor_model: Timing of the sensors and conversion of their counts.
+        host: The computer's clock, by which frames follow the reference clock of the bus.
     """
 
-    def __init__(self, settings: BusSettings, sensor_model: SensorModel):
-        self._settings, self._bus, self._sensor_model = settings, Bus(settings), sensor_model
+    def __init__(self, settings: BusSettings, sensor_model: SensorModel, host: HostTime = COMPUTER):
+        self._settings, self._bus, self._sensor_model = settings, Bus(settings, host), sensor_model
         self._motors = settings.motors
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
         self._sensors = tuple(
@@ -106,13 +111,22 @@ class EthercatRig(Rig):
 
     @property
     def diagnostic_units(self) -> Mapping[str, str]:
-        """Status word of every drive, and its velocity and torque if it sends them, in its own units."""
-        return {f"{motor}_{name}": unit for motor, name, unit, _ in self._diagnosed}
+        """Status word of every drive, and its velocity and torque if it sends them, in its own units.
+
+        With distributed clocks also how much too late the frame passed the reference clock, and the last correction.
+        """
+        drives = {f"{motor}_{name}": unit for motor, name, unit, _ in self._diagnosed}
+        return {**drives, **(CLOCK_DIAGNOSTICS if self._bus.steering else {})}
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """Those values in the last good frame."""
-        return self._diagnostics
+        steering = self._bus.steering
+        return (*self._diagnostics, steering.offset, steering.shift) if steering else self._diagnostics
+
+    def clock_correction(self) -> float:
+        """Time by which the ticks shall be later, so that frames follow the reference clock [s]; 0 without clocks."""
+        return self._bus.steering.correction() if self._bus.steering else 0.0
 
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.
@@ -133,6 +147,8 @@ class EthercatRig(Rig):
             self.close()
             raise
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
+        if self._bus.steering:
+            self._bus.steering.restart()
 
     def read(self) -> Reading:
         """Reads counts and force of the last frame, or of an earlier one if no more frames than allowed are lost.
@@ -148,6 +164,8 @@ class EthercatRig(Rig):
             self._lost = 0
             self._update_reading()
             self._check_al_states()
+            if self._bus.steering and (late := self._bus.steering.fault):
+                raise self._trip(late)
         else:
             self._lost += 1
             if self._lost > self._settings.budgets.lost_frames:
@@ -232,7 +250,7 @@ class EthercatRig(Rig):
                     raise RigFault(f"the drives cannot be {wanted.name.lower()}: {self._drive_report()}")
             elif monotonic() > until:
                 raise RigFault(f"no frame comes back: {self._bus.state_report()}")
-            sleep(self._settings.tick)
+            self._bus.wait()
 
     def _update_reading(self) -> None:
         """Updates the reading from a good frame; a drive that takes no torque or a doubtful sensor is a fault."""

@@ -136,6 +136,10 @@ class RingRig(Rig):
         """Whether the last frame was lost."""
         return self._rig.health
 
+    def clock_correction(self) -> float:
+        """That of the master."""
+        return self._rig.clock_correction()
+
     def connect(self) -> None:
         """Starts the ring with its machine in the starting pose, and brings the bus up like a real one.
 

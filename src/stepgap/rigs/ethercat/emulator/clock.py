@@ -1,8 +1,11 @@
 """Distributed clocks of a slave controller (ETG.1000.4 §6.8): its clock, drift compensation, and SYNC0."""
 
-from dataclasses import dataclass
+from ctypes import c_longlong
+from dataclasses import dataclass, field
 from math import cos, sin, tau
+from multiprocessing import RawValue
 from struct import pack_into, unpack_from
+from typing import Any
 
 from stepgap.rigs.ethercat.emulator import registers as reg
 
@@ -44,6 +47,21 @@ class ClockError:
 
 
 NO_ERROR = ClockError()
+
+
+@dataclass(frozen=True)
+class ComputedTime:
+    """A time that one process sets and the ring's process reads, in place of a clock."""
+
+    memory: Any = field(default_factory=lambda: RawValue(c_longlong, 0))
+
+    def __call__(self) -> int:
+        """Returns the time [ns]."""
+        return self.memory.value
+
+    def set(self, time: int) -> None:
+        """Sets the time [ns]."""
+        self.memory.value = time
 
 
 class RingTime:
