@@ -72,7 +72,7 @@ def emulated(
         interface: Name of the end that the master opens.
         make_machine: Creates the machine that the drives move, in that process; it must be possible to pickle it.
         settings: Settings of the ring.
-        now: Time of the slaves' clocks as for `run_emulator`, such as a `ComputedTime`; it must be possible to pickle it.
+        now: Time of the slaves' clocks as for `run_emulator`, such as a `ComputedTime`; must be picklable.
 
     Raises:
         NoNetwork: The ring cannot be started; the message contains the remedy.
