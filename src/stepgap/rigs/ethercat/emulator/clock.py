@@ -3,7 +3,7 @@
 from ctypes import c_longlong
 from dataclasses import dataclass, field
 from math import cos, sin, tau
-from multiprocessing import RawValue
+from multiprocessing import RawArray
 from struct import pack_into, unpack_from
 from typing import Any
 
@@ -51,17 +51,27 @@ NO_ERROR = ClockError()
 
 @dataclass(frozen=True)
 class ComputedTime:
-    """A time that one process sets and the ring's process reads, in place of a clock."""
+    """A time that one process sets and the ring's process reads, in place of a clock.
 
-    memory: Any = field(default_factory=lambda: RawValue(c_longlong, 0))
+    Whoever sends a frame must not change the time before the ring has read it.
+    """
+
+    memory: Any = field(default_factory=lambda: RawArray(c_longlong, 2))
 
     def __call__(self) -> int:
-        """Returns the time [ns]."""
-        return self.memory.value
+        """Returns the time [ns], and counts the call."""
+        time = self.memory[0]
+        self.memory[1] += 1
+        return time
+
+    @property
+    def reads(self) -> int:
+        """Number of frames at which the ring has read the time."""
+        return self.memory[1]
 
     def set(self, time: int) -> None:
         """Sets the time [ns]."""
-        self.memory.value = time
+        self.memory[0] = time
 
 
 class RingTime:

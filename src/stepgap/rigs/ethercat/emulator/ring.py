@@ -89,6 +89,7 @@ class Ring:
             frame = decode(raw)
         except FrameError:
             return []
+        self._time.now = self._now()
         if not any(datagram.command in _OUTPUTS for datagram in frame.datagrams):
             return self._answers(frame)
         return self._pass_cycle(frame)
@@ -138,7 +139,6 @@ class Ring:
         """The frame after it has passed all connected slaves; nothing if the first one is not connected."""
         if self._reached == 0:
             return []
-        self._time.now = self._now()
         if any(datagram.command == Command.BWR and _requests_init(datagram) for datagram in frame.datagrams):
             self._start()
         datagrams = tuple(self._pass(datagram) for datagram in frame.datagrams)
