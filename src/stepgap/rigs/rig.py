@@ -15,6 +15,10 @@ Torques = tuple[float, ...]
 """One torque per motor [N·m], in an order that the robot defines."""
 
 
+CLOCK_OFFSET = "clock_offset"
+"""Diagnostic of a rig whose devices have a clock of their own: how late the last message was on that clock [s]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SensorModel:
     """Timing of a rig's sensors; each robot adds the conversion of their counts.

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from time import sleep
 
 import numpy as np
@@ -75,11 +74,10 @@ def drifting_clocks(rng: np.random.Generator) -> tuple[ClockError, ...]:
     return tuple(ClockError(rate, rng.uniform(5, 20), rng.uniform(30, 120)) for rate in rates)
 
 
-def settings_with_sync0(interface: str, ring: RingSettings) -> RigSettings:
+def settings_with_sync0(interface: str) -> RigSettings:
     """Settings of a ring in which SYNC0 is activated for both drives."""
-    settings = emulated_settings(still_hopper(TICK).sensor_model, RobotParameters(), ring, interface)
-    slaves = (replace(slave, assign_activate=0x300 * (slave.name in DRIVES)) for slave in settings.slaves)
-    return replace(settings, slaves=tuple(slaves))
+    ring = RingSettings(clocks=RingClocks(need_sync0=DRIVES))
+    return emulated_settings(still_hopper(TICK).sensor_model, RobotParameters(), ring, interface)
 
 
 class TimedRig:
@@ -125,7 +123,7 @@ def timed_rig(
     """A connected rig whose drives need SYNC0."""
     ring = RingSettings(clocks=RingClocks(clocks, HOP, DRIVES), faults=faults)
     time = SimulatedTime()
-    found = settings or settings_with_sync0(interface, ring)
+    found = settings or settings_with_sync0(interface)
     with emulated(interface, StillMachine, ring, time.ring_time):
         rig = EthercatRig(found, hopper_on_ethercat(found, RobotParameters()).sensor_model, time.host)
         with rig:

@@ -12,7 +12,6 @@ from stepgap.rigs.ethercat import bus
 from stepgap.rigs.ethercat.distributed_clocks import DcSettings, HostTime, Steering, offset_from_grid
 from stepgap.rigs.ethercat.emulator.faults import Fault, LostFrames
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
-from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.rig import RigFault
 from tests.rigs.ethercat.computed_time import TICK, TimedRig, drifting_clocks, settings_with_sync0, timed_rig
 
@@ -110,7 +109,7 @@ def test_drives_stay_in_operation_while_all_clocks_drift() -> None:
 @on_the_ring
 def test_op_is_refused_without_sync0(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus, "STATE_TIMEOUT", 0.3)
-    settings = settings_with_sync0(INTERFACE, RingSettings())
+    settings = settings_with_sync0(INTERFACE)
     without = replace(settings, slaves=tuple(replace(slave, assign_activate=0) for slave in settings.slaves))
     one = replace(settings, slaves=(settings.slaves[0], *without.slaves[1:]))
     for wrong, first in ((without, 1), (one, 2)):
@@ -143,7 +142,7 @@ def test_drives_fault_when_frames_do_not_follow_their_clock() -> None:
     ids=["three lost", "five lost"],
 )
 def test_a_drive_tolerates_a_few_missed_windows(fault: Fault, survives: bool) -> None:
-    settings = replace(settings_with_sync0(INTERFACE, RingSettings()), reply_timeout=0.1)
+    settings = replace(settings_with_sync0(INTERFACE), reply_timeout=0.1)
     with timed_rig(INTERFACE, drifting_clocks(np.random.default_rng(2)), (fault,), settings) as timed:
         message = ""
         try:

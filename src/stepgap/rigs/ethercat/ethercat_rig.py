@@ -22,6 +22,7 @@ from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor
 from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
+    CLOCK_OFFSET,
     HEALTHY,
     LOST,
     DoubtfulSensor,
@@ -40,7 +41,7 @@ _U16, _U32 = Struct("<H"), Struct("<I")
 DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
 """Inputs of a drive that are logged, with their units."""
 
-CLOCK_DIAGNOSTICS = {"clock_offset": "s", "clock_correction": "s"}
+CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s"}
 """Values of the synchronisation with the reference clock that are logged, with their units."""
 
 STATES_EVERY = 50

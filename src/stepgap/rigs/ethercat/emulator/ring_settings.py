@@ -51,3 +51,10 @@ class RingSettings:
     inputs_after_tick: bool = False
     clocks: RingClocks = RingClocks()
     faults: tuple[Fault, ...] = ()
+
+
+DRIFTING_CLOCKS = RingClocks(
+    errors=tuple(ClockError(rate, 15.0, 90.0 + 10 * number) for number, rate in enumerate((80, -80, 30, -50, 60, 0))),
+    need_sync0=("drive_1", "drive_2"),
+)
+"""Clocks of the hopper's ring that differ by up to ±95 ppm, with drives that need SYNC0."""
