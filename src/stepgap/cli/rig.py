@@ -234,7 +234,7 @@ def emulate(
         surplus: Not allowed; a command is written after --.
         interface: Name of the network interface that a master opens.
         lock_step: Advance time by one tick with every frame. [default: time follows the clock]
-        dc: Let the drives need distributed clocks, whose rates differ; not with --lock-step, where a master has no time.
+        dc: Let the drives need distributed clocks, whose rates differ; not with --lock-step.
         hold: Time for which the twin is held in the air after its drives have been enabled [s].
         settings: File for the rig.toml of this bus.
     """

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from time import monotonic_ns
 
 from stepgap.base.signals import LOST_TERMINAL, terminated_as_interrupted
-from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
+from stepgap.rigs.ethercat.emulator.arrival import ArrivalTimes
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.ethercat.emulator.ring import Ring
@@ -50,13 +50,15 @@ def run_emulator(
         NoNetwork: The interface cannot be created; the message contains the remedy.
         ValueError: The settings do not fit.
     """
-    ring = Ring(machine, settings, now=now or (None if settings.lock_step else monotonic_ns))
+    arrivals = ArrivalTimes()
+    ring = Ring(machine, settings, now=now or (None if settings.lock_step else arrivals))
     _request_realtime()
     names = ", ".join(slave.device.name for slave in ring.slaves)
     with terminated_as_interrupted(), suppress(KeyboardInterrupt), wire(interface) as raw:
         report(f"EtherCAT ring on {interface}: {names}")
         period = None if settings.lock_step else round(machine.period * 1e9)
-        _serve(ring, raw, stop, period)
+        arrivals.enable(raw)
+        _serve(ring, raw, arrivals, stop, period)
 
 
 @contextmanager
@@ -119,7 +121,7 @@ def _run_in_process(
         parent.send(str(reason))
 
 
-def _serve(ring: Ring, raw: socket.socket, stop: Connection | None, period: int | None) -> None:
+def _serve(ring: Ring, raw: socket.socket, arrivals: ArrivalTimes, stop: Connection | None, period: int | None) -> None:
     """Answers frames until `stop` is readable; `period` of a tick on the wall clock [ns], None in lock-step."""
     raw.setblocking(False)
     poll = select.poll()
@@ -135,7 +137,7 @@ def _serve(ring: Ring, raw: socket.socket, stop: Connection | None, period: int 
         for descriptor, _ in ready:
             if descriptor != raw.fileno():
                 return
-            for answer in ring.pass_frame(raw.recv(LONGEST_FRAME)):
+            for answer in ring.pass_frame(arrivals.receive(raw)):
                 raw.send(answer)
 
 
