@@ -63,9 +63,9 @@ class LimpRig(Rig):
         """Those of the rig."""
         return self._rig.diagnostics
 
-    def clock_correction(self) -> float:
+    def clock_correction(self, slip: float = 0.0) -> float:
         """That of the rig."""
-        return self._rig.clock_correction()
+        return self._rig.clock_correction(slip)
 
     def connect(self) -> None:
         """Connects the rig."""

@@ -104,11 +104,14 @@ class Rig(ABC):
         """What the drives reported with the last reading, for logs only, as `diagnostic_units` describes it."""
         return ()
 
-    def clock_correction(self) -> float:
+    def clock_correction(self, slip: float = 0.0) -> float:  # noqa: ARG002
         """Time by which the next tick and all later ones shall begin later, called once before each tick [s].
 
         A rig whose devices have a clock of their own steers the ticks to that clock. Before the first tick it may
         return the time from now on.
+
+        Args:
+            slip: Time by which the present tick has shifted all later ones, since it was late by more than a tick [s].
         """
         return 0.0
 

@@ -189,7 +189,7 @@ def test_a_rig_that_fails_between_two_ticks_is_logged():
 @pytest.mark.parametrize("frames", [1, 4])
 def test_a_rig_with_its_own_clock_shifts_its_ticks(frames):
     rig, shifts = SwingingRig(frames), iter([0.4e-3] + [1e-7] * 100 + [-1e-7] * 10_000)
-    rig.clock_correction = lambda: next(shifts)
+    rig.clock_correction = lambda _: next(shifts)
     _, _, rows = swing(rig, 201)
     assert rows[0, 0] == pytest.approx(0.4e-3)
     np.testing.assert_allclose(np.diff(rows[:101, 0]), TICK + 1e-7)

@@ -89,7 +89,7 @@ class TimedRig:
 
     def tick(self, late: float = 0.0, follow: bool = True) -> float:
         """Runs a tick that begins late [s]; returns how late the frame before was at the reference clock [s]."""
-        correction = self.rig.clock_correction()
+        correction = self.rig.clock_correction(self._clock.slip)
         self._clock.shift(correction if follow else 0.0)
         begun = self._clock.begin(late)
         self.time.pause(self._start + begun - self.time.now)

@@ -107,6 +107,15 @@ def test_drives_stay_in_operation_while_all_clocks_drift() -> None:
 
 
 @on_the_ring
+def test_a_tick_that_is_late_by_more_than_a_cycle_does_not_change_the_phase() -> None:
+    with timed_rig(INTERFACE, drifting_clocks(np.random.default_rng(3))) as timed:
+        late = [1.6e-3 if tick == 300 else 0.0 for tick in range(600)]
+        offsets = np.array([timed.tick(each) for each in late])
+    assert abs(offsets[301]) == pytest.approx(4e-4, abs=5e-6)
+    assert max(map(abs, offsets[302:])) < 2e-6
+
+
+@on_the_ring
 def test_op_is_refused_without_sync0(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus, "STATE_TIMEOUT", 0.3)
     settings = settings_with_sync0(INTERFACE)

@@ -114,7 +114,7 @@ class ControlLoop:
 
     def _wait(self, pace: Pace) -> float:
         """Waits for the next tick, which the rig may shift; returns how late it begins [s]."""
-        self._clock.shift(self._rig.clock_correction())
+        self._clock.shift(self._rig.clock_correction(self._clock.slip))
         return pace(self._clock.due) - self._clock.due
 
     def request_stop(self) -> None:

@@ -113,10 +113,13 @@ class Steering:
         outside = abs(self.offset) > self._settings.window * self._cycle
         self._outside, self._inside = (self._outside + 1, 0) if outside else (0, self._inside + 1)
 
-    def correction(self) -> float:
+    def correction(self, slip: float = 0.0) -> float:
         """Time by which the next frame and all later ones shall be sent later [s], given the last offset.
 
         The first time, or after `restart`, it is the time from now until a frame would pass in phase.
+
+        Args:
+            slip: Time by which a late frame has shifted all later ones, which is completed to whole cycles [s].
         """
         if not self._aligned:
             self._aligned = isfinite(self.offset)
@@ -131,6 +134,7 @@ class Steering:
         else:
             self.shift = self._rate
         self._fresh = False
+        self.shift += -slip % self._cycle
         return self.shift
 
     def restart(self) -> None:

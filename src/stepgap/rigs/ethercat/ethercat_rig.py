@@ -125,9 +125,9 @@ class EthercatRig(Rig):
         steering = self._bus.steering
         return (*self._diagnostics, steering.offset, steering.shift) if steering else self._diagnostics
 
-    def clock_correction(self) -> float:
+    def clock_correction(self, slip: float = 0.0) -> float:
         """Time by which the ticks shall be later, so that frames follow the reference clock [s]; 0 without clocks."""
-        return self._bus.steering.correction() if self._bus.steering else 0.0
+        return self._bus.steering.correction(slip) if self._bus.steering else 0.0
 
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.

@@ -143,9 +143,9 @@ class RingRig(Rig):
         """Whether the last frame was lost."""
         return self._rig.health
 
-    def clock_correction(self) -> float:
+    def clock_correction(self, slip: float = 0.0) -> float:
         """That of the master."""
-        return self._rig.clock_correction()
+        return self._rig.clock_correction(slip)
 
     def connect(self) -> None:
         """Starts the ring with its machine in the starting pose, and brings the bus up like a real one.
