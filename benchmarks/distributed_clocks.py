@@ -45,7 +45,7 @@ def run(ticks: int, seed: int, jitter: float, outlier: float, outliers: float, l
     """Runs the benchmark and prints its result."""
     rng = np.random.default_rng(seed)
     clocks, late = drifting_clocks(rng), delays(rng, ticks, jitter, outlier, outliers)
-    faults = tuple(LostFrames(int(cycle), 2) for cycle in rng.integers(1000, ticks, lost))
+    faults = tuple(LostFrames(int(cycle), 2) for cycle in np.linspace(2000, ticks, lost, endpoint=False))
     began = perf_counter()
     with timed_rig("stepgapdc", clocks, faults) as timed:
         offsets, apart, fault = drive(timed, late)
