@@ -6,6 +6,7 @@ The ring runs in lock-step over a veth pair, with SOEM as its master. Its time i
 after a delay with an exponential distribution, and a rare one much later.
 """
 
+import os
 from argparse import ArgumentParser
 from time import perf_counter
 
@@ -47,7 +48,7 @@ def run(ticks: int, seed: int, jitter: float, outlier: float, outliers: float, l
     clocks, late = drifting_clocks(rng), delays(rng, ticks, jitter, outlier, outliers)
     faults = tuple(LostFrames(int(cycle), 2) for cycle in np.linspace(2000, ticks, lost, endpoint=False))
     began = perf_counter()
-    with timed_rig("stepgapdc", clocks, faults) as timed:
+    with timed_rig(f"dc{os.getpid()}", clocks, faults) as timed:
         offsets, apart, fault = drive(timed, late)
     print(f"{len(offsets)} ticks in {perf_counter() - began:.0f} s, {lost} times two frames lost")
     print(f"fault: {fault or 'none'}")
