@@ -68,7 +68,7 @@ WRONG = [
         "product = 1\nassign_activate = 0x300\nsync0_shift = 0.2",
         "[slaves 3] sync0_shift = 0.2, but it must lie between dc.window = 0.25 and 0.75",
     ),
-    ("[limits]", "[dc]\nwindow = 0.5\n[limits]", "[dc] window = 0.5, but it must lie between 0.01 and 0.5"),
+    ("window = 0.25", "window = 0.5", "[dc] window = 0.5, but it must lie between 0.01 and 0.5"),
     ('name = "right drive"', 'name = "left drive"', "slaves = ['left drive', 'left drive', "),
     ('pdos = "beckhoff-el5101"', 'pdos = "el5101"', "[slaves 4] pdos = 'el5101', but it must be one of none, elmo-cst"),
     ('pdos = "beckhoff-el5101"', "", "[boom_horizontal] slave = 'yaw encoder', but it must be a slave whose PDOs have"),
