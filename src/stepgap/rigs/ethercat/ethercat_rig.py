@@ -302,9 +302,10 @@ class EthercatRig(Rig):
             self._bus.receive()
 
     def _drive_report(self) -> str:
-        """Reports state, mode and error of all drives; too slow for a tick."""
+        """Reports state, mode and error of all drives, and slaves that have left OP; too slow for a tick."""
         reports = [self._report_of(drive) for drive in self._drives]
-        return "; ".join([*reports, *filter(None, [self._bus.emergencies()])])
+        left = self._bus.state_report() if self._bus.out_of_operation() else ""
+        return "; ".join([*reports, *filter(None, [self._bus.emergencies(), left])])
 
     def _report_of(self, drive: int) -> str:
         values = self._bus.inputs(drive)
