@@ -164,7 +164,7 @@ class EthercatRig(Rig):
         if self._bus.receive():
             self._lost = 0
             self._update_reading()
-            self._check_al_states()
+            self._good_frames += 1
             if self._bus.steering and (late := self._bus.steering.fault):
                 raise self._trip(late)
         else:
@@ -178,7 +178,7 @@ class EthercatRig(Rig):
         """Sends the motor torques [N·m] and returns those sent: rounded to 1/1000 of the rated torque, within limits.
 
         Raises:
-            RigFault: A torque is not finite, or the rig is stopped.
+            RigFault: A torque is not finite, the rig is stopped, or a slave has left OP.
         """
         self._check_up()
         if self._frame_pending:
@@ -193,6 +193,7 @@ class EthercatRig(Rig):
             sent.append(units * unit)
         self._bus.send()
         self._frame_pending = True
+        self._check_al_states()  # after the frame, which it would delay otherwise
         return tuple(sent)
 
     def watchdog_times(self) -> WatchdogTimes:
@@ -268,8 +269,8 @@ class EthercatRig(Rig):
 
     def _check_al_states(self) -> None:
         """Checks every `STATES_EVERY` frames whether all slaves are in OP; repeats the request if a reply is lost."""
-        self._good_frames += 1
-        if not self._unanswered and self._good_frames % STATES_EVERY:
+        is_due = self._unanswered or self._good_frames % STATES_EVERY == 0
+        if self._lost or not is_due:
             return
         in_operation = self._bus.in_operation()
         self._unanswered = self._unanswered + 1 if in_operation is None else 0
