@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from struct import Struct
-from time import monotonic, sleep
+from time import monotonic, perf_counter, sleep
 from typing import Any
 
 from stepgap.rigs.ethercat.clock_start import start_clocks, synchronise
@@ -26,6 +26,9 @@ REPLY_TIMEOUT = 20_000
 
 SEARCH_TIME = 1.0
 """Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may be late."""
+
+LEAST_WAIT = 50
+"""Time for which a reply is looked for even if its frame was sent long ago [µs]."""
 
 WATCHDOG_ATTEMPTS = 5
 
@@ -53,7 +56,7 @@ class Bus:
         sets = [settings.pdo_set(slave) for slave in settings.slaves]
         self._outputs = [Packing(pdos.outputs) for pdos in sets]
         self._inputs = [Packing(pdos.inputs) for pdos in sets]
-        self._timeout = round(settings.reply_timeout * 1e6)
+        self._timeout, self._sent_at = round(settings.reply_timeout * 1e6), 0.0
         self._sockets: set[int] = set()
         self._claim: socket.socket | None = None
         self._emergencies: list[Any] = []
@@ -125,10 +128,17 @@ class Bus:
         if self.steering:
             self.steering.sent()
         self._master.send_processdata()
+        self._sent_at = perf_counter()
 
     def receive(self) -> bool:
-        """Waits for the frame; returns whether it came back in time and every slave processed it."""
-        good = self._master.receive_processdata(self._timeout) == self._master.expected_wkc
+        """Waits for the frame; returns whether it came back in time and every slave processed it.
+
+        With distributed clocks the time counts from its transmission: a frame that was lost an interval ago must not
+        delay the next one, which would miss its window, too.
+        """
+        waited = round(1e6 * (perf_counter() - self._sent_at)) if self.steering else 0
+        remaining = max(self._timeout - waited, LEAST_WAIT)
+        good = self._master.receive_processdata(remaining) == self._master.expected_wkc
         if good and self.steering:
             self.steering.returned(self._master.dc_time)
         return good
