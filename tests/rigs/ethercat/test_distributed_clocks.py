@@ -97,12 +97,12 @@ def test_many_frames_beside_their_time_in_a_row_are_a_fault() -> None:
 def test_drives_stay_in_operation_while_all_clocks_drift() -> None:
     rng = np.random.default_rng(1)
     with timed_rig(INTERFACE, drifting_clocks(rng)) as timed:
-        offsets = [timed.tick(late) for late in rng.exponential(5e-6, 800)]
+        offsets = [timed.tick(late) for late in rng.exponential(5e-6, 600)]
         assert abs(timed.apart()) < 50  # ns
         delays = [timed.register(slave, 0x0928, 4) for slave in range(6)]
     assert max(map(abs, offsets)) < 1e-4
-    assert max(map(abs, offsets[400:])) < 6e-5
-    assert abs(np.mean(offsets[400:])) < 2e-6
+    assert max(map(abs, offsets[300:])) < 6e-5
+    assert abs(np.mean(offsets[300:])) < 2e-6
     assert delays == [0, 500, 1000, 1500, 2000, 2500]  # as SOEM computes them from the times that the slaves latch
 
 
@@ -117,7 +117,7 @@ def test_a_tick_that_is_late_by_more_than_a_cycle_does_not_change_the_phase() ->
 
 @on_the_ring
 def test_op_is_refused_without_sync0(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus, "STATE_TIMEOUT", 0.3)
+    monkeypatch.setattr(bus, "STATE_TIMEOUT", 0.15)
     settings = settings_with_sync0(INTERFACE)
     without = replace(settings, slaves=tuple(replace(slave, assign_activate=0) for slave in settings.slaves))
     one = replace(settings, slaves=(settings.slaves[0], *without.slaves[1:]))
