@@ -209,6 +209,7 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("run --plant ethercat --rig none.toml --arm", ["--arm: standard input is not a terminal"]),
         ("run --plant ethercat --rig rig.toml", ["gives torque only with --arm", "rig dry-run"]),
         ("run --rig rig.toml", ["plant 'twin' takes neither"]),
+        ("rig emulate --dc --lock-step", ["--dc: not with --lock-step"]),
         ("run --plant emulated-ring --gap.preset none", ["gap.motor_counts must be finite"]),
         ("run --resume", ["--resume: give the run by --out RUN"]),
         ("run --resume --out none", ["none: contains no experiment.toml, so there is no run to continue"]),

@@ -221,6 +221,7 @@ def emulate(
     *surplus: Annotated[str, Parameter(allow_leading_hyphen=True, show=False)],
     interface: Name = "stepgap0",
     lock_step: Flag = False,
+    dc: Flag = False,
     hold: Seconds = 5.0,
     settings: Path = Path("emulated.toml"),
     program: Program = None,
@@ -233,6 +234,7 @@ def emulate(
         surplus: Not allowed; a command is written after --.
         interface: Name of the network interface that a master opens.
         lock_step: Advance time by one tick with every frame. [default: time follows the clock]
+        dc: Let the drives need distributed clocks, whose rates differ; not with --lock-step.
         hold: Time for which the twin is held in the air after its drives have been enabled [s].
         settings: File for the rig.toml of this bus.
     """
@@ -240,12 +242,14 @@ def emulate(
         _refuse_surplus(experiment, surplus)
     from stepgap.cli.emulate import emulate_ring
     from stepgap.experiment.settings import read_experiment
-    from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
+    from stepgap.rigs.ethercat.emulator.ring_settings import DRIFTING_CLOCKS, RingClocks, RingSettings
     from stepgap.robots.hopper.robot import as_hopper
 
     if not (isfinite(hold) and 0 <= hold <= LONGEST_DURATION):
         raise InputError(f"--hold {hold:g}: it must lie between 0 and {LONGEST_DURATION:g}")
-    ring = RingSettings(lock_step=lock_step)
+    if dc and lock_step:
+        raise InputError("--dc: not with --lock-step, where frames pass at no time that a master could steer")
+    ring = RingSettings(lock_step=lock_step, clocks=DRIFTING_CLOCKS if dc else RingClocks())
     given = read_experiment(experiment, overrides or [])
     hopper = as_hopper(given.robot, "a bus is emulated")
     code = emulate_ring(hopper, given.seed, ring, interface, hold, settings, program or [])

@@ -10,13 +10,18 @@ class TickClock:
     Attributes:
         time: Time at which the present tick began [s].
         due: Time at which the next tick is due [s].
+        slip: Time by which the present tick has shifted all later ones [s].
     """
 
     def __init__(self, interval: float):
-        self.time, self.due, self._interval = 0.0, 0.0, interval
+        self.time, self.due, self.slip, self._interval = 0.0, 0.0, 0.0, interval
 
     def begin(self, late: float = 0.0) -> float:
         """Begins a tick that is late [s] and returns its time; a delay above an interval shifts all later ticks."""
-        self.time = self.due + late
-        self.due = (self.time if late > self._interval else self.due) + self._interval
+        self.time, self.slip = self.due + late, late if late > self._interval else 0.0
+        self.due += self.slip + self._interval
         return self.time
+
+    def shift(self, by: float) -> None:
+        """Shifts the next tick and all later ones [s]."""
+        self.due += by

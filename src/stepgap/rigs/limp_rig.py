@@ -68,6 +68,10 @@ class LimpRig(Rig):
         """Those of the rig."""
         return self._rig.remarks
 
+    def clock_correction(self, slip: float = 0.0) -> float:
+        """That of the rig."""
+        return self._rig.clock_correction(slip)
+
     def connect(self) -> None:
         """Connects the rig."""
         self._rig.connect()

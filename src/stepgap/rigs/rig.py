@@ -15,6 +15,10 @@ Torques = tuple[float, ...]
 """One torque per motor [N·m], in an order that the robot defines."""
 
 
+CLOCK_OFFSET = "clock_offset"
+"""Diagnostic of a rig whose devices have a clock of their own: how late the last message was on that clock [s]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SensorModel:
     """Timing of a rig's sensors; each robot adds the conversion of their counts.
@@ -103,6 +107,17 @@ class Rig(ABC):
     def diagnostics(self) -> tuple[float, ...]:
         """What the drives reported with the last reading, for logs only, as `diagnostic_units` describes it."""
         return ()
+
+    def clock_correction(self, slip: float = 0.0) -> float:  # noqa: ARG002
+        """Time by which the next tick and all later ones shall begin later, called once before each tick [s].
+
+        A rig whose devices have a clock of their own steers the ticks to that clock. Before the first tick it may
+        return the time from now on.
+
+        Args:
+            slip: Time by which the present tick has shifted all later ones, since it was late by more than a tick [s].
+        """
+        return 0.0
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -17,13 +17,16 @@ from hypothesis import strategies as st
 from stepgap.base.errors import InputError
 from stepgap.plants.commissioning.check import (
     Check,
+    ClockOffsets,
     Timing,
     checked,
+    clock_offsets,
     describe,
     timing_of,
     with_watchdog,
     write_check,
 )
+from stepgap.plants.commissioning.limp import Ticks
 from stepgap.plants.commissioning.proof import fingerprint, proof_file
 from stepgap.plants.realtime.pace import NO_LOCKED_MEMORY, NO_PRIORITY
 from stepgap.rigs.rig import RigFault, SensorModel, WatchdogTimes
@@ -198,3 +201,15 @@ def test_a_check_that_was_not_passed_is_refused(tmp_path: Path) -> None:
     write_check(rig_file, fingerprint(rig_file), replace(GOOD, fault="a drive failed"))
     with pytest.raises(InputError, match="not passed"):
         checked(rig_file)
+
+
+def test_the_offsets_on_a_reference_clock_are_reported() -> None:
+    offsets = np.concatenate([[np.nan], np.linspace(-2e-6, 1e-6, 1001)])
+    found = clock_offsets(Ticks(("time", "clock_offset"), np.column_stack([offsets, offsets]), "", ""))
+    assert found is not None
+    assert found.worst == 2e-6
+    assert found.p99_9 == pytest.approx(np.quantile(np.abs(offsets[1:]), 0.999))
+    assert clock_offsets(Ticks(("time",), np.zeros((3, 1)), "", "")) is None
+    text = describe(replace(GOOD, clock=ClockOffsets(3e-6, 4e-5)), bus=True)
+    assert "frames within 3.0 µs of their times (99.9 %), 40.0 µs at most" in text
+    assert "no distributed clocks" in describe(GOOD, bus=True)

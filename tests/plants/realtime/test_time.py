@@ -184,3 +184,14 @@ def test_a_rig_that_fails_between_two_ticks_is_logged():
     assert len(rows) == 12
     assert np.isnan(rows[-1, COLUMN["applied_1"]])
     assert rows[-1, 0] == pytest.approx(10.25e-3)
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_a_rig_with_its_own_clock_shifts_its_ticks(frames, monkeypatch):
+    rig, shifts = SwingingRig(frames), iter([0.4e-3] + [1e-7] * 100 + [-1e-7] * 10_000)
+    monkeypatch.setattr(rig, "clock_correction", lambda _: next(shifts))
+    _, _, rows = swing(rig, 201)
+    assert rows[0, 0] == pytest.approx(0.4e-3)
+    np.testing.assert_allclose(np.diff(rows[:101, 0]), TICK + 1e-7)
+    np.testing.assert_allclose(np.diff(rows[101:201, 0]), TICK - 1e-7)
+    np.testing.assert_allclose(rows[:, COLUMN["late"]], 0, atol=1e-12)

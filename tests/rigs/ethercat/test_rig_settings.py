@@ -53,6 +53,22 @@ WRONG = [
     ("product = 0x044C2C52", "", "[slaves 3] product: missing; it must be given"),
     ("product = 0x044C2C52", "product = -1", "[slaves 3] product = -1, but it must lie between 0 and 2³²"),
     ("product = 0x044C2C52", "produkt = 1", "[slaves 3] produkt: unknown key; did you mean product?"),
+    (
+        "product = 0x044C2C52",
+        "product = 1\nassign_activate = 0x0100",
+        "[slaves 3] assign_activate = 256, but it must be 0x0300",
+    ),
+    (
+        "product = 0x044C2C52",
+        "product = 1\nsync0_shift = 1.0",
+        "[slaves 3] sync0_shift = 1.0, but it must lie between 0 and 1",
+    ),
+    (
+        "product = 0x044C2C52",
+        "product = 1\nassign_activate = 0x300\nsync0_shift = 0.2",
+        "[slaves 3] sync0_shift = 0.2, but it must lie between dc.window = 0.25 and 0.75",
+    ),
+    ("window = 0.25", "window = 0.5", "[dc] window = 0.5, but it must lie between 0.01 and 0.5"),
     ('name = "right drive"', 'name = "left drive"', "slaves = ['left drive', 'left drive', "),
     ('pdos = "beckhoff-el5101"', 'pdos = "el5101"', "[slaves 4] pdos = 'el5101', but it must be one of none, elmo-cst"),
     ('pdos = "beckhoff-el5101"', "", "[boom_horizontal] slave = 'yaw encoder', but it must be a slave whose PDOs have"),

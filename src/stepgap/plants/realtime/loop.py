@@ -99,17 +99,23 @@ class ControlLoop:
 
         Late frames between two ticks are sent at once, so that only ticks can be late.
         """
-        late, frames = 0.0, self._rig.sensor_model.frames_per_tick
+        frames = self._rig.sensor_model.frames_per_tick
         try:
+            late = self._wait(pace)
             while self.tick(late):
                 began, due = self._clock.time, self._clock.due
                 self._took = pace(0.0) - began
                 for remaining in range(frames - 1, 0, -1):
                     if not self._repeat(pace(due - self._tick_time * remaining / frames)):
                         return
-                late = pace(due) - due
+                late = self._wait(pace)
         finally:
             self._rig.close()
+
+    def _wait(self, pace: Pace) -> float:
+        """Waits for the next tick, which the rig may shift; returns how late it begins [s]."""
+        self._clock.shift(self._rig.clock_correction(self._clock.slip))
+        return pace(self._clock.due) - self._clock.due
 
     def request_stop(self) -> None:
         """Requests that the robot lands and the loop ends, as a request on the board does."""

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from struct import Struct
-from time import monotonic
+from time import monotonic, perf_counter, sleep
 from typing import Any
 
+from stepgap.rigs.ethercat.clock_start import start_clocks, synchronise
+from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime, Steering
 from stepgap.rigs.ethercat.pdo import Packing, Pdo
 from stepgap.rigs.ethercat.rig_settings import BusSettings
 from stepgap.rigs.rig import MissingObject, RigFault
@@ -24,6 +26,12 @@ REPLY_TIMEOUT = 20_000
 
 SEARCH_TIME = 1.0
 """Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may be late."""
+
+LEAST_WAIT = 50
+"""Time for which a reply is looked for even if its frame was sent long ago [µs]."""
+
+MOST_SEARCHES = 3
+"""Number of searches of which each found enough slaves, but not the expected ones."""
 
 WATCHDOG_ATTEMPTS = 5
 
@@ -43,15 +51,18 @@ class Bus:
 
     Args:
         settings: The expected bus.
+        host: The computer's clock.
     """
 
-    def __init__(self, settings: BusSettings):
+    def __init__(self, settings: BusSettings, host: HostTime = COMPUTER):
         self._settings = settings
+        self.steering = Steering(settings.cycle, settings.dc, host) if settings.uses_clocks else None
+        """Steers the frames to the reference clock; None without distributed clocks."""
         self._master: Any = None
         sets = [settings.pdo_set(slave) for slave in settings.slaves]
         self._outputs = [Packing(pdos.outputs) for pdos in sets]
         self._inputs = [Packing(pdos.inputs) for pdos in sets]
-        self._timeout = round(settings.reply_timeout * 1e6)
+        self._timeout, self._sent_at = round(settings.reply_timeout * 1e6), 0.0
         self._sockets: set[int] = set()
         self._claim: socket.socket | None = None
         self._emergencies: list[Any] = []
@@ -101,14 +112,22 @@ class Bus:
         for number in range(len(self._settings.slaves)):
             self._configure(number)
         prepare()
+        start_clocks(master, self._settings, self.label)
         self._start(master)
 
     def _search(self, master: Any) -> int:
-        """Number of slaves that answer; missing ones are searched for again until `SEARCH_TIME` is over."""
-        until = monotonic() + SEARCH_TIME
+        """Number of slaves that answer; missing ones are searched for again until `SEARCH_TIME` is over.
+
+        Unexpected ones are, too, but less often: on a busy computer the answer with an identity may be lost.
+        """
+        until, wanted, strange = monotonic() + SEARCH_TIME, self._settings.slaves, 0
         while True:
             count = master.config_init()
-            if count >= len(self._settings.slaves) or monotonic() > until:
+            found = [(device.man, device.id) for device in master.slaves[: max(0, count)]]
+            strange += count >= len(wanted)
+            if found == [(slave.vendor, slave.product) for slave in wanted] or strange == MOST_SEARCHES:
+                return count
+            if monotonic() > until:
                 return count
 
     def set_outputs(self, number: int, values: dict[str, int]) -> None:
@@ -119,11 +138,30 @@ class Bus:
 
     def send(self) -> None:
         """Sends the frame with all outputs."""
+        if self.steering:
+            self.steering.sent()
         self._master.send_processdata()
+        self._sent_at = perf_counter()
 
     def receive(self) -> bool:
-        """Waits for the frame; returns whether it came back in time and every slave processed it."""
-        return self._master.receive_processdata(self._timeout) == self._master.expected_wkc
+        """Waits for the frame; returns whether it came back in time and every slave processed it.
+
+        With distributed clocks the time counts from its transmission: a frame that was lost an interval ago must not
+        delay the next one, which would miss its window, too.
+        """
+        waited = round(1e6 * (perf_counter() - self._sent_at)) if self.steering else 0
+        remaining = max(self._timeout - waited, LEAST_WAIT)
+        good = self._master.receive_processdata(remaining) == self._master.expected_wkc
+        if good and self.steering:
+            self.steering.returned(self._master.dc_time)
+        return good
+
+    def wait(self) -> None:
+        """Waits for the time of the next frame, outside of a control loop."""
+        if self.steering:
+            self.steering.wait()
+        else:
+            sleep(self._settings.tick)
 
     def inputs(self, number: int) -> dict[str, int]:
         """Inputs of a slave from the last good frame."""
@@ -280,11 +318,14 @@ class Bus:
             device.output = bytes(wanted[0])
         if master.state_check(soem.SAFEOP_STATE, round(STATE_TIMEOUT * 1e6)) != soem.SAFEOP_STATE:
             raise RigFault(f"a slave refuses SAFEOP: {self._states(soem.SAFEOP_STATE)}")
+        if self.steering:
+            synchronise(master, self._settings, self.label, self.steering, self._exchange)
         master.state = soem.OP_STATE
         self._exchange()
         master.write_state()
         until = monotonic() + STATE_TIMEOUT
-        while master.state_check(soem.OP_STATE, 1000) != soem.OP_STATE:
+        while not self.in_operation():
+            self.wait()
             self._exchange()
             if monotonic() > until:
                 raise RigFault(f"a slave refuses OP: {self._states(soem.OP_STATE)}")

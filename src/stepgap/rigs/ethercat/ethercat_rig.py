@@ -16,6 +16,7 @@ from stepgap.rigs.ethercat.cia402 import (
     next_controlword,
     state_of,
 )
+from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.reactions import secure_reactions
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
@@ -23,6 +24,7 @@ from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionT
 from stepgap.rigs.ethercat.startup import StartupObject, write_startup
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
+    CLOCK_OFFSET,
     HEALTHY,
     LOST,
     DoubtfulSensor,
@@ -41,6 +43,9 @@ _U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
 
 DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
 """Inputs of a drive that are logged, with their units."""
+
+CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s"}
+"""Values of the synchronisation with the reference clock that are logged, with their units."""
 
 STATES_EVERY = 50
 """Number of good frames between two checks of the slaves' states."""
@@ -70,10 +75,11 @@ class EthercatRig(Rig):
     Args:
         settings: The robot's bus, with its limit of lost frames.
         sensor_model: Timing of the sensors and conversion of their counts.
+        host: The computer's clock, by which frames follow the reference clock of the bus.
     """
 
-    def __init__(self, settings: BusSettings, sensor_model: SensorModel):
-        self._settings, self._bus, self._sensor_model = settings, Bus(settings), sensor_model
+    def __init__(self, settings: BusSettings, sensor_model: SensorModel, host: HostTime = COMPUTER):
+        self._settings, self._bus, self._sensor_model = settings, Bus(settings, host), sensor_model
         self._motors = settings.motors
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
         self._sensors = tuple(
@@ -114,13 +120,22 @@ class EthercatRig(Rig):
 
     @property
     def diagnostic_units(self) -> Mapping[str, str]:
-        """Status word of every drive, and its velocity and torque if it sends them, in its own units."""
-        return {f"{motor}_{name}": unit for motor, name, unit, _ in self._diagnosed}
+        """Status word of every drive, and its velocity and torque if it sends them, in its own units.
+
+        With distributed clocks also how much too late the frame passed the reference clock, and the last correction.
+        """
+        drives = {f"{motor}_{name}": unit for motor, name, unit, _ in self._diagnosed}
+        return {**drives, **(CLOCK_DIAGNOSTICS if self._bus.steering else {})}
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """Those values in the last good frame."""
-        return self._diagnostics
+        steering = self._bus.steering
+        return (*self._diagnostics, steering.offset, steering.shift) if steering else self._diagnostics
+
+    def clock_correction(self, slip: float = 0.0) -> float:
+        """Time by which the ticks shall be later, so that frames follow the reference clock [s]; 0 without clocks."""
+        return self._bus.steering.correction(slip) if self._bus.steering else 0.0
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -147,6 +162,8 @@ class EthercatRig(Rig):
             self.close()
             raise
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
+        if self._bus.steering:
+            self._bus.steering.restart()
 
     def read(self) -> Reading:
         """Reads counts and force of the last frame, or of an earlier one if no more frames than allowed are lost.
@@ -161,7 +178,9 @@ class EthercatRig(Rig):
         if self._bus.receive():
             self._lost = 0
             self._update_reading()
-            self._check_al_states()
+            self._good_frames += 1
+            if self._bus.steering and (late := self._bus.steering.fault):
+                raise self._trip(late)
         else:
             self._lost += 1
             if self._lost > self._settings.budgets.lost_frames:
@@ -173,7 +192,7 @@ class EthercatRig(Rig):
         """Sends the motor torques [N·m] and returns those sent: rounded to 1/1000 of the rated torque, within limits.
 
         Raises:
-            RigFault: A torque is not finite, or the rig is stopped.
+            RigFault: A torque is not finite, the rig is stopped, or a slave has left OP.
         """
         self._check_up()
         if self._frame_pending:
@@ -188,6 +207,7 @@ class EthercatRig(Rig):
             sent.append(units * unit)
         self._bus.send()
         self._frame_pending = True
+        self._check_al_states()  # after the frame, which it would delay otherwise
         return tuple(sent)
 
     def watchdog_times(self) -> WatchdogTimes:
@@ -267,7 +287,7 @@ class EthercatRig(Rig):
                     raise RigFault(f"the drives cannot be {wanted.name.lower()}: {self._drive_report()}")
             elif monotonic() > until:
                 raise RigFault(f"no frame comes back: {self._bus.state_report()}")
-            sleep(self._settings.tick)
+            self._bus.wait()
 
     def _update_reading(self) -> None:
         """Updates the reading from a good frame; a drive that takes no torque or a doubtful sensor is a fault."""
@@ -285,8 +305,8 @@ class EthercatRig(Rig):
 
     def _check_al_states(self) -> None:
         """Checks every `STATES_EVERY` frames whether all slaves are in OP; repeats the request if a reply is lost."""
-        self._good_frames += 1
-        if not self._unanswered and self._good_frames % STATES_EVERY:
+        is_due = self._unanswered or self._good_frames % STATES_EVERY == 0
+        if self._lost or not is_due:
             return
         in_operation = self._bus.in_operation()
         self._unanswered = self._unanswered + 1 if in_operation is None else 0
@@ -319,9 +339,10 @@ class EthercatRig(Rig):
             self._bus.receive()
 
     def _drive_report(self) -> str:
-        """Reports state, mode and error of all drives; too slow for a tick."""
+        """Reports state, mode and error of all drives, and slaves that have left OP; too slow for a tick."""
         reports = [self._report_of(drive) for drive in self._drives]
-        return "; ".join([*reports, *filter(None, [self._bus.emergencies()])])
+        left = self._bus.state_report() if self._bus.out_of_operation() else ""
+        return "; ".join([*reports, *filter(None, [self._bus.emergencies(), left])])
 
     def _report_of(self, drive: int) -> str:
         values = self._bus.inputs(drive)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import floor, isfinite
 
 from stepgap.base.ranges import format_value, require
+from stepgap.rigs.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY, DcSettings
 from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
 from stepgap.rigs.ethercat.startup import StartupObject, require_objects
 from stepgap.rigs.limits import RigLimits
@@ -75,6 +76,9 @@ class Slave:
         pdos: Name of its set of PDOs.
         startup: Objects that are written and read back before it exchanges process data, in this order, each as
             `StartupObject.parse` reads it.
+        assign_activate: Distributed clocks: 0x0300 for SYNC0, 0x0700 for SYNC0 and SYNC1, 0 for none; ESI files name
+            it *AssignActivate*.
+        sync0_shift: Time from a frame at the reference clock to SYNC0 [cycles].
     """
 
     name: str
@@ -82,12 +86,18 @@ class Slave:
     product: int
     pdos: str = "none"
     startup: tuple[str, ...] = ()
+    assign_activate: int = 0
+    sync0_shift: float = 0.5
 
     def __post_init__(self) -> None:
         require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a string of one line")
         for name in ("vendor", "product"):
             require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
         require_objects("startup", self.startup)
+        activate, shift = self.assign_activate, self.sync0_shift
+        rule = "be 0x0300 (SYNC0), 0x0700 (SYNC0 and SYNC1) or 0 (none)"
+        require(activate in (0, SYNC0_ONLY, SYNC0_AND_SYNC1), "assign_activate", activate, rule)
+        require(0 < shift < 1, "sync0_shift", shift, "lie between 0 and 1")
 
     @property
     def startup_objects(self) -> tuple[StartupObject, ...]:
@@ -218,6 +228,7 @@ class BusSettings(ABC):
         reply_timeout: Timeout of a frame [s]; longer than a tick only for a ring in lock-step.
         watchdog: Time without a frame after which drives switch torque off [s].
         pdo_sets: Sets of PDOs besides the predefined ones.
+        dc: Limits of the frames on the reference clock, where slaves use distributed clocks.
     """
 
     interface: str
@@ -227,6 +238,7 @@ class BusSettings(ABC):
     reply_timeout: float = 5e-4
     watchdog: float = 0.05
     pdo_sets: tuple[WrittenPdoSet, ...] = ()
+    dc: DcSettings = DcSettings()
 
     @property
     @abstractmethod
@@ -246,6 +258,16 @@ class BusSettings(ABC):
     def motors(self) -> tuple[Motor, ...]:
         """The motors among the devices, in their order."""
         return tuple(device for device in self.devices.values() if isinstance(device, Motor))
+
+    @property
+    def cycle(self) -> float:
+        """Time between two frames [s]."""
+        return self.tick / self.frames_per_tick
+
+    @property
+    def uses_clocks(self) -> bool:
+        """Whether a slave uses distributed clocks."""
+        return any(slave.assign_activate for slave in self.slaves)
 
     def __post_init__(self) -> None:
         named = re.fullmatch(r"[!-.0-~]{1,15}", self.interface)  # SOEM copies the name into 16 bytes without a check
@@ -272,6 +294,10 @@ class BusSettings(ABC):
         sets = self._sets()
         for number, slave in enumerate(self.slaves, start=1):
             require(slave.pdos in sets, f"slaves {number}.pdos", slave.pdos, f"be one of {', '.join(sets)}")
+            shift, window = slave.sync0_shift, self.dc.window
+            reached = bool(slave.assign_activate) and not window < shift < 1 - window
+            rule = f"lie between dc.window = {window:g} and {1 - window:g}, or frames in the window could meet SYNC0"
+            require(not reached, f"slaves {number}.sync0_shift", shift, rule)
 
     def pdo_set(self, slave: Slave) -> PdoSet:
         """PDOs that a slave exchanges."""

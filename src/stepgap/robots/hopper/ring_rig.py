@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import ExitStack
 
+from stepgap.rigs.ethercat.distributed_clocks import SYNC0_ONLY
 from stepgap.rigs.ethercat.emulator.drive import ELMO_GOLD
 from stepgap.rigs.ethercat.emulator.emulator import emulated
 from stepgap.rigs.ethercat.emulator.machine import Machine
@@ -57,7 +58,13 @@ def emulated_settings(
         interface=interface,
         pivot_height=sensor_model.pivot_height,
         slaves=tuple(
-            Slave(name=name, vendor=identity.vendor, product=identity.product, pdos=pdos)
+            Slave(
+                name=name,
+                vendor=identity.vendor,
+                product=identity.product,
+                pdos=pdos,
+                assign_activate=SYNC0_ONLY if name in ring.clocks.need_sync0 else 0,
+            )
             for name, identity, pdos in _DEVICES
         ),
         motor_1=motor("drive_1"),
@@ -135,6 +142,10 @@ class RingRig(Rig):
     def health(self) -> Health:
         """Whether the last frame was lost."""
         return self._rig.health
+
+    def clock_correction(self, slip: float = 0.0) -> float:
+        """That of the master."""
+        return self._rig.clock_correction(slip)
 
     def connect(self) -> None:
         """Starts the ring with its machine in the starting pose, and brings the bus up like a real one.

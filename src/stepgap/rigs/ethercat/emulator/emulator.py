@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from time import monotonic_ns
 
 from stepgap.base.signals import LOST_TERMINAL, terminated_as_interrupted
-from stepgap.rigs.ethercat.emulator.frame import LONGEST_FRAME
+from stepgap.rigs.ethercat.emulator.arrival import ArrivalTimes
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
 from stepgap.rigs.ethercat.emulator.ring import Ring
@@ -34,6 +34,7 @@ def run_emulator(
     settings: RingSettings,
     report: Callable[[str], None] = print,
     stop: Connection | None = None,
+    now: Callable[[], int] | None = None,
 ) -> None:
     """Creates a veth pair, runs the ring on it until Ctrl-C, SIGTERM or `stop`, and deletes the pair.
 
@@ -43,35 +44,44 @@ def run_emulator(
         settings: Settings of the ring.
         report: Called once, when the ring is ready, with a line that names its interface.
         stop: Ends the ring when it becomes readable or is closed on the other side.
+        now: Time of the slaves' clocks [ns]; by default that of the ticks in lock-step, otherwise the wall clock.
 
     Raises:
         NoNetwork: The interface cannot be created; the message contains the remedy.
         ValueError: The settings do not fit.
     """
-    ring = Ring(machine, settings)
+    arrivals = ArrivalTimes()
+    ring = Ring(machine, settings, now=now or (None if settings.lock_step else arrivals))
     _request_realtime()
     names = ", ".join(slave.device.name for slave in ring.slaves)
     with terminated_as_interrupted(), suppress(KeyboardInterrupt), wire(interface) as raw:
         report(f"EtherCAT ring on {interface}: {names}")
         period = None if settings.lock_step else round(machine.period * 1e9)
-        _serve(ring, raw, stop, period)
+        arrivals.enable(raw)
+        _serve(ring, raw, arrivals, stop, period)
 
 
 @contextmanager
-def emulated(interface: str, make_machine: Callable[[], Machine], settings: RingSettings) -> Iterator[None]:
+def emulated(
+    interface: str,
+    make_machine: Callable[[], Machine],
+    settings: RingSettings,
+    now: Callable[[], int] | None = None,
+) -> Iterator[None]:
     """Runs the ring in a separate process, which ends with the block, and also when this process dies.
 
     Args:
         interface: Name of the end that the master opens.
         make_machine: Creates the machine that the drives move, in that process; it must be possible to pickle it.
         settings: Settings of the ring.
+        now: Time of the slaves' clocks as for `run_emulator`, such as a `ComputedTime`; must be picklable.
 
     Raises:
         NoNetwork: The ring cannot be started; the message contains the remedy.
     """
     context = get_context("spawn")
     here, there = context.Pipe()
-    process = context.Process(target=_run_in_process, args=(interface, make_machine, settings, there), daemon=True)
+    process = context.Process(target=_run_in_process, args=(interface, make_machine, settings, there, now), daemon=True)
     process.start()
     there.close()
     with here:
@@ -97,17 +107,21 @@ def _request_realtime() -> None:
 
 
 def _run_in_process(
-    interface: str, make_machine: Callable[[], Machine], settings: RingSettings, parent: Connection
+    interface: str,
+    make_machine: Callable[[], Machine],
+    settings: RingSettings,
+    parent: Connection,
+    now: Callable[[], int] | None,
 ) -> None:
     for number in LOST_TERMINAL:  # also sent to the master, whose robot has to land: until then the ring is needed
         signal.signal(number, signal.SIG_IGN)
     try:
-        run_emulator(interface, make_machine(), settings, lambda _: parent.send(READY), parent)
+        run_emulator(interface, make_machine(), settings, lambda _: parent.send(READY), parent, now)
     except (NoNetwork, ValueError) as reason:
         parent.send(str(reason))
 
 
-def _serve(ring: Ring, raw: socket.socket, stop: Connection | None, period: int | None) -> None:
+def _serve(ring: Ring, raw: socket.socket, arrivals: ArrivalTimes, stop: Connection | None, period: int | None) -> None:
     """Answers frames until `stop` is readable; `period` of a tick on the wall clock [ns], None in lock-step."""
     raw.setblocking(False)
     poll = select.poll()
@@ -123,7 +137,7 @@ def _serve(ring: Ring, raw: socket.socket, stop: Connection | None, period: int 
         for descriptor, _ in ready:
             if descriptor != raw.fileno():
                 return
-            for answer in ring.pass_frame(raw.recv(LONGEST_FRAME)):
+            for answer in ring.pass_frame(arrivals.receive(raw)):
                 raw.send(answer)
 
 

@@ -39,8 +39,13 @@ SYNC_MANAGER, SYNC_MANAGER_SIZE, SYNC_MANAGER_SLOTS = 0x0800, 8, 4
 MAILBOX_FULL, SYNC_MANAGER_ENABLED, WATCHDOG_TRIGGER, REPEAT = 0x08, 0x01, 0x40, 0x02
 """Bits of a sync manager's status, activation, control, and again activation and its echo."""
 
-DC_RECEIVE_TIME, DC_SYSTEM_TIME, DC_OFFSET, DC_END = 0x0900, 0x0910, 0x0920, 0x09A0
-"""Distributed clocks (§6.8)."""
+DC_RECEIVE_TIME, DC_SYSTEM_TIME, DC_RECEIVE_TIME_UNIT = 0x0900, 0x0910, 0x0918
+DC_OFFSET, DC_DELAY, DC_DIFFERENCE, DC_SPEED_COUNTER = 0x0920, 0x0928, 0x092C, 0x0930
+DC_ACTIVATION, DC_START, DC_CYCLE_0, DC_END = 0x0981, 0x0990, 0x09A0, 0x09A8
+"""Distributed clocks (§6.8): receive times of the ports, system time, its parts and their control; then SYNC0."""
+
+DC_SYNC0_ACTIVE = 0x03
+"""Bits of the activation: cyclic operation and SYNC0."""
 
 PROCESS_RAM, MEMORY_SIZE = 0x1000, 0x2000
 
@@ -57,7 +62,8 @@ WRITABLE = (
     (EEPROM_CONFIGURATION, EEPROM_DATA),
     (FMMU, FMMU + FMMU_SLOTS * FMMU_SIZE),
     (SYNC_MANAGER, SYNC_MANAGER + SYNC_MANAGER_SLOTS * SYNC_MANAGER_SIZE),
-    (DC_OFFSET, DC_END),
+    (DC_OFFSET, DC_DIFFERENCE),
+    (DC_SPEED_COUNTER, DC_END),
     (PROCESS_RAM, MEMORY_SIZE),
 )
 """Ranges [from, to) that a master may write; other bytes do not change."""
@@ -83,6 +89,9 @@ class StatusCode(IntEnum):
     INVALID_CHANGE = 0x0011
     UNKNOWN_STATE = 0x0012
     INVALID_MAILBOX = 0x0016
+    SYNCHRONISATION = 0x001A
     WATCHDOG = 0x001B
     INVALID_OUTPUTS = 0x001D
     INVALID_INPUTS = 0x001E
+    NO_SYNC = 0x002D
+    INVALID_SYNC = 0x0030

@@ -1,8 +1,9 @@
 """The ring: a frame in, frames out, and a machine that moves tick by tick; without sockets and clock."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from stepgap.rigs.ethercat.emulator import registers as reg
+from stepgap.rigs.ethercat.emulator.clock import RingTime, SyncWatch
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.drive import SPEED_RUN_AWAY, Drive
 from stepgap.rigs.ethercat.emulator.faults import (
@@ -44,13 +45,21 @@ class Ring:
         machine: Machine that the drives move.
         settings: Settings of the ring.
         devices: Devices in the order in which frames pass them; by default those of the machine.
+        now: Time at which a frame reaches the first slave [ns]; by default the ticks so far times their period.
 
     Raises:
         ValueError: There is no drive, names are not distinct, or a fault names an unknown slave.
     """
 
-    def __init__(self, machine: Machine, settings: RingSettings, devices: Sequence[EmulatedDevice] | None = None):
-        self.slaves = [EmulatedSlave(device) for device in devices or machine.devices(settings)]
+    def __init__(
+        self,
+        machine: Machine,
+        settings: RingSettings,
+        devices: Sequence[EmulatedDevice] | None = None,
+        now: Callable[[], int] | None = None,
+    ):
+        self._time, self._now = RingTime(), now or self._ticked_time
+        self.slaves = _slaves(devices or machine.devices(settings), settings, self._time)
         self._by_name = {slave.device.name: slave for slave in self.slaves}
         self.drives = [slave.device for slave in self.slaves if isinstance(slave.device, Drive)]
         if not self.drives or len(self._by_name) < len(self.slaves):
@@ -59,6 +68,8 @@ class Ring:
             name = getattr(fault, "slave", self.slaves[0].device.name)
             if name not in self._by_name:
                 raise ValueError(f"{fault} names an unknown slave; the slaves are {', '.join(self._by_name)}")
+        if unknown := set(settings.clocks.need_sync0) - self._by_name.keys():
+            raise ValueError(f"need_sync0 names unknown slaves: {', '.join(sorted(unknown))}")
         self._machine, self._settings = machine, settings
         self._period = round(machine.period * 1e9)
         self.cycles = 0
@@ -78,6 +89,7 @@ class Ring:
             frame = decode(raw)
         except FrameError:
             return []
+        self._time.now = self._now()
         if not any(datagram.command in _OUTPUTS for datagram in frame.datagrams):
             return self._answers(frame)
         return self._pass_cycle(frame)
@@ -157,7 +169,11 @@ class Ring:
         """Connects the first `count` slaves: frames turn back after them, and their ports are set accordingly."""
         self._reached = count
         for number, slave in enumerate(self.slaves, 1):
-            slave.link(1 if number in (count, len(self.slaves)) else 2)
+            travel = 2 * max(0, count - number) * self._settings.clocks.hop_delay
+            slave.link(1 if number in (count, len(self.slaves)) else 2, travel)
+
+    def _ticked_time(self) -> int:
+        return self.ticks * self._period
 
     def _disturb(self, cycle: int) -> None:
         """Applies the scripted faults of this cycle to slaves and time."""
@@ -195,6 +211,16 @@ class Ring:
             slave.wrong_mapping = True
             if slave.state in (AlState.SAFEOP, AlState.OP):
                 slave.drop(AlState.PREOP, StatusCode.INVALID_INPUTS)
+
+
+def _slaves(devices: Sequence[EmulatedDevice], settings: RingSettings, time: RingTime) -> list[EmulatedSlave]:
+    """Slave controllers for devices, each with its own clock."""
+    clocks = settings.clocks
+    watched = {name: SyncWatch(clocks.error_limit, clocks.guard) for name in clocks.need_sync0}
+    return [
+        EmulatedSlave(device, time, clocks.error(number), number * clocks.hop_delay, watched.get(device.name))
+        for number, device in enumerate(devices)
+    ]
 
 
 def _lasts(fault: LostFrames | Unplugged, cycle: int) -> bool:

@@ -5,6 +5,7 @@ from struct import pack_into, unpack_from
 from typing import NamedTuple
 
 from stepgap.rigs.ethercat.emulator import registers as reg
+from stepgap.rigs.ethercat.emulator.clock import NO_ERROR, ClockError, RingTime, SlaveClock, Sync0, SyncWatch
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.dictionary import ASSIGN_INPUTS, ASSIGN_OUTPUTS, Image
 from stepgap.rigs.ethercat.emulator.frame import Command
@@ -44,10 +45,25 @@ class _Fmmu(NamedTuple):
 
 
 class EmulatedSlave:
-    """A slave controller with a device behind it."""
+    """A slave controller with a device behind it.
 
-    def __init__(self, device: EmulatedDevice):
-        self.device = device
+    Args:
+        device: The device.
+        time: True time of the ring.
+        error: Error of the rate of its clock.
+        delay: Time of a frame from the first slave to this one [ns].
+        watch: Supervision of frames by a device that needs SYNC0; None if it needs none.
+    """
+
+    def __init__(
+        self,
+        device: EmulatedDevice,
+        time: RingTime,
+        error: ClockError = NO_ERROR,
+        delay: int = 0,
+        watch: SyncWatch | None = None,
+    ):
+        self.device, self._clock_parts, self._sync_watch = device, (time, error, delay), watch
         areas: tuple[Area, ...] = ()
         if device.dictionary is not None:
             outputs, inputs = (device.dictionary.image(which).length for which in (ASSIGN_OUTPUTS, ASSIGN_INPUTS))
@@ -59,6 +75,7 @@ class EmulatedSlave:
         """Whether the device no longer acts nor senses, while the slave controller is running."""
         self.wrong_mapping = False
         """Whether the device expects one byte more than its assigned PDOs have."""
+        self._travel_behind = 0
         self.power_on()
 
     @property
@@ -69,6 +86,7 @@ class EmulatedSlave:
     def power_on(self) -> None:
         """Resets the slave to its state after power-up."""
         self.memory = bytearray(reg.MEMORY_SIZE)
+        self.clock = SlaveClock(self.memory, *self._clock_parts)
         self.memory[reg.TYPE] = 0x11
         self.memory[reg.FMMU_COUNT : reg.ESC_FEATURES] = bytes([reg.FMMU_SLOTS, reg.SYNC_MANAGER_SLOTS, 4, 0x0F])
         pack_into("<H", self.memory, reg.ESC_FEATURES, 0x000C)  # distributed clocks, 64 bit
@@ -85,8 +103,14 @@ class EmulatedSlave:
         self._set_state(AlState.INIT)
         self.device.power_on()
 
-    def link(self, ports: int) -> None:
-        """Sets the first `ports` (1 or 2) as linked, the others as looped back (DL_STATUS, ETG.1000.4 §6.1.4)."""
+    def link(self, ports: int, travel_behind: int = 0) -> None:
+        """Sets the first `ports` (1 or 2) as linked, the others as looped back (DL_STATUS, ETG.1000.4 §6.1.4).
+
+        Args:
+            ports: Number of linked ports.
+            travel_behind: Time until a frame comes back from the slaves behind this one [ns].
+        """
+        self._travel_behind = travel_behind
         pack_into("<H", self.memory, reg.DL_STATUS, 0x5611 if ports == 1 else 0x5A31)
 
     def exchange(self, command: int, address: int, offset: int, data: bytearray) -> int:
@@ -132,7 +156,6 @@ class EmulatedSlave:
     def give_inputs(self, reading: Reading, time: int) -> None:
         """Updates the inputs from the sensors, and the ring's time [ns], after a tick of the machine."""
         self._time = time
-        pack_into("<Q", self.memory, reg.DC_SYSTEM_TIME, time)
         if self.stalled:
             return
         self.device.sense(reading)
@@ -153,6 +176,13 @@ class EmulatedSlave:
             self.memory[reg.WATCHDOG_STATUS] = 0
             self.memory[reg.WATCHDOG_COUNTER] = min(self.memory[reg.WATCHDOG_COUNTER] + 1, 255)
             self.drop(AlState.SAFEOP, StatusCode.WATCHDOG)
+
+    def _watch_sync(self) -> None:
+        """Returns to SAFEOP when too many frames with outputs miss their windows between two SYNC0 events."""
+        if self._sync_watch is None or self.state is not AlState.OP:
+            return
+        if not self._sync_watch.passed(Sync0.of(self.memory), self.clock.system_time()):
+            self.drop(AlState.SAFEOP, StatusCode.SYNCHRONISATION)
 
     # ---- memory
 
@@ -184,6 +214,8 @@ class EmulatedSlave:
         mail = start <= offset < start + length
         if mail and not full:
             return 0
+        if offset < reg.DC_SPEED_COUNTER and end > reg.DC_SYSTEM_TIME:
+            self.clock.refresh()
         found = self.memory[offset:end]
         data[:] = bytes(a | b for a, b in zip(data, found, strict=True)) if combine else found
         if mail and end >= start + length:
@@ -203,6 +235,9 @@ class EmulatedSlave:
         for register, byte in enumerate(data, offset):
             if _WRITABLE[register]:
                 self.memory[register] = byte
+        if offset == reg.DC_SYSTEM_TIME and len(data) in (4, 8):
+            self.clock.compensate(int.from_bytes(data[:4], "little"))
+            return 1
         self._act_on_registers(offset, end)
         return 1
 
@@ -219,7 +254,9 @@ class EmulatedSlave:
         if touches(reg.SYNC_MANAGER, reg.SYNC_MANAGER_SLOTS * reg.SYNC_MANAGER_SIZE):
             self._repeat_mail()
         if touches(reg.DC_RECEIVE_TIME, 4):
-            pack_into("<II", self.memory, reg.DC_RECEIVE_TIME, *2 * (self._time & 0xFFFFFFFF,))
+            self.clock.latch(self._travel_behind)
+        if touches(reg.DC_SPEED_COUNTER, 2):
+            self.clock.reset_compensation()
 
     def _take_written(self, start: int, end: int) -> None:
         """Restarts the watchdog after process data; answers a mailbox message after its last byte."""
@@ -228,6 +265,7 @@ class EmulatedSlave:
         if start < first + length and first < end and self.memory[base + 4] & reg.WATCHDOG_TRIGGER:
             self._written = self._time
             self.memory[reg.WATCHDOG_STATUS] = 1
+            self._watch_sync()
         first, length, _ = self._mailbox(0)
         if self.device.dictionary and start < first + length <= end and self.state is not AlState.INIT:
             request = bytes(self.memory[first : first + length])
@@ -317,7 +355,22 @@ class EmulatedSlave:
             return self._enter_safe_operational()
         if wanted is AlState.OP:
             self._written = self._time
+            return self._enter_operational(present)
         return wanted, StatusCode.NONE
+
+    def _enter_operational(self, present: AlState) -> tuple[AlState, StatusCode]:
+        """Enters OP; a device that needs SYNC0 refuses it without one (ETG.1020)."""
+        if self._sync_watch is None:
+            return AlState.OP, StatusCode.NONE
+        sync, time = Sync0.of(self.memory), self.clock.system_time()
+        if not sync.active:
+            return present, StatusCode.NO_SYNC
+        if not sync.cycle:
+            return present, StatusCode.INVALID_SYNC
+        if not sync.events(time):
+            return present, StatusCode.NO_SYNC
+        self._sync_watch.start(sync, time)
+        return AlState.OP, StatusCode.NONE
 
     def _enter_safe_operational(self) -> tuple[AlState, StatusCode]:
         """Enters SAFEOP if the lengths that the master mapped are those of the assigned PDOs."""

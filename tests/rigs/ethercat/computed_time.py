@@ -1,0 +1,130 @@
+"""A rig on an emulated ring whose time is computed: it passes only where the master waits or works."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from time import sleep
+
+import numpy as np
+import pytest
+
+from stepgap.plants.tick_clock import TickClock
+from stepgap.rigs.ethercat.distributed_clocks import HostTime
+from stepgap.rigs.ethercat.emulator.clock import ClockError, ComputedTime
+from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
+from stepgap.rigs.ethercat.emulator.emulator import emulated
+from stepgap.rigs.ethercat.emulator.faults import Fault
+from stepgap.rigs.ethercat.emulator.machine import Machine
+from stepgap.rigs.ethercat.emulator.ring_settings import RingClocks, RingSettings
+from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.rig import Torques
+from stepgap.robots.hopper.ethercat import RigSettings, hopper_on_ethercat
+from stepgap.robots.hopper.parameters import RobotParameters
+from stepgap.robots.hopper.ring_rig import emulated_settings
+from stepgap.robots.hopper.sensors import HopperReading, hopper_sensors
+from stepgap.robots.hopper.still import still_hopper
+from stepgap.robots.hopper.twin_machine import hopper_devices
+
+WkcError = pytest.importorskip("pysoem", reason="pysoem is locked for Linux only").WkcError
+
+DRIVES = ("drive_1", "drive_2")
+TICK = 1e-3
+WORK = 5e-5
+"""Time from the beginning of a tick to its frame [s]."""
+
+HOP = 500
+"""Time of a frame from one slave to the next [ns]."""
+
+
+class StillMachine(Machine):
+    """Counts that never change."""
+
+    @property
+    def period(self) -> float:
+        return TICK
+
+    def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
+        return hopper_devices(settings, TICK)
+
+    def start(self) -> HopperReading:
+        return HopperReading(0, 0, 0, 0, 0.0)
+
+    def tick(self, torques: Torques) -> HopperReading:  # noqa: ARG002
+        return self.start()
+
+
+class SimulatedTime:
+    """The true time [s], which a ring in another process reads."""
+
+    def __init__(self) -> None:
+        self.now, self.ring_time = 1.0, ComputedTime()
+        self.pause(0.0)
+
+    @property
+    def host(self) -> HostTime:
+        return HostTime(lambda: self.now, self.pause)
+
+    def pause(self, duration: float) -> None:
+        self.now += duration
+        self.ring_time.set(round(1e9 * self.now))
+
+
+def drifting_clocks(rng: np.random.Generator) -> tuple[ClockError, ...]:
+    """Six clocks with errors up to ±100 ppm, of which 5 to 20 ppm vary slowly; the first two are far apart."""
+    rates = [80.0, -80.0, *rng.uniform(-80, 80, 4)]
+    return tuple(ClockError(rate, rng.uniform(5, 20), rng.uniform(30, 120)) for rate in rates)
+
+
+def settings_with_sync0(interface: str) -> RigSettings:
+    """Settings of a ring in which SYNC0 is activated for both drives."""
+    ring = RingSettings(clocks=RingClocks(need_sync0=DRIVES))
+    return emulated_settings(hopper_sensors(still_hopper(TICK).sensor_model), RobotParameters(), ring, interface)
+
+
+class TimedRig:
+    """Ticks of a rig as the control loop makes them."""
+
+    def __init__(self, rig: EthercatRig, time: SimulatedTime):
+        self.rig, self.time = rig, time
+        self._clock, self._start = TickClock(TICK), time.now
+
+    def tick(self, late: float = 0.0, follow: bool = True) -> float:
+        """Runs a tick that begins late [s]; returns how late the frame before was at the reference clock [s]."""
+        correction = self.rig.clock_correction(self._clock.slip)
+        self._clock.shift(correction if follow else 0.0)
+        begun = self._clock.begin(late)
+        self.time.pause(self._start + begun - self.time.now)
+        self.rig.read()
+        self.time.pause(WORK)
+        reads = self.time.ring_time.reads
+        self.rig.write((0.0, 0.0))
+        while self.time.ring_time.reads == reads:  # no time passes before the frame is at the ring
+            sleep(0)
+        return self.rig.diagnostics[-2]
+
+    def register(self, slave: int, address: int, size: int) -> int:
+        """Reads a register of a slave controller; a busy computer may answer too late."""
+        for _ in range(5):
+            with suppress(WkcError):
+                return int.from_bytes(self.rig._bus._master.slaves[slave]._fprd(address, size, 20_000), "little")
+        raise TimeoutError
+
+    def apart(self) -> int:
+        """Difference of the drives' system times at the same true time [ns]."""
+        return self.register(1, 0x0910, 8) - self.register(0, 0x0910, 8) - HOP
+
+
+@contextmanager
+def timed_rig(
+    interface: str,
+    clocks: tuple[ClockError, ...] = (),
+    faults: tuple[Fault, ...] = (),
+    settings: RigSettings | None = None,
+) -> Iterator[TimedRig]:
+    """A connected rig whose drives need SYNC0."""
+    ring = RingSettings(clocks=RingClocks(clocks, HOP, DRIVES), faults=faults)
+    time = SimulatedTime()
+    found = settings or settings_with_sync0(interface)
+    with emulated(interface, StillMachine, ring, time.ring_time):
+        rig = EthercatRig(found, hopper_on_ethercat(found, RobotParameters()).sensor_model, time.host)
+        with rig:
+            yield TimedRig(rig, time)
