@@ -39,9 +39,9 @@ ANALOG_INPUT = Struct("<Hh")
 PREOP, SAFEOP, OP, ERROR = 2, 4, 8, 0x10
 LONGEST_RUN = 100_000
 TIMEOUT = 50_000
-PATIENCE = 5_000_000
-"""Timeouts of a frame [µs]: the second one where each frame must make one tick, also on a busy computer."""
 """Longest wait for a frame [µs]; a lost one costs it."""
+PATIENCE = 5_000_000
+"""The same where each frame must make one tick, also on a busy computer."""
 
 pysoem: Any = pytest.importorskip("pysoem", reason="the master of these tests is missing: pip install pysoem")
 
