@@ -32,6 +32,8 @@ MISSING_LIMITS = (
     "longest_leg",
     "lowest_hip",
     "highest_hip",
+    "continuous_torque",
+    "mean_power",
     "posture_torque",
     "posture_speed",
     "first_hops",

@@ -12,7 +12,7 @@ from stepgap.plants.ticks.log_description import LogDescription, LogEvent, Range
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLogError, read_description, read_intact_ticks
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.ethercat.cia402 import STATUSWORD_UNIT, state_of
+from stepgap.rigs.ethercat.cia402 import INTERNAL_LIMIT, STATUSWORD_UNIT, WARNING, state_of
 from stepgap.step import Array
 
 AFTERWARDS = 0.5
@@ -105,14 +105,18 @@ def utc_of(incident: Incident, time: float) -> str:
 def namers_of(incident: Incident) -> dict[str, Callable[[int], str]]:
     """For each field whose numbers have names, the function that gives them; status words are decoded."""
     found: dict[str, Callable[[int], str]] = {
-        field: lambda word: state_of(word).value
-        for field, unit in incident.ticks.units.items()
-        if unit == STATUSWORD_UNIT
+        field: _described_word for field, unit in incident.ticks.units.items() if unit == STATUSWORD_UNIT
     }
     names = {"state": {state.value: state.name for state in RigState}, **incident.description.meaning.names}
     for field in incident.ticks.units.keys() & names:
         found[field] = lambda number, texts=names[field]: texts.get(number, str(number))
     return {field: found[field] for field in incident.ticks.units if field in found}
+
+
+def _described_word(word: int) -> str:
+    """State, warning and internal limit in a status word (CiA 402-2, object 0x6041)."""
+    marks = [text for bit, text in ((WARNING, "warning"), (INTERNAL_LIMIT, "internal limit")) if word & bit]
+    return ", ".join([state_of(word).value, *marks])
 
 
 def changes_of(incident: Incident) -> list[Occurrence]:

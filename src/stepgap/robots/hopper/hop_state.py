@@ -9,6 +9,7 @@ from stepgap.robots.hopper.dynamics import Masses
 from stepgap.robots.hopper.estimator import FlightFit, JointRates
 from stepgap.robots.hopper.joint_control import JointLaw
 from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.robots.hopper.load import Load
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.plausibility import SensorWatch
 from stepgap.robots.hopper.safety import JointMotion, Watch
@@ -150,6 +151,7 @@ class HopState(NamedTuple):
         limited: Reason why the written torques differ; the number of a `Limited`.
         hops: Number of hops that have reached their apex.
         stage: Limits of torque and speed that held.
+        load: Load of the motors so far.
     """
 
     mode: int = int(Mode.STEP)
@@ -167,3 +169,4 @@ class HopState(NamedTuple):
     limited: int = 0
     hops: int = 0
     stage: Stage = Stage(0.0, 0.0)
+    load: Load = Load()

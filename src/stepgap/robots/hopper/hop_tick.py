@@ -16,6 +16,7 @@ from stepgap.base.compiled_record import assign, loaded
 from stepgap.plants.tick_control import Mode, TickFlag
 from stepgap.robots.hopper.estimator import fitted_apex
 from stepgap.robots.hopper.hop_state import STEP_TIMEOUT, Apex, FlightState, HopProgress, HopState, TickInputs
+from stepgap.robots.hopper.load import add_load
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.plausibility import judge_sensors
 from stepgap.robots.hopper.reduced import uprightness
@@ -51,8 +52,13 @@ def hop_tick(settings, state, inputs):
     asked = wanted_torque(settings.law, phase, motion, flight, hop, inputs)
     requested = (0.0, 0.0) if inputs.mode == Mode.LIMP else asked  # a limp robot only logs what the law asks for
     sensors, doubts = judge_sensors(settings, state, sampled, phase, motion, body, inputs)
+    load, overload = add_load(
+        settings.limits, settings.sensor_model.tick, state.load, motion, inputs.applied_1, inputs.applied_2
+    )
     stage = stage_of(settings.limits, inputs.mode, inputs.share, state.hops)
-    checked = check_torque(settings.limits, stage, state.watch, motion, inputs, doubts, requested[0], requested[1])
+    checked = check_torque(
+        settings.limits, stage, state.watch, motion, inputs, doubts | overload, requested[0], requested[1]
+    )
     hop = _update_status(settings.law.leg, hop, motion, checked.limited)
     flags, apex = 0, state.apex
     if inputs.mode == Mode.STEP and checked.limited & STOPS == 0:
@@ -60,7 +66,7 @@ def hop_tick(settings, state, inputs):
     flags |= _flags(settings.limits, hop, phase, checked)
     after = HopState(
         inputs.mode, phase, sampled, motion, rates, flight, hop, apex, sensors, checked.watch, asked[0], asked[1],
-        checked.limited, state.hops + int(flags & _STEP_ENDED != 0), stage,
+        checked.limited, state.hops + int(flags & _STEP_ENDED != 0), stage, load,
     )  # fmt: skip
     return after, (checked.torque_1, checked.torque_2), flags
 

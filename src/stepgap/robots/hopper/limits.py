@@ -17,6 +17,9 @@ _POSITIVE = frozenset(
         "fold_angle",
         "longest_leg",
         "brake_torque",
+        "continuous_torque",
+        "overload_time",
+        "mean_power",
         "posture_torque",
         "posture_speed",
         "jump_angle",
@@ -41,6 +44,9 @@ class SafetyLimits(RigLimits):
         longest_leg: Largest leg length ℓ [m].
         lowest_hip: Smallest height of the hip [m].
         highest_hip: Largest height of the hip [m].
+        continuous_torque: Torque that a motor withstands for any time [N·m].
+        overload_time: Time for which it withstands the largest torque from cold [s].
+        mean_power: Largest mean mechanical power of both motors, over some two seconds [W].
         posture_torque: Largest motor torque while the robot takes its posture, and at the end of its landing [N·m].
         posture_speed: Largest speed of a top link while the robot takes its posture [rad/s].
         first_share: Part of `torque` and `joint_speed` that is allowed in the first hop of a deployment.
@@ -68,6 +74,9 @@ class SafetyLimits(RigLimits):
     longest_leg: float = inf
     lowest_hip: float = -inf
     highest_hip: float = inf
+    continuous_torque: float = inf
+    overload_time: float = 1.0
+    mean_power: float = inf
     posture_torque: float = inf
     posture_speed: float = inf
     first_share: float = 0.5

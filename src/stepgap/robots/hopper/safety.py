@@ -39,6 +39,8 @@ class Limited(IntFlag):
     CONTACT_IN_AIR = 1 << 21
     GROUND_WITHOUT_CONTACT = 1 << 22
     FOOT_BELOW_GROUND = 1 << 23
+    OVERLOAD = 1 << 24
+    POWER = 1 << 25
 
     @property
     def stops(self) -> bool:
@@ -49,7 +51,7 @@ class Limited(IntFlag):
 CHANGES_TORQUE = Limited.TORQUE | Limited.TORQUE_STEP | Limited.STRETCH
 """Reasons that only change the torques; all others stop the robot."""
 
-BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited.LATE
+BRAKED = Limited.JOINT_ANGLE | Limited.LEG_LENGTH | Limited.HIP_HEIGHT | Limited.LATE | Limited.OVERLOAD | Limited.POWER
 """Reasons to stop with sensors and drives that are still reliable, so that the motors brake before torque goes off.
 
 A joint that is too fast is not among them: its encoder may have the wrong sign, so that braking would accelerate it.
@@ -57,7 +59,7 @@ Nor is a doubtful sensor. Where an angle or a height beyond its limit is itself 
 brake is harmless: its torque is limited, and it is released if the speed grows.
 """
 
-DOUBTS = Limited(sum(reason for reason in Limited if reason >= Limited.MOTOR_1_FROZEN))
+DOUBTS = Limited(sum(reason for reason in Limited if Limited.MOTOR_1_FROZEN <= reason <= Limited.FOOT_BELOW_GROUND))
 """Reasons to doubt a sensor, which `plausibility` finds."""
 
 BRAKE_GROWTH = 10.0
@@ -148,7 +150,7 @@ def check_torque(limits, stage, watch, motion, health, doubts, torque_1, torque_
         watch: Watch of the previous tick; fields as in `Watch`.
         motion: JointMotion at this tick; fields as in `JointMotion`.
         health: Health at this tick; fields as in `Health`.
-        doubts: Reasons to doubt a sensor at this tick, as the number of a `Limited`.
+        doubts: Reasons to doubt a sensor at this tick, and an overload, as the number of a `Limited`.
         torque_1: Torque requested of motor 1 [N·m].
         torque_2: Torque requested of motor 2 [N·m].
 
