@@ -79,7 +79,7 @@ def press_enter(board: Board) -> Iterator[None]:
     del board  # no key is held
     terminal = _terminal()
     _forget_input(terminal)
-    print("Press Enter, and the simulated robot hops. Ctrl-C lands it.", file=sys.stderr)
+    print("Press Enter, and the simulated robot gets torque. Ctrl-C lands it.", file=sys.stderr)
     if not sys.stdin.readline():
         raise RigFault("Enter was not pressed, so no torque was given")
     yield
