@@ -11,7 +11,8 @@ from typing import Any
 
 from stepgap.rigs.ethercat.clock_start import start_clocks, synchronise
 from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime, Steering
-from stepgap.rigs.ethercat.pdo import Packing, Pdo
+from stepgap.rigs.ethercat.pdo import Packing
+from stepgap.rigs.ethercat.pdo_mapping import configure_pdos
 from stepgap.rigs.ethercat.rig_settings import BusSettings
 from stepgap.rigs.rig import MissingObject, RigFault
 
@@ -249,13 +250,9 @@ class Bus:
     def _configure(self, number: int) -> None:
         """Configures PDOs and watchdog of one slave, in PREOP."""
         pdos = self._settings.pdo_set(self._settings.slaves[number])
-        for assignment, wanted, packing in (
-            (_ASSIGN_OUTPUTS, pdos.outputs, self._outputs[number]),
-            (_ASSIGN_INPUTS, pdos.inputs, self._inputs[number]),
-        ):
+        for assignment, wanted in ((_ASSIGN_OUTPUTS, pdos.outputs), (_ASSIGN_INPUTS, pdos.inputs)):
             if wanted:
-                self._assign(number, assignment, wanted)
-                self._check_mapping(number, wanted, packing)
+                configure_pdos(self, number, assignment, wanted)
         if pdos.outputs:
             self._set_watchdog(number)
 
@@ -267,36 +264,6 @@ class Bus:
             except self._soem.WkcError:
                 continue
         raise RigFault(f"{self.label(number)}: the watchdog cannot be set")
-
-    def _assign(self, number: int, assignment: int, pdos: tuple[Pdo, ...]) -> None:
-        """Assigns PDOs that are not assigned already; some terminals have only one set and refuse the assignment."""
-        present = [
-            self._read(number, assignment, subindex, _U16)
-            for subindex in range(1, self._read(number, assignment, 0, _U8) + 1)
-        ]
-        if present == [pdo.index for pdo in pdos]:
-            return
-        self._write(number, assignment, 0, _U8, 0)
-        for subindex, pdo in enumerate(pdos, start=1):
-            self._write(number, assignment, subindex, _U16, pdo.index)
-        self._write(number, assignment, 0, _U8, len(pdos))
-
-    def _check_mapping(self, number: int, pdos: tuple[Pdo, ...], packing: Packing) -> None:
-        """Compares the slave's PDO mapping with the settings: the position of each value used, and the length."""
-        found, bit = {}, 0
-        for pdo in pdos:
-            for subindex in range(1, self._read(number, pdo.index, 0, _U8) + 1):
-                word = self._read(number, pdo.index, subindex, _U32)
-                bits = word & 0xFF
-                found[bit] = (word >> 16, word >> 8 & 0xFF, bits)
-                bit += bits
-        for entry, at in packing.mapping.values():
-            if entry.index and found.get(at) != (entry.index, entry.subindex, entry.bits):
-                there = "0x{:04X}:{:02X}:{}".format(*found[at]) if at in found else "none"
-                raise RigFault(f"{self.label(number)} must map {entry} at byte {at // 8}, but there is {there}")
-        if bit != 8 * packing.size:
-            indices = ", ".join(f"0x{pdo.index:04X}" for pdo in pdos)
-            raise RigFault(f"{self.label(number)} must map {packing.size} bytes in {indices}, but maps {bit / 8:g}")
 
     def _start(self, master: Any) -> None:
         """Maps the process data and brings the slaves to OP."""

@@ -10,7 +10,7 @@ DEVICE_TYPE, DEVICE_NAME, IDENTITY = 0x1000, 0x1008, 0x1018
 SYNC_MANAGER_TYPES, ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C00, 0x1C12, 0x1C13
 """Communication area (ETG.1000.6): kinds of the sync managers, PDOs in them."""
 
-MOST_PDOS = 8
+MOST_PDOS, MOST_PARTS = 8, 8
 
 
 class Abort(StepGapError):
@@ -117,6 +117,7 @@ class Dictionary:
         assigned_outputs: Output PDOs assigned initially.
         assigned_inputs: Input PDOs assigned initially.
         check: Raises `Abort` if a number must not be written to an index.
+        mappable: Whether the contents of PDOs may be written while they are not assigned.
     """
 
     def __init__(
@@ -128,6 +129,7 @@ class Dictionary:
         assigned_outputs: tuple[int, ...],
         assigned_inputs: tuple[int, ...],
         check: Callable[[int, int], None] = lambda index, value: None,
+        mappable: bool = False,
     ):
         self._entries: dict[tuple[int, int], ObjectEntry] = {
             (DEVICE_TYPE, 0): ObjectEntry(0, 32),
@@ -139,10 +141,10 @@ class Dictionary:
             **objects,
         }
         self._pdos = {ASSIGN_OUTPUTS: outputs, ASSIGN_INPUTS: inputs}
-        self._check = check
+        self._check, self._mappable = check, mappable
         for index, parts in [*outputs.items(), *inputs.items()]:
             words = tuple(part.index << 16 | part.subindex << 8 | part.bits for part in parts)
-            self._entries |= _array(index, words, 32)
+            self._entries |= _array(index, words, 32, MOST_PARTS)
 
     def read(self, index: int, subindex: int) -> bytes:
         """Reads the bytes of an entry.
@@ -169,6 +171,10 @@ class Dictionary:
             if not may_assign:
                 raise Abort(Abort.WRONG_STATE)
             self._check_assignment(index, subindex, int.from_bytes(data, "little"))
+        elif self._mappable and self._is_pdo(index):
+            if not may_assign:
+                raise Abort(Abort.WRONG_STATE)
+            self._check_mapping(index, subindex, int.from_bytes(data, "little"))
         elif not entry.writable:
             raise Abort(Abort.READ_ONLY)
         if 8 * len(data) != entry.bits:
@@ -179,10 +185,12 @@ class Dictionary:
 
     def image(self, assignment: int) -> Image:
         """Process data of ASSIGN_OUTPUTS or ASSIGN_INPUTS with the present assignment."""
-        pdos, parts = self._pdos[assignment], []
+        parts = []
         for number in range(1, self._number(assignment, 0) + 1):
-            for part in pdos.get(self._number(assignment, number), ()):
-                parts.append((self._entries[part.index, part.subindex] if part.index else None, part.bits))
+            pdo = self._number(assignment, number)
+            for subindex in range(1, self._number(pdo, 0) + 1):
+                word = self._number(pdo, subindex)
+                parts.append((self._entries[word >> 16, word >> 8 & 0xFF] if word >> 16 else None, word & 0xFF))
         return Image(parts)
 
     def _check_assignment(self, index: int, subindex: int, value: int) -> None:
@@ -197,6 +205,24 @@ class Dictionary:
             raise Abort(Abort.ASSIGNED_STILL)
         elif value not in self._pdos[index]:
             raise Abort(Abort.NOT_MAPPABLE)
+
+    def _is_pdo(self, index: int) -> bool:
+        return any(index in pdos for pdos in self._pdos.values())
+
+    def _check_mapping(self, index: int, subindex: int, value: int) -> None:
+        """Checks the content of a PDO, which is written like an assignment, while the PDO is not assigned."""
+        for assignment in self._pdos:
+            if index in [self._number(assignment, number + 1) for number in range(self._number(assignment, 0))]:
+                raise Abort(Abort.ASSIGNED_STILL)
+        if subindex == 0:
+            if value > MOST_PARTS:
+                raise Abort(Abort.VALUE_RANGE)
+        elif self._number(index, 0) != 0:
+            raise Abort(Abort.ASSIGNED_STILL)
+        elif value >> 16:
+            mapped = self._entries.get((value >> 16, value >> 8 & 0xFF))
+            if mapped is None or mapped.bits != value & 0xFF:
+                raise Abort(Abort.NOT_MAPPABLE)
 
     def _number(self, index: int, subindex: int) -> int:
         return self._entries[index, subindex].value

@@ -162,6 +162,7 @@ class Drive(EmulatedDevice):
             (0x1602,),
             (0x1A02,),
             _check,
+            mappable=True,
         )
         self.state, self.torque, self._before = DriveState.SWITCH_ON_DISABLED, 0.0, 0
         self.messages.clear()
