@@ -1,11 +1,25 @@
 """Output files of the verbs: no existing file is overwritten, and an error is one line."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from stepgap.base.errors import InputError
+
+PICTURE_FORMATS = ("pdf", "png", "svg")
+"""File formats of a figure."""
+
+
+def format_by_name(path: Path, formats: Collection[str] = PICTURE_FORMATS) -> str:
+    """File format that the end of a name demands.
+
+    Raises:
+        InputError: It is none of the formats.
+    """
+    if (form := path.suffix[1:].lower()) not in formats:
+        raise InputError(f"{path}: the name must end with one of .{', .'.join(formats)}")
+    return form
 
 
 def check_new(path: Path, option: str) -> None:

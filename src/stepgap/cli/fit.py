@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import check_new, write_new
+from stepgap.base.output_files import check_new, format_by_name, write_new
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Integer, Overrides
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -41,13 +41,11 @@ class Results:
 
     def check(self) -> None:
         """Raises InputError if one of the files cannot be written."""
-        from stepgap.report.fit import PICTURE_FORMATS
-
         for option in fields(self):
             if file := getattr(self, option.name):
                 check_new(file, f"--{option.name}")
-        if self.plot and _format_of(self.plot) not in PICTURE_FORMATS:
-            raise InputError(f"{self.plot}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
+        if self.plot:
+            format_by_name(self.plot)
 
 
 NO_RESULTS = Results()
@@ -163,11 +161,7 @@ def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation:
     if results.out:
         write_new(results.out, "--out", json.dumps(fit_report(log, data, validation), indent=1))
     if results.plot:
-        picture = fit_picture(data.steps.space.state, validation, _format_of(results.plot))
+        picture = fit_picture(data.steps.space.state, validation, format_by_name(results.plot))
         write_new(results.plot, "--plot", picture)
     if results.save:
         write_new(results.save, "--save", best_model(data, validation))
-
-
-def _format_of(picture: Path) -> str:
-    return picture.suffix[1:].lower()

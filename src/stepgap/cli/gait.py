@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import free_name, writing
+from stepgap.base.output_files import format_by_name, free_name, writing
 from stepgap.cli.map_table import named_values
 from stepgap.cli.options import NamedValues, Overrides, values_by_name
 from stepgap.cli.terminal import announces_compilation, warn
@@ -50,8 +50,7 @@ def gait(
     figure = gait_figure(nominal.space, point, reachable)
     picture = out or free_name(Path("gait.png"))
     formats = figure.canvas.get_supported_filetypes()
-    if picture.suffix[1:].lower() not in formats:
-        raise InputError(f"{picture}: the name must end with one of .{', .'.join(formats)}")
+    format_by_name(picture, formats)
     with writing(picture, "--out"):
         figure.savefig(picture, dpi=150)
     print(describe_gait(nominal.space, point, reachable))

@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.cli.options import Flag, Name, Overrides, Program, Seconds, add_verb
-from stepgap.cli.terminal import announces_compilation
+from stepgap.cli.terminal import announces_compilation, check_consent
 
 ETHERCAT = "ethercat"
 """Name of the rig that `rig.toml` describes."""
@@ -139,15 +139,13 @@ def jog(
     from stepgap.robots.hopper.jog_trial import try_motors
     from stepgap.robots.hopper.robot import as_hopper
 
-    if not sys.stdin.isatty():
-        raise InputError("rig jog: standard input is not a terminal; torque needs a person at the keyboard")
+    check_consent("rig jog")
     robot = as_hopper(read_experiment(experiment, overrides or []).robot, "motors are tried")
     make_rig = partial(load_rig, plant, rig_file, robot)
-    limits = make_rig().limits
-    require_limits(str(rig_file), limits)
+    limits = require_limits(str(rig_file), make_rig().limits)
     checked(rig_file)
     mark, settings = fingerprint(rig_file), rig_file.read_text("utf-8")
-    content = try_motors(make_rig, robot.control(), limits is not None and limits.simulated, settings)
+    content = try_motors(make_rig, robot.control(), limits.simulated, settings)
     file = write_proof(rig_file, JOG, mark, content)
     print("result  passed" if content["passed"] else "result  not passed")
     print(file)
@@ -196,16 +194,14 @@ def incident(log: Path, /, *, seconds: Seconds = 1.0, out: Path | None = None) -
         seconds: Time before the fault that is shown [s].
         out: New figure, .png, .svg or .pdf. [default: beside the log]
     """
-    from stepgap.base.output_files import check_new, free_name, write_new
+    from stepgap.base.output_files import check_new, format_by_name, free_name, write_new
     from stepgap.plants.ticks.tick_log import TickLogError
     from stepgap.records.incident import describe_incident, read_incident
-    from stepgap.report.fit import PICTURE_FORMATS
     from stepgap.report.incident import incident_picture
 
     _check_seconds(seconds)
     picture = out or free_name(log.with_name(f"{log.stem}_incident.png"))
-    if (form := picture.suffix[1:].lower()) not in PICTURE_FORMATS:
-        raise InputError(f"{picture}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
+    form = format_by_name(picture)
     check_new(picture, "--out")
     try:
         found = read_incident(log, seconds)

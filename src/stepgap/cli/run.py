@@ -142,7 +142,7 @@ def run(
     from stepgap.experiment.run_start import start_folder
 
     if arm:
-        check_consent()
+        check_consent("--arm")
     if not display.view and (display.host or display.port):
         raise InputError("--host, --port: valid only with --view, whose page they belong to")
     if resume and extend is not None:

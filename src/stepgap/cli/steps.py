@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import check_new, write_new
+from stepgap.base.output_files import check_new, format_by_name, write_new
 from stepgap.cli.options import Flag, Name, Names, Seconds
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -123,12 +123,9 @@ def steps(
 
 def _check_outputs(out: Path, meaning: Path, picture: Path) -> None:
     """Raises InputError if one of the files cannot be written."""
-    from stepgap.report.fit import PICTURE_FORMATS
-
     if out.suffix in (".toml", ".png"):
         raise InputError(f"{out}: the name must end with .csv")
-    if picture.suffix[1:].lower() not in PICTURE_FORMATS:
-        raise InputError(f"{picture}: the name must end with one of .{', .'.join(PICTURE_FORMATS)}")
+    format_by_name(picture)
     for file in (out, meaning):
         check_new(file, "--out")
     check_new(picture, "--plot")

@@ -13,15 +13,18 @@ def warn(message: str) -> None:
     print(f"stepgap: {' '.join(message.split())}", file=sys.stderr)
 
 
-def check_consent() -> None:
+def check_consent(asked_by: str) -> None:
     """Ensures that a person can consent to torque: standard input is a terminal, not a pipe or a file.
+
+    Args:
+        asked_by: Option or verb that gives torque.
 
     Raises:
         InputError: It is not.
     """
     if sys.stdin is None or not sys.stdin.isatty():
         raise InputError(
-            "--arm: standard input is not a terminal; torque needs a person who presses Enter at a terminal, not a pipe"
+            f"{asked_by}: standard input is not a terminal; torque needs a person at the keyboard, not a pipe"
         )
 
 

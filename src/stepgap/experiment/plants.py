@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from stepgap.plants.commissioning.proof import proven
 from stepgap.plants.plant import Plant
 from stepgap.plants.process.line_channel import Child, Connection
 from stepgap.plants.process.process_plant import ProcessPlant
-from stepgap.plants.realtime.consent import hold_key_to_hop, press_enter
+from stepgap.plants.realtime.consent import hold_key_to_hop, supervised
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
@@ -110,9 +109,8 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
         raise InputError(
             f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` tests all but torque"
         )
-    require_limits(settings.rig, limits)
-    simulated = limits is not None and limits.simulated
-    loop, consent = (LoopSettings(release_time=inf), press_enter) if simulated else (LoopSettings(), hold_key_to_hop)
+    simulated = require_limits(settings.rig, limits).simulated
+    loop, consent = supervised(LoopSettings(), hold_key_to_hop, simulated)
     setup = RealtimeSetup(make_rig, control, loop)
 
     def require_proofs() -> None:
@@ -128,11 +126,11 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
     return Plants(make, replays=False)
 
 
-def require_limits(rig: str, limits: RigLimits | None) -> None:
-    """Ensures that a rig has limits, all of which limit something.
+def require_limits(rig: str, limits: RigLimits | None) -> RigLimits:
+    """Returns the limits of a rig, after ensuring that all of them limit something.
 
     Raises:
-        InputError: It has not.
+        InputError: One of them does not, or there are none.
     """
     if limits is None:
         raise InputError(f"{rig}: the rig has no limits; torque needs a rig whose `limits` are all finite")
@@ -140,6 +138,7 @@ def require_limits(rig: str, limits: RigLimits | None) -> None:
         raise InputError(
             f"{rig}: [limits] lacks {', '.join(lacking)}; torque needs a finite value of each, as in examples/rig.toml"
         )
+    return limits
 
 
 def _of_process(settings: Experiment, program: Sequence[str]) -> Plants:

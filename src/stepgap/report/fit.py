@@ -21,9 +21,6 @@ LOOKS: tuple[dict[str, Any], ...] = (
 )
 """Colours and markers of the residuals."""
 
-PICTURE_FORMATS = ("pdf", "png", "svg")
-"""File formats of the figure."""
-
 
 def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) -> bytes:
     """Draws predicted against actual errors of the nominal map, with a panel for each state coordinate.
@@ -33,7 +30,7 @@ def fit_picture(state: Sequence[Quantity], validation: Validation, form: str) ->
     Args:
         state: State coordinates.
         validation: Predictions of held-out steps by all residuals.
-        form: File format, one of `PICTURE_FORMATS`.
+        form: File format, one of `base.output_files.PICTURE_FORMATS`.
     """
     everything = range(len(state))
     complex_kinds: list[str] = [kind for kind in validation.held_out if kind not in ("none", "constant")]

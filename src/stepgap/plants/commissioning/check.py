@@ -210,11 +210,11 @@ def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
     for _ in range(_WATCHDOG_ATTEMPTS):
         try:
             with make_rig() as rig:
-                remarks, found = rig.remarks, rig.watchdog_times()
+                best, found = replace(best, remarks=rig.remarks), rig.watchdog_times()
         except RigFault as fault:
             return replace(check, watchdog_fault=str(fault))
         if found and (best.watchdog is None or _longest_time(found) < _longest_time(best.watchdog)):
-            best = replace(check, watchdog=found, remarks=remarks)
+            best = replace(best, watchdog=found)
         if not _slow_watchdogs(found):
             break
     return best

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from math import isfinite
 from pathlib import Path
 from time import sleep
 
@@ -12,7 +11,7 @@ from rich.table import Table
 
 from stepgap.base.errors import InputError
 from stepgap.base.signals import terminated_as_interrupted
-from stepgap.plants.commissioning.limp import ended, limp_setup
+from stepgap.plants.commissioning.limp import LastTick, ended, limp_setup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.log_description import LogEvent
@@ -37,22 +36,22 @@ class WatchedLog:
 
     Attributes:
         count: Number of ticks so far.
-        last: Fields by name of the last tick with known sensor values; empty before the first.
         worst: Largest delay of a tick [s].
     """
 
     def __init__(self, log: TickLog, names: Iterable[str]):
-        self._log, self._names, self.count, self.worst = log, tuple(names), 0, 0.0
-        self.last: dict[str, float] = {}
+        self._log, self._last, self.count, self.worst = log, LastTick(names), 0, 0.0
+
+    @property
+    def last(self) -> dict[str, float]:
+        """Fields by name of the last tick with known sensor values; empty before the first."""
+        return self._last.fields
 
     def append(self, rows: Array) -> None:
         """Adds ticks to the log."""
         self._log.append(rows)
         self.count += len(rows)
-        for row in rows[::-1].tolist():
-            if all(map(isfinite, row)):
-                self.last = dict(zip(self._names, row, strict=True))
-                break
+        self._last.append(rows)
         self.worst = max([self.worst, *rows[:, -1].tolist()])
 
     def note(self, event: LogEvent) -> None:

@@ -2,52 +2,24 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from math import isfinite
 from pathlib import Path
 from time import sleep
 
 from stepgap.base.signals import terminated_as_interrupted
-from stepgap.plants.commissioning.limp import ended
+from stepgap.plants.commissioning.limp import LastTick, ended
 from stepgap.plants.realtime.board import Request
 from stepgap.plants.realtime.consent import Consent
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
-from stepgap.plants.ticks.log_description import LogEvent
-from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog, next_path, read_intact_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import RigFault
-from stepgap.step import Array
 
 JOG = "jog"
 """Verb of `stepgap rig`, and folder of its logs."""
 
 _LOOK_EVERY = 0.02
 """Time between two looks at the state of the session [s]."""
-
-
-class LastTick:
-    """Keeps the last tick with known sensor values, by the names of its fields."""
-
-    def __init__(self, names: tuple[str, ...]):
-        self._names = names
-        self.fields: Mapping[str, float] = {}
-
-    def append(self, rows: Array) -> None:
-        """Takes ticks."""
-        for row in rows[::-1].tolist():
-            if all(map(isfinite, row)):
-                self.fields = dict(zip(self._names, row, strict=True))
-                return
-
-    def note(self, event: LogEvent) -> None:
-        """Takes a message, which `Session.message` has, too."""
-
-    def flush(self) -> None:
-        """Does nothing."""
-
-    def close(self) -> None:
-        """Does nothing."""
 
 
 @contextmanager
@@ -60,7 +32,7 @@ def limp_robot(setup: RealtimeSetup) -> Iterator[Callable[[], Mapping[str, float
     Raises:
         RigFault: The rig failed.
     """
-    last = LastTick(tuple(setup.units))
+    last = LastTick(setup.units)
     session = Session(setup, last)
 
     def look() -> Mapping[str, float]:
@@ -92,9 +64,7 @@ def ticks_of_step(setup: RealtimeSetup, consent: Consent, settings: str) -> tupl
     session = Session(setup, TickLog(path, setup.units, setup.described(settings)))
     try:
         with terminated_as_interrupted():
-            while session.board.state < RigState.READY:
-                session.check()
-                sleep(_LOOK_EVERY)
+            session.await_ready()
             with consent(session.board):
                 session.board.request = Request.HOP
                 while session.board.hop(0) is None and not ended(session):

@@ -1,17 +1,17 @@
 """A real-time process that reads a robot's bus and gives it no torque."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from math import isfinite
 from time import sleep
 
 import numpy as np
 
 from stepgap.base.signals import terminated_as_interrupted
 from stepgap.plants.realtime.process import RealtimeSetup
-from stepgap.plants.realtime.session import Session
+from stepgap.plants.realtime.session import Session, TickSink
 from stepgap.plants.tick_control import RobotControl
-from stepgap.plants.ticks.log_description import LogEvent
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.rigs.limp_rig import FrameCount, LimpRig
 from stepgap.rigs.rig import Rig, RigFault
@@ -69,7 +69,7 @@ def ended(session: Session) -> str:
     return (session.message() or "the real-time process ended") if session.over() else ""
 
 
-class _Memory:
+class _Memory(TickSink):
     """Keeps ticks in memory."""
 
     def __init__(self) -> None:
@@ -80,14 +80,24 @@ class _Memory:
         self.blocks.append(rows)
         self.count += len(rows)
 
-    def note(self, event: LogEvent) -> None:
-        pass
 
-    def flush(self) -> None:
-        pass
+class LastTick(TickSink):
+    """Keeps the last tick with known sensor values.
 
-    def close(self) -> None:
-        pass
+    Attributes:
+        fields: Its fields by name; empty before the first.
+    """
+
+    def __init__(self, names: Iterable[str]):
+        self._names = tuple(names)
+        self.fields: dict[str, float] = {}
+
+    def append(self, rows: Array) -> None:
+        """Takes ticks."""
+        for row in rows[::-1].tolist():
+            if all(map(isfinite, row)):
+                self.fields = dict(zip(self._names, row, strict=True))
+                return
 
 
 def limp_setup(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> RealtimeSetup:

@@ -11,11 +11,14 @@ import select
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
+from math import inf
 from threading import Event, Thread
 from time import monotonic
 
 from stepgap.plants.realtime.board import Board
+from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.rigs.rig import RigFault
 
 Consent = Callable[[Board], AbstractContextManager[None]]
@@ -83,6 +86,11 @@ def press_enter(board: Board) -> Iterator[None]:
     if not sys.stdin.readline():
         raise RigFault("Enter was not pressed, so no torque was given")
     yield
+
+
+def supervised(loop: LoopSettings, held: Consent, simulated: bool) -> tuple[LoopSettings, Consent]:
+    """Settings of a loop and the consent that it needs: a key that is held, but Enter alone for a simulated robot."""
+    return (replace(loop, release_time=inf), press_enter) if simulated else (loop, held)
 
 
 def _terminal() -> int:

@@ -11,7 +11,6 @@ from stepgap.plants.realtime.board import FinishedHop, Request
 from stepgap.plants.realtime.consent import Consent
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session
-from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, next_path
 from stepgap.rigs.rig import RigFault
 from stepgap.step import ADVICE, Array, StepRecord, StepSpace, StepStatus
@@ -62,10 +61,7 @@ class RealtimePlant(Plant):
         except TickLogError as error:
             raise RigFault(str(error)) from None
         self._session = session = Session(self._setup, log)
-        while session.board.state < RigState.READY:
-            session.check()
-            sleep(_CHECK_EVERY)
-        session.check()
+        session.await_ready()
         self._consented.enter_context(self._consent(session.board))
         session.board.request = Request.HOP
         hop = self._await_hop(session)

@@ -7,6 +7,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from threading import Event, Thread
+from time import sleep
 from typing import Protocol
 
 from stepgap.plants.realtime.board import Board, Request
@@ -32,12 +33,15 @@ FLUSH_EVERY = 20
 FIRST_TICKS = "the first ticks"
 """Text of an event that relates the time of the ticks to UTC."""
 
+_LOOK_EVERY = 1e-3
+"""Time between two looks whether the rig is ready [s]."""
+
 WATCH_EVERY = 0.05
 """Time between two looks whether there are ticks [s]."""
 
 
 class TickSink(Protocol):
-    """Destination of ticks, such as a `TickLog`."""
+    """Destination of ticks, such as a `TickLog`; one in memory overrides only `append`."""
 
     def append(self, rows: Array) -> None:
         """Takes ticks, with the fields of `RealtimeSetup.units`; shape (k, fields)."""
@@ -114,6 +118,17 @@ class Session:
         if self.board.state == RigState.FAULT or self.over():
             raise RigFault(self.message() or "the real-time process ended")
         self.check_sink()
+
+    def await_ready(self) -> None:
+        """Waits until the rig is connected, and limp.
+
+        Raises:
+            RigFault: As for `check`.
+        """
+        while self.board.state < RigState.READY:
+            self.check()
+            sleep(_LOOK_EVERY)
+        self.check()
 
     def check_sink(self) -> None:
         """Ensures that ticks are stored.

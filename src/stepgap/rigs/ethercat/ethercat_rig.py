@@ -86,18 +86,18 @@ class EthercatRig(Rig):
             _Angle(settings, device) if isinstance(device, Encoder) else _Force(settings, device)
             for device in settings.devices.values()
         )
-        self._diagnosed = [
-            (name, value, unit, settings.position(device.slave))
-            for name, device in settings.devices.items()
-            if isinstance(device, Motor)
-            for value, unit in DIAGNOSTICS.items()
-            if value in Packing(settings.pdo_set(settings.slaves[settings.position(device.slave)]).inputs).names
-        ]
         self._values = {
             drive: {*Packing(pdos.outputs).names, *Packing(pdos.inputs).names}
             for drive in self._drives
             for pdos in [settings.pdo_set(settings.slaves[drive])]
         }
+        self._diagnosed = [
+            (name, value, unit, settings.position(device.slave))
+            for name, device in settings.devices.items()
+            if isinstance(device, Motor)
+            for value, unit in DIAGNOSTICS.items()
+            if value in self._values[settings.position(device.slave)]
+        ]
         self._diagnostics = (nan,) * len(self._diagnosed)
         self._connected, self._fault, self._remarks = False, "", list[str]()
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0

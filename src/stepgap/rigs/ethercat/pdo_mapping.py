@@ -22,8 +22,13 @@ def configure_pdos(bus: Objects, number: int, assignment: int, pdos: tuple[Pdo, 
         RigFault: The slave exchanges something else, and refuses to change it.
     """
     assign_pdos(bus, number, assignment, pdos)
-    if mapping_fault(bus, number, pdos):
+    fault = mapping_fault(bus, number, pdos)
+    if not fault:
+        return
+    try:
         _map(bus, number, assignment, pdos)
+    except RigFault as refusal:
+        raise RigFault(f"{fault}, and it cannot be changed: {refusal}") from None
     if fault := mapping_fault(bus, number, pdos):
         raise RigFault(fault)
 
@@ -65,14 +70,11 @@ def mapping_fault(bus: Objects, number: int, pdos: tuple[Pdo, ...]) -> str:
 
 def _map(bus: Objects, number: int, assignment: int, pdos: tuple[Pdo, ...]) -> None:
     """Writes the contents of PDOs, which must not be assigned meanwhile; a slave whose PDOs are fixed refuses this."""
-    try:
-        bus.write_object(number, assignment, _U8, 0)
-        for pdo in pdos:
-            bus.write_object(number, pdo.index, _U8, 0)
-            for subindex, entry in enumerate(pdo.entries, start=1):
-                word = entry.index << 16 | entry.subindex << 8 | entry.bits
-                bus.write_object(number, pdo.index, _U32, word, subindex)
-            bus.write_object(number, pdo.index, _U8, len(pdo.entries))
-    except RigFault:
-        pass  # the comparison that follows says what differs
+    bus.write_object(number, assignment, _U8, 0)
+    for pdo in pdos:
+        bus.write_object(number, pdo.index, _U8, 0)
+        for subindex, entry in enumerate(pdo.entries, start=1):
+            word = entry.index << 16 | entry.subindex << 8 | entry.bits
+            bus.write_object(number, pdo.index, _U32, word, subindex)
+        bus.write_object(number, pdo.index, _U8, len(pdo.entries))
     assign_pdos(bus, number, assignment, pdos)

@@ -23,6 +23,7 @@ from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParamete
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import JointMotion, Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel, hopper_sensors
+from stepgap.robots.hopper.stage import Stage
 from stepgap.robots.hopper.tick import TICK_BITS, TICK_NAMES, TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
 
@@ -80,7 +81,7 @@ class HopControl(TickControl):
     @property
     def motion(self) -> JointMotion:
         """Motion of leg and hip that the last tick measured."""
-        return JointMotion(*(float(self._memory["motion"][name][0]) for name in JointMotion._fields))
+        return from_record(JointMotion, self._memory["motion"])
 
     @property
     def memory(self) -> tuple[Record, Record, Array]:
@@ -131,9 +132,9 @@ class HopControl(TickControl):
         names = ", ".join(reason.name.lower().replace("_", " ") for reason in stopped if reason.name)
         if Limited.JOINT_SPEED not in stopped:
             return names
-        rate_1, rate_2 = (abs(float(self._memory["motion"][name][0])) for name in ("rate_1", "rate_2"))
-        most = float(self._memory["stage"]["joint_speed"][0])
-        return f"{names} ({rate_1 + rate_2:.1f} rad/s; at most {most:.1f} in this stage)"
+        motion, stage = self.motion, from_record(Stage, self._memory["stage"])
+        speed = abs(motion.rate_1) + abs(motion.rate_2)
+        return f"{names} ({speed:.1f} rad/s; at most {stage.joint_speed:.1f} in this stage)"
 
 
 @dataclass(frozen=True)

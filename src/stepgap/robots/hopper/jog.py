@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isnan, nan, radians, sin, tau
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, Torques
 from stepgap.robots.hopper.hop_control import HopControl, HopperControl
 from stepgap.robots.hopper.limits import SafetyLimits
-from stepgap.step import StepSpace, StepStatus
+from stepgap.step import Array, StepSpace, StepStatus
 
 LARGEST_TORQUE = 1.0
 """Largest torque [N·m]."""
@@ -60,7 +61,10 @@ def jog_limits(limits: SafetyLimits) -> SafetyLimits:
     )
 
 
-def link_angles(alpha_1: float, alpha_2: float) -> tuple[float, float]:
+Angle = TypeVar("Angle", float, Array)
+
+
+def link_angles(alpha_1: Angle, alpha_2: Angle) -> tuple[Angle, Angle]:
     """Angles of the top links of motor 1 and 2 [rad]."""
     return alpha_1 + alpha_2, alpha_1 - alpha_2
 

@@ -6,7 +6,7 @@ from math import atan2, cos, degrees, hypot, radians, tau
 import numpy as np
 
 from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.robots.hopper.jog import FREQUENCY, MEASURED_TIME
+from stepgap.robots.hopper.jog import FREQUENCY, MEASURED_TIME, link_angles
 from stepgap.step import Array
 
 LEAST_ANSWER = radians(0.08)
@@ -89,8 +89,7 @@ def answer_of(ticks: TickTable, motor: int) -> LinkAnswer:
         raise ValueError(f"motor {motor} got no torque for long enough")
     last = time[given[-1]]
     chosen = (time > last - MEASURED_TIME) & (time <= last) & np.isfinite(ticks["alpha_1"])
-    alpha_1, alpha_2 = ticks["alpha_1"][chosen], ticks["alpha_2"][chosen]
-    links = alpha_1 + alpha_2, alpha_1 - alpha_2
+    links = link_angles(ticks["alpha_1"][chosen], ticks["alpha_2"][chosen])
     signals = (applied[chosen], links[motor - 1], links[2 - motor])
     torque, own, other = (_oscillation(time[chosen], signal) for signal in signals)
     lag = (atan2(*torque[::-1]) - atan2(*own[::-1])) % tau

@@ -4,12 +4,12 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import partial
-from math import degrees, inf
+from math import degrees
 from typing import Any
 
 from stepgap.plants.commissioning.jog import limp_robot, ticks_of_step
 from stepgap.plants.commissioning.limp import limp_setup
-from stepgap.plants.realtime.consent import Consent, hold_key, press_enter
+from stepgap.plants.realtime.consent import hold_key, supervised
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.rigs.limp_rig import FrameCount
@@ -83,8 +83,7 @@ def _try_motor(
 ) -> dict[str, Any]:
     """Answer of the links to the torque of a motor, and what is wrong with it."""
     print(f"Motor {motor}, with torque.", file=sys.stderr)
-    loop = LoopSettings(stand_time=0.01, landing_time=0.01, release_time=inf if simulated else 0.5)
-    consent: Consent = press_enter if simulated else _HELD
+    loop, consent = supervised(LoopSettings(stand_time=0.01, landing_time=0.01), _HELD, simulated)
     try:
         log, ticks = ticks_of_step(RealtimeSetup(make_rig, HopperJog(control, motor), loop), consent, settings)
         answer = answer_of(ticks, motor)
