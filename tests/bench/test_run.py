@@ -5,6 +5,7 @@ from time import process_time
 import numpy as np
 import pytest
 
+from stepgap.bench import run as bench
 from stepgap.bench.run import LOADING, PARTS, RecordedTwin, Sampler, bench_run, describe_run
 from stepgap.experiment.settings import read_experiment
 from stepgap.plants.rig_plant import RigPlant
@@ -21,7 +22,9 @@ def hop(settings):
             plant.take_step(np.array([-7.0, -6.0]))
 
 
-def test_the_parts_add_up_and_hopping_is_hopping():
+def test_the_parts_add_up_and_hopping_is_hopping(monkeypatch):
+    monkeypatch.setattr(bench, "TURNS", 2)
+    monkeypatch.setattr(bench, "HOPS", 4)
     settings = read_experiment(None, [])
     hop(settings)  # compiled code is loaded
     result = bench_run(settings, lambda: hop(settings))
