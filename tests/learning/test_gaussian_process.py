@@ -1,7 +1,7 @@
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -14,7 +14,6 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal, norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, Matern
-from threadpoolctl import threadpool_limits
 
 from stepgap.learning.cholesky import LONGEST_TAIL
 from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
@@ -35,13 +34,6 @@ SCALE = np.array([0.2, 0.045, 15.0, 20.0])
 FIXED = HyperParameters(np.array([1.8, 2.6, 3.1, 4.2]), signal_std=0.031, noise_std=0.006)
 BASES: tuple[Basis, ...] = ("constant", "linear")
 SLOPED = replace(FIXED, slope_std=0.02)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """On a busy machine the threads of BLAS wait for each other."""
-    with threadpool_limits(limits=1, user_api="blas"):
-        yield
 
 
 def truth(points: Array) -> Array:

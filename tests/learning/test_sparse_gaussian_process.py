@@ -1,7 +1,6 @@
 """The sparse process against the exact one, and against the dense formulae of the approximation."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 from sklearn.gaussian_process.kernels import Matern
-from threadpoolctl import threadpool_limits
 
 from stepgap.learning import sparse_gaussian_process
 from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
@@ -26,13 +24,6 @@ from tests.learning.test_gaussian_process import CENTRE, FIXED, SCALE, SLOPED, c
 
 METHODS = ("mean", "mean_gradient", "std", "std_gradient", "kriging_std", "kriging_std_gradient")
 BOTH = pytest.mark.parametrize("hyper_parameters", [FIXED, SLOPED], ids=["constant", "linear"])
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """On a busy machine the threads of BLAS wait for each other."""
-    with threadpool_limits(limits=1, user_api="blas"):
-        yield
 
 
 @BOTH

@@ -7,8 +7,8 @@ deployments of each method; `trial` describes which random numbers they draw.
 from collections.abc import Sequence
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from stepgap.base.blas import one_blas_thread
 from stepgap.bench.methods.redeployment import uncorrected
 from stepgap.bench.methods.registry import method_of
 from stepgap.bench.tasks import Task
@@ -24,7 +24,7 @@ from stepgap.step import Array
 def measure_twin(task: Task, twin: int, seed: int, names: Sequence[str]) -> list[DeploymentRow]:
     """Measures of all methods on a twin; the first row is that of the uncorrected deployment."""
     nominal, chosen = ApexMap(), {name: method_of(name) for name in names}
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         gap, drawn_again = hopping_gap(nominal, task, twin)
         trial = Trial(nominal, gap, task, twin, seed)
         first = _row(trial, UNCORRECTED, uncorrected(trial)) | {"drawn_again": drawn_again}

@@ -128,8 +128,7 @@ def _compare(
     log: tuple[Path, ...], test: list[Path] | None, source: "Source", folds: int | None, results: Results
 ) -> None:
     """Fits every residual and scores it on held-out steps."""
-    from threadpoolctl import threadpool_limits
-
+    from stepgap.base.blas import one_blas_thread
     from stepgap.cli.progress import progress_bar
     from stepgap.experiment.fit import choose_folds, read_fit_data, read_test_data
     from stepgap.experiment.fit_results import describe_fit_data, show_validation, verdicts
@@ -141,7 +140,7 @@ def _compare(
     tested = read_test_data(data, log, test, *source) if test else None
     parts = choose_folds(data.steps, folds)
     print(describe_fit_data(data, parts, tested), flush=True)
-    with threadpool_limits(limits=1, user_api="blas"), progress_bar("fits") as progress:
+    with one_blas_thread(), progress_bar("fits") as progress:
         if tested is None:
             validation = validate(kinds, data.steps, parts, data.learning, progress)
         else:

@@ -11,8 +11,8 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from stepgap.base.blas import one_blas_thread
 from stepgap.base.random_streams import random_stream
 from stepgap.base.versions import versions_here
 from stepgap.control.reference import Reference
@@ -99,8 +99,7 @@ def run_experiment(
     reference.check(nominal.space)
     log, deployments = StepLog(nominal.space), list[Deployment]()
     past, names, scale = as_past(known or log), nominal.space.state_names, nominal.space.state_scale
-    one_thread = threadpool_limits(limits=1, user_api="blas")  # same bytes on any machine
-    with one_thread, Recording(folder, nominal.space, seed, past, replays) as recording:
+    with one_blas_thread(), Recording(folder, nominal.space, seed, past, replays) as recording:
         while True:
             iteration = len(deployments)
             observer.on_phase("learning", 0, 0)

@@ -6,7 +6,6 @@ Equations marked RW are those of Rasmussen and Williams, Gaussian Processes for 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Literal, NamedTuple, TypedDict, final
 
 import numpy as np
@@ -15,8 +14,8 @@ from scipy.linalg import get_lapack_funcs
 from scipy.optimize import minimize
 from scipy.spatial.distance import pdist
 from scipy.special import wrightomega
-from threadpoolctl import ThreadpoolController
 
+from stepgap.base.blas import one_blas_thread
 from stepgap.learning.cholesky import factorise
 from stepgap.learning.covariance import covariance_matrix, evidence_gradient
 from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
@@ -303,7 +302,7 @@ def _prior_median(parameters: LogParameters) -> Array:
 
 def _search(evidence: Evidence, cold: Sequence[LogParameters], warm: Sequence[LogParameters] = ()) -> LogParameters:
     """Searches the log parameters of least loss from `cold` and `warm` starts."""
-    with _blas().limit(limits=1, user_api="blas"):  # more threads only wait for each other at these sizes
+    with one_blas_thread():
         starts = [*warm, *cold]
         if len(starts) > 1 and len(evidence.values) > COLD_START_SIZE:
             some = np.linspace(0, len(evidence.values) - 1, COLD_START_SIZE).astype(int)
@@ -331,9 +330,3 @@ def _descend(evidence: Evidence, starts: Sequence[LogParameters], tolerance: flo
         for begin in np.clip([start.vector for start in starts], *log_bounds.T)
     ]
     return first.with_vector(min(ends, key=lambda end: end.fun).x)
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    """Controller of the linear algebra's threads; it is kept, since creating it takes longer than a small fit."""
-    return ThreadpoolController()

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_limits
 
+from stepgap.base.blas import one_blas_thread
 from stepgap.bench.methods import ensemble as module
 from stepgap.bench.methods.ensemble import DECAY, ENSEMBLE, HIDDEN_UNITS, MOST_ITERATIONS, Ensemble
 from stepgap.learning.regression import ResidualModel
@@ -30,7 +30,7 @@ def test_a_network_is_that_of_scikit_learn() -> None:
     values = (data.values - data.values.mean()) / data.values.std()
     options = {"activation": "tanh", "solver": "lbfgs", "alpha": DECAY, "max_iter": MOST_ITERATIONS}
     peer = sklearn.MLPRegressor(hidden_layer_sizes=HIDDEN_UNITS, random_state=1, **options)
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         peer.fit(data.scaled(data.points)[sample], values[sample])
     inputs = data.scaled(QUERIES)
     np.testing.assert_allclose(found.value_and_gradient(inputs)[0], peer.predict(inputs), rtol=1e-9)

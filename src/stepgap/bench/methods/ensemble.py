@@ -13,8 +13,8 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
+from stepgap.base.blas import one_blas_thread
 from stepgap.bench.trial import Trial
 from stepgap.learning.polynomial import NOISE_SCALE
 from stepgap.learning.regression import BatchRegression, Regression, ResidualModel, TrainingData
@@ -147,7 +147,7 @@ def _trained(points: Array, values: Array, seed: int) -> Network:
         max_iter=MOST_ITERATIONS,
         random_state=seed,
     )
-    with catch_warnings(), threadpool_limits(limits=1, user_api="blas"):  # its matrices are small
+    with catch_warnings(), one_blas_thread():
         simplefilter("ignore")  # the number of iterations is meant as a limit
         network.fit(points[sample], values[sample])
     unseen = np.ones(count, bool)
