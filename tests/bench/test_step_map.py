@@ -14,7 +14,7 @@ from stepgap.bench import step_map as bench_map
 from stepgap.robots.hopper import Gains, RobotParameters
 from stepgap.robots.hopper.apex_map import ApexMap
 from tests.cli.command_line import Command, refused
-from tests.robots.hopper.reference_hop import Hopper, reference_hop
+from tests.robots.hopper.reference_answers import CASES, stored_answers
 
 TINY = bench_map.MapBenchSize(points=1, rounds=1, jacobians=0, solves=3, table=5, batch=20)
 
@@ -87,11 +87,10 @@ def peer() -> Callable:
 
 
 def test_the_peer_is_the_same_robot(peer: Callable) -> None:
-    hopper = Hopper(RobotParameters(), Gains())
-    for state, command in (([0.1, 0.54], [-3.0, 5.0]), ([0.35, 0.62], [6.0, -15.0])):
-        reason, expected = reference_hop(hopper, np.array(state), np.array(command))
-        assert reason == 0
-        np.testing.assert_allclose(peer(state, command), expected, rtol=1e-7)
+    case = CASES["range of use"]
+    for point, answer in list(zip(case.points, stored_answers("range of use"), strict=True))[:4]:
+        assert answer.status == 0
+        np.testing.assert_allclose(peer(point[:2], point[2:]), answer.next_state, rtol=1e-7)
 
 
 def test_extrapolated_differences_are_derivatives() -> None:

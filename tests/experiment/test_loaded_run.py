@@ -99,7 +99,9 @@ def test_missing_and_foreign_files_are_named(copy: Path, tmp_path: Path) -> None
 
 @pytest.mark.usefixtures("no_repeats", "no_report")
 def test_any_robot_is_loaded(stepgap: Command) -> None:
-    result = stepgap("run", "--robot", "quadruped", "--out", "out", "--iterations", "1", "--quiet", "--seed", "3")
+    Path("targets.csv").write_text("speed,height\n" + "0.5,0.415\n" * 6 + "0.55,0.42\n" * 6)
+    command = ("run", "--robot", "quadruped", "--reference", "targets.csv", "--out", "out", "--iterations", "1")
+    result = stepgap(*command, "--quiet", "--seed", "3")
     assert result.code == 0, result.err
     run = load_run("out")
     controller = run.controller(1)

@@ -123,7 +123,7 @@ def test_without_a_completed_step_there_is_no_error() -> None:
 
 
 def test_the_noise_floor_is_the_noise_of_the_plant() -> None:
-    reference = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (2, (0.2, 0.58))], steps=2000)
+    reference = Reference.from_segments(("speed", "height"), [(1, (0.1, 0.55)), (2, (0.2, 0.58))], steps=1000)
     plant = plant_of(REALITY)(np.random.default_rng(1))
     steps = list(deploy(Learner.start(NOMINAL, in_space([]), ALWAYS, 0), plant, reference, 0))
     assert estimate_noise_floor(in_space(steps), reference).any_yaw == pytest.approx(NOISE, rel=0.05)
@@ -458,7 +458,7 @@ class Killed(BaseException):
 
 
 def test_a_run_killed_after_any_step_gives_the_same_result(unbroken: Path, tmp_path: Path) -> None:
-    for last in (1, 15, 16, 17, 32, 47, 48):
+    for last in (1, 16, 17, 47, 48):
         folder, count = tmp_path / str(last), iter(range(1, 100))
 
         def on_step(logged: LoggedStep, last: int = last, count: Iterator[int] = count) -> None:

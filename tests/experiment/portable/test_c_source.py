@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -28,26 +29,18 @@ TOLERANCE: dict[Real, float] = {"double": 1e-9, "float": 1e-4}
 
 
 class Compiled:
-    """The functions of a controller in C."""
+    """The functions of a controller in C; equal controllers are compiled once in a folder."""
 
-    def __init__(self, controller: PortableController, folder: Path, real: Real = "double"):
+    def __init__(self, controller: PortableController, parent: Path, real: Real = "double"):
         source = c_source(controller, "controller", real)
-        (folder / "controller.c").write_text(source.code)
-        (folder / "controller.h").write_text(source.header)
+        folder = parent / sha256(source.code.encode()).hexdigest()
         library = folder / "controller.so"
-        command = [
-            COMPILER,
-            *STRICT,
-            "-fPIC",
-            "-shared",
-            "-nostdlib",
-            folder / "controller.c",
-            "-o",
-            library,
-            "-lgcc",
-            "-lc",
-        ]
-        subprocess.run(list(map(str, command)), check=True, capture_output=True)
+        if not library.exists():
+            folder.mkdir()
+            (folder / "controller.c").write_text(source.code)
+            (folder / "controller.h").write_text(source.header)
+            output = ["-fPIC", "-shared", "-nostdlib", folder / "controller.c", "-o", library, "-lgcc", "-lc"]
+            subprocess.run([str(each) for each in (COMPILER, *STRICT, *output)], check=True, capture_output=True)
         self._library, self._real = ctypes.CDLL(str(library)), np.float64 if real == "double" else np.float32
         self._number = ctypes.c_double if real == "double" else ctypes.c_float
         self.filter = ctypes.create_string_buffer(8192)
@@ -82,10 +75,12 @@ class Compiled:
         return self.call("plan", self.filter, self.array(state), self.array(target), start, yaw, *found), *found
 
 
-@pytest.fixture
-def compile_in(tmp_path: Path) -> Callable[..., Compiled]:
+@pytest.fixture(scope="module")
+def compile_in(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Compiled]:
+    folder = tmp_path_factory.mktemp("compiled")
+
     def compiled(controller: PortableController, real: Real = "double") -> Compiled:
-        return Compiled(controller, tmp_path, real)
+        return Compiled(controller, folder, real)
 
     return compiled
 
