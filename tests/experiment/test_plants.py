@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from stepgap.experiment.settings import Experiment, read_experiment
 from stepgap.plants.commissioning.check import Check, Timing, write_check
 from stepgap.plants.commissioning.proof import fingerprint, write_proof
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
+from tests.quick_runs import leave_out_report, repeat_less
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig.toml"
 REFERENCE = Reference(("speed", "height"), np.array([[0.1, 0.56]]))
@@ -46,7 +48,7 @@ MISSING_LIMITS = (
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def raw_ethernet() -> None:
     """Skips a test where no ring can run."""
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
@@ -57,7 +59,8 @@ def raw_ethernet() -> None:
         pytest.skip(str(reason))
 
 
-def run(folder: Path, *arguments: str) -> dict:
+def run(folder: Path, *arguments: str) -> Path:
+    """Runs three steps into a new folder, and returns it."""
     (folder / "targets.csv").write_text(TARGETS)
     out = folder / "_".join(("run", *arguments))
     main(
@@ -73,12 +76,24 @@ def run(folder: Path, *arguments: str) -> dict:
             *arguments,
         ]
     )
-    return json.loads((out / "summary.json").read_text())
+    return out
+
+
+@pytest.fixture(scope="module")
+def ring_run(raw_ethernet: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run through the ring."""
+    with pytest.MonkeyPatch.context() as patch:
+        leave_out_report(patch)
+        repeat_less(patch)
+        return run(tmp_path_factory.mktemp("ring"), "--plant", "emulated-ring")
 
 
 @pytest.mark.usefixtures("no_report")
-def test_through_the_ring_a_run_has_the_figures_of_the_twin(tmp_path: Path, raw_ethernet: None) -> None:
-    direct, ring = run(tmp_path), run(tmp_path, "--plant", "emulated-ring")
+def test_through_the_ring_a_run_has_the_figures_of_the_twin(
+    tmp_path: Path, ring_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    repeat_less(monkeypatch)
+    direct, ring = (json.loads((folder / "summary.json").read_text()) for folder in (run(tmp_path), ring_run))
     for summary in (direct, ring):
         assert summary["iterations"][0]["falls"] == 0
         assert summary["repeatability_measured"] is True
@@ -88,9 +103,8 @@ def test_through_the_ring_a_run_has_the_figures_of_the_twin(tmp_path: Path, raw_
 
 
 @pytest.mark.usefixtures("no_report", "no_repeats")
-def test_a_run_through_the_ring_is_resumed_to_the_same_bytes(tmp_path: Path, raw_ethernet: None) -> None:
-    run(tmp_path, "--plant", "emulated-ring")
-    folder = tmp_path / "run_--plant_emulated-ring"
+def test_a_run_through_the_ring_is_resumed_to_the_same_bytes(tmp_path: Path, ring_run: Path) -> None:
+    folder = Path(shutil.copytree(ring_run, tmp_path / "run"))
     whole = (folder / "steps.csv").read_bytes()
     (folder / "steps.csv").write_bytes(whole[: whole.rindex(b"0,3,")])
     (folder / "summary.json").unlink()

@@ -13,6 +13,7 @@ import pytest
 
 import stepgap.gym
 from stepgap.base.errors import InputError
+from stepgap.cli.app import main
 from stepgap.experiment.inputs import load_reference, write_experiment
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
@@ -22,7 +23,7 @@ from stepgap.robots.robot import Robot, Simulation
 from stepgap.step import StepRecord, StepStatus
 from stepgap.view.source import Source
 from tests.cli.command_line import Command, refused
-from tests.quick_runs import compute_in_a_thread, leave_out_report, leave_out_sweep_report
+from tests.quick_runs import compute_in_a_thread, leave_out_repeats, leave_out_report, leave_out_sweep_report
 from tests.robots.plug_in import CUSTOM_TOML, TEMPLATE_TOML
 
 ROBOTS = ("hopper", "quadruped", "ball")
@@ -37,10 +38,7 @@ def robot(request: pytest.FixtureRequest, package: Path) -> Robot:
 @pytest.fixture
 def run(stepgap: Command, robot: Robot) -> Callable[..., Path]:
     """Runs a short experiment, and returns its folder."""
-    space = robot.space
-    rows = [space.state_centre + 0.2 * share * space.state_scale for share in (-1, 1, 0, -0.5) for _ in range(3)]
-    lines = [",".join(space.state_names), *(",".join(map(str, row)) for row in rows)]
-    Path("targets.csv").write_text("\n".join(lines) + "\n")
+    write_targets(robot, Path("targets.csv"))
 
     def made(*options: str) -> Path:
         result = stepgap("run", "--robot", robot.name, "--reference", "targets.csv", "--out", "out", *SHORT, *options)
@@ -48,6 +46,32 @@ def run(stepgap: Command, robot: Robot) -> Callable[..., Path]:
         return Path("out")
 
     return made
+
+
+def write_targets(robot: Robot, path: Path) -> None:
+    """Writes a reference of twelve targets near the centre of the robot's states."""
+    space = robot.space
+    rows = [space.state_centre + 0.2 * share * space.state_scale for share in (-1, 1, 0, -0.5) for _ in range(3)]
+    lines = [",".join(space.state_names), *(",".join(map(str, row)) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Robot], Path]:
+    """Returns the folder of a finished run of a robot, without a report; it is made once."""
+    parent = tmp_path_factory.mktemp("runs")
+
+    def finished(robot: Robot) -> Path:
+        folder, targets = parent / robot.name, parent / f"{robot.name}.csv"
+        if not folder.exists():
+            write_targets(robot, targets)
+            with pytest.MonkeyPatch.context() as patch:
+                leave_out_repeats(patch)
+                leave_out_report(patch)
+                main(["run", "--robot", robot.name, "--reference", str(targets), "--out", str(folder), *SHORT])
+        return folder
+
+    return finished
 
 
 def test_its_settings_are_tables_that_are_written_and_read_back(robot: Robot, tmp_path: Path) -> None:
@@ -90,16 +114,13 @@ def _one_step(simulation: Simulation) -> StepRecord:
 
 @pytest.mark.usefixtures("no_repeats")
 def test_run_report_resume_export_fit_and_view(
-    robot: Robot, run: Callable[..., Path], stepgap: Command, monkeypatch: pytest.MonkeyPatch
+    robot: Robot, runs: Callable[[Robot], Path], stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = run()
+    folder = Path(shutil.copytree(runs(robot), "out"))
     summary = json.loads((folder / "summary.json").read_text())
     before, after = (np.array(list(entry["rmse"].values())) for entry in summary["iterations"])
     scale = robot.space.state_scale
     assert np.linalg.norm(after / scale) < 0.7 * np.linalg.norm(before / scale)
-    page = (folder / "report.html").read_text()
-    for quantity in robot.space.state:
-        assert f"Error of {quantity.name} [{quantity.unit}]" in page
     whole = (folder / "steps.csv").read_bytes()
     (folder / "steps.csv").write_bytes(whole[: whole.rindex(b"\n1,9,") + 1])
     (folder / "summary.json").unlink()
@@ -110,6 +131,9 @@ def test_run_report_resume_export_fit_and_view(
     for verb in (["report", folder], ["export", folder, "--to", "csv"], ["fit", folder]):
         result = stepgap(*verb)
         assert result.code == 0, result.err
+    page = (folder / "report.html").read_text()
+    for quantity in robot.space.state:
+        assert f"Error of {quantity.name} [{quantity.unit}]" in page
     source = Source(folder)
     assert source.iterations == [0, 1]
     source.want(1)
@@ -117,9 +141,10 @@ def test_run_report_resume_export_fit_and_view(
 
 
 @pytest.mark.usefixtures("no_repeats", "no_report")
-def test_warm_start_online_and_exploration(robot: Robot, run: Callable[..., Path], stepgap: Command) -> None:
-    shutil.move(run(), "first")
-    folder = run("--warm-start", "first", "--online", "--explore", "3", "--iterations", "0")
+def test_warm_start_online_and_exploration(
+    robot: Robot, run: Callable[..., Path], runs: Callable[[Robot], Path]
+) -> None:
+    folder = run("--warm-start", str(runs(robot)), "--online", "--explore", "3", "--iterations", "0")
     assert (folder / "warm_start.csv").is_file()
     assert read_experiment(folder / "experiment.toml").robot == robot
 
@@ -127,7 +152,7 @@ def test_warm_start_online_and_exploration(robot: Robot, run: Callable[..., Path
 @pytest.mark.parametrize("kind", ["template", "log"])
 @pytest.mark.usefixtures("no_repeats", "no_report")
 def test_any_robot_has_a_template_or_a_log_as_nominal_map(
-    robot: Robot, run: Callable[..., Path], kind: str, stepgap: Command
+    robot: Robot, run: Callable[..., Path], runs: Callable[[Robot], Path], kind: str, stepgap: Command
 ) -> None:
     space = robot.space
     if kind == "template":
@@ -141,8 +166,7 @@ def test_any_robot_has_a_template_or_a_log_as_nominal_map(
         Path("map.toml").write_text("\n".join(rows))
         file = "map.toml"
     else:
-        shutil.move(run("--explore", "12", "--iterations", "0"), "first")
-        file = "first/steps.csv"
+        file = shutil.copy(runs(robot) / "steps.csv", "steps.csv")
     folder = run("--nominal.kind", kind, "--nominal.file", file)
     settings = read_experiment(folder / "experiment.toml")
     assert settings.nominal.kind == kind
