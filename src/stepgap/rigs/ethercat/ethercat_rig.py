@@ -264,9 +264,9 @@ class EthercatRig(Rig):
         """Compares the drives' rated torques with the settings and sets the drives' torque limits."""
         for drive, motor in zip(self._drives, self._motors, strict=True):
             rated = self._bus.read_object(drive, _RATED_TORQUE, _U32)
-            if rated != round(motor.rated_torque * 1000):
+            if rated != motor.rated_units:
                 raise RigFault(
-                    f"{self._bus.label(drive)} has a rated torque of {rated / 1000:g} N·m (0x6076), "
+                    f"{self._bus.label(drive)} has a rated torque of {rated * motor.rated_torque_unit:g} N·m (0x6076), "
                     f"but the settings have {motor.rated_torque:g}"
                 )
             self._bus.write_object(drive, _LARGEST_TORQUE, _U16, motor.most_units)

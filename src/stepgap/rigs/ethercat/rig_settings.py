@@ -8,7 +8,8 @@ from math import floor, isfinite
 
 from stepgap.base.ranges import format_value, require
 from stepgap.rigs.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY, DcSettings
-from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
+from stepgap.rigs.ethercat.pdo import Entry, Packing, Pdo, PdoSet
+from stepgap.rigs.ethercat.pdo_sets import PDO_SETS
 from stepgap.rigs.ethercat.startup import StartupObject, require_objects
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import Reading
@@ -148,6 +149,8 @@ class Motor(Encoder):
             position; 0 if the drive does not send one, or in another way.
         keep_reactions: Leave the drive's option codes (0x6007, 0x605A to 0x605E) as they are, instead of setting them
             so that torque goes off; for a drive that refuses this, after reading its manual.
+        rated_torque_unit: Unit of 0x6076 of the drive [N·m]; 0.001 according to CiA 402, smaller in some drives
+            for small motors.
     """
 
     rated_torque: float
@@ -155,11 +158,16 @@ class Motor(Encoder):
     gear: float = 1.0
     velocity_unit: float = 1.0
     keep_reactions: bool = False
+    rated_torque_unit: float = 1e-3
 
     def __post_init__(self) -> None:
         super().__post_init__()
         rated, limit = self.rated_torque, self.torque_limit
-        require(1e-3 <= rated < 2**32 / 1000, "rated_torque", rated, "lie in the range of 0x6076, 0.001 to 4294967")
+        smallest = self.rated_torque_unit
+        require(1e-9 <= smallest <= 1, "rated_torque_unit", smallest, "lie between 1e-9 and 1")
+        largest = (2**32 - 1) * smallest
+        rule = f"lie in the range of 0x6076, {smallest:g} to {largest:.7g}"
+        require(smallest <= rated <= largest, "rated_torque", rated, rule)
         require(1e-3 <= self.gear <= 1e4, "gear", self.gear, "lie between 0.001 and 10000")
         unit = self.velocity_unit
         require(isfinite(unit) and unit >= 0, "velocity_unit", unit, "be finite and not negative")
@@ -167,6 +175,11 @@ class Motor(Encoder):
         require(
             0 < limit <= most, "torque_limit", limit, f"be positive and at most 32 times the rated torque, {most:g}"
         )
+
+    @property
+    def rated_units(self) -> int:
+        """Rated torque in units of 0x6076."""
+        return round(self.rated_torque / self.rated_torque_unit)
 
     @property
     def torque_unit(self) -> float:
