@@ -74,6 +74,9 @@ class Slave:
         name: Name for messages and for the tables that refer to it.
         vendor: Vendor ID.
         product: Product code.
+        revision: Revision number that the device must have; 0 if any is right.
+        esi: ESI file of its vendor, relative to the folder of this file, with which `rig check` compares these
+            settings; empty for none.
         pdos: Name of its set of PDOs.
         startup: Objects that are written and read back before it exchanges process data, in this order, each as
             `StartupObject.parse` reads it.
@@ -85,6 +88,8 @@ class Slave:
     name: str
     vendor: int
     product: int
+    revision: int = 0
+    esi: str = ""
     pdos: str = "none"
     startup: tuple[str, ...] = ()
     assign_activate: int = 0
@@ -92,7 +97,7 @@ class Slave:
 
     def __post_init__(self) -> None:
         require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a string of one line")
-        for name in ("vendor", "product"):
+        for name in ("vendor", "product", "revision"):
             require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
         require_objects("startup", self.startup)
         activate, shift = self.assign_activate, self.sync0_shift
