@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
+from stepgap.rigs.ethercat.distributed_clocks import COMPUTER
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.dictionary import Mapped, Pdos
 from stepgap.rigs.ethercat.emulator.drive import ELMO_GOLD, Drive, DriveSettings
@@ -109,7 +111,7 @@ class OneDriveMachine(RecordingMachine):
         return (float(COUNTS_PER_TICK * len(self.torques)),)
 
 
-def rig_for(name: str, pdos: str, unit: float | None = None, **others: int) -> EthercatRig:
+def rig_for(name: str, pdos: str, unit: float | None = None, folder: Path = Path(), **others: int | str) -> EthercatRig:
     identity = IDENTITIES[name]
     slave = Slave(name="drive", vendor=identity.vendor, product=identity.product, pdos=pdos)
     motor = Motor(
@@ -126,7 +128,7 @@ def rig_for(name: str, pdos: str, unit: float | None = None, **others: int) -> E
         reply_timeout=0.45,  # a busy machine may keep the ring waiting
         watchdog=0.5,
     )
-    return EthercatRig(settings, SensorModel(tick=settings.tick))
+    return EthercatRig(settings, SensorModel(tick=settings.tick), COMPUTER, folder)
 
 
 def drive_ring(name: str, layout: DriveLayout):
@@ -191,6 +193,39 @@ def test_a_rated_torque_in_another_unit_is_refused() -> None:
     message = r"rated torque of 2000 N·m \(0x6076\), but the settings have 2$"
     with drive_ring(name, layout_of(name, mappable=False)), pytest.raises(RigFault, match=message), wrong:
         pass
+
+
+DELTA_ESI = """<EtherCATInfo><Vendor><Id>#x1DD</Id></Vendor><Descriptions><Devices><Device>
+<Type ProductCode="#x10305070" RevisionNo="#x02040607">ASDA</Type><Name>Drive</Name>
+<RxPdo Sm="2"><Index>#x1603</Index><Entry><Index>#x6040</Index><SubIndex>0</SubIndex><BitLen>16</BitLen></Entry>
+<Entry><Index>#x6071</Index><SubIndex>0</SubIndex><BitLen>16</BitLen></Entry></RxPdo>
+<TxPdo Sm="3"><Index>#x1A00</Index><Entry><Index>#x6041</Index><SubIndex>0</SubIndex><BitLen>16</BitLen></Entry></TxPdo>
+<Mailbox><CoE PdoAssign="1" PdoConfig="1"/></Mailbox></Device></Devices></Descriptions></EtherCATInfo>"""
+
+
+def test_the_revision_on_the_bus_is_compared_with_an_esi_file(tmp_path: Path) -> None:
+    """What can be known before the rig is connected, and what only its device can tell."""
+    name = "delta-asda-a2-cst"
+    (tmp_path / "delta.xml").write_text(DELTA_ESI)
+    rig = rig_for(name, name, folder=tmp_path, esi="delta.xml")
+    label = "slave 1 'drive', delta.xml: "
+    contents = f"{label}pdos: PDO 0x1A00 has 0x6064:00:32 position at bit 16, but no entry according to the file"
+    before = [finding.text for finding in rig.findings()]
+    assert before == [f"{contents}; the rig writes the contents of rig.toml"]
+    with drive_ring(name, layout_of(name, mappable=False)), rig:
+        (doubt, *others) = [finding.text for finding in rig.findings()]
+    assert others == before
+    assert doubt.startswith(f"{label}the device has revision 0x02040608, but the file describes 0x02040607; get")
+
+
+def test_another_revision_is_refused_where_one_is_given() -> None:
+    name = "delta-asda-a2-cst"
+    with drive_ring(name, layout_of(name, mappable=False)):
+        with rig_for(name, name, revision=0x02040608):
+            pass
+        message = "slave 1 'drive' must be revision 0x02040609, but there is 0x02040608"
+        with pytest.raises(RigFault, match=message), rig_for(name, name, revision=0x02040609):
+            pass
 
 
 @pytest.mark.parametrize("name", IDENTITIES)

@@ -22,6 +22,9 @@ SYNC_SIGNALS = 0x0700
 NEEDED_OBJECTS = {0x6072: "the largest torque", 0x6076: "the rated torque"}
 """Objects of a drive without which the rig does not connect."""
 
+CONTROLWORD = 0x6040
+"""Object of CiA 402 by which a drive is known."""
+
 _SYNC_PARAMETERS = (0x1C32, 0x1C33)
 _WRITTEN_AT = frozenset({"IP", "PS", "SO"})
 _UNSIGNED = {1: "UINT8", 2: "UINT16", 4: "UINT32"}
@@ -49,7 +52,7 @@ def compare_with_esi(
         *findings,
         *compare_pdos(pdos, device, file),
         *_clock_findings(slave, device),
-        *_init_findings(slave, pdos, device, file),
+        *_init_findings(slave, device, file),
         *_drive_findings(pdos, device, state_timeout),
     ]
 
@@ -118,12 +121,22 @@ def _direction_findings(
 def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[Finding]:
     difference = _difference(wanted, found)
     if not difference:
+        if names_no_objects(found):
+            text = (
+                f"pdos: the file does not say which objects PDO 0x{found.index:04X} has; only their sizes are compared"
+            )
+            yield Finding(text, is_error=False)
         return
     if found.fixed or not pdo_config:
         reason = "its contents are fixed" if found.fixed else "its contents cannot be written (PdoConfig)"
         yield Finding(f"pdos: {difference}, and {reason}")
     else:
         yield Finding(f"pdos: {difference}; the rig writes the contents of rig.toml", is_error=False)
+
+
+def names_no_objects(pdo: EsiPdo) -> bool:
+    """Whether a file names the places in the mapping object instead of the objects, as some files do."""
+    return any(entry.index == pdo.index for entry in pdo.entries)
 
 
 def _difference(wanted: Pdo, found: EsiPdo) -> str:
@@ -134,9 +147,11 @@ def _difference(wanted: Pdo, found: EsiPdo) -> str:
         at += entry.bits
     bit = 0
     for entry in wanted.entries:
-        if entry.name and entry.index and there.get(bit) != (entry.index, entry.subindex, entry.bits):
-            other = "0x{:04X}:{:02X}:{}".format(*there[bit]) if bit in there else "no entry"
-            return f"PDO 0x{wanted.index:04X} has {entry} at bit {bit}, but {other} according to the file"
+        other = there.get(bit)
+        unknown = other is not None and other[0] == found.index and other[2] == entry.bits
+        if entry.name and entry.index and not unknown and other != (entry.index, entry.subindex, entry.bits):
+            text = "0x{:04X}:{:02X}:{}".format(*other) if other else "no entry"
+            return f"PDO 0x{wanted.index:04X} has {entry} at bit {bit}, but {text} according to the file"
         bit += entry.bits
     return "" if bit == at else f"PDO 0x{wanted.index:04X} has {bit} bits, but {at} according to the file"
 
@@ -203,23 +218,27 @@ def startup_text(command: InitCommand) -> str:
 
 
 def startup_commands(device: EsiDevice) -> list[InitCommand]:
-    """What the device demands on the way to OP, without what the rig sets itself from other keys."""
+    """What the device demands on the way to OP, without what the rig sets itself.
+
+    It sets the objects of other keys of `rig.toml`, and the option codes of a drive, so that torque goes off.
+    """
+    is_drive = any(entry.index == CONTROLWORD for pdo in device.outputs for entry in pdo.entries)
+    reactions = {each.index for each in REACTIONS} if is_drive else set()
     return [
         each
         for each in device.init_commands
-        if _WRITTEN_AT & set(each.transitions) and (each.index in _SYNC_PARAMETERS or not is_reserved(each.index))
+        if _WRITTEN_AT & set(each.transitions)
+        and each.index not in reactions
+        and (each.index in _SYNC_PARAMETERS or not is_reserved(each.index))
     ]
 
 
-def _init_findings(slave: Slave, pdos: PdoSet, device: EsiDevice, file: EsiFile) -> Iterator[Finding]:
+def _init_findings(slave: Slave, device: EsiDevice, file: EsiFile) -> Iterator[Finding]:
     present = {(each.index, each.subindex): each for each in slave.startup_objects}
-    reactions = {each.index for each in REACTIONS} if _is_drive(pdos) else set()
     for command in startup_commands(device):
         place = f"0x{command.index:04X}:{command.subindex:02X}"
         comment = f" ({command.comment})" if command.comment else ""
         text, own = startup_text(command), present.get((command.index, command.subindex))
-        if command.index in reactions:
-            continue  # the rig sets them so that torque goes off
         if own is not None:
             bytes_of = LAYOUTS[own.kind].pack(own.value)
             if command.data is not None and bytes_of != command.data:
@@ -231,7 +250,8 @@ def _init_findings(slave: Slave, pdos: PdoSet, device: EsiDevice, file: EsiFile)
             data = command.data.hex() if command.data else "a text"
             yield Finding(f"the file writes {data} to {place}{comment}, which startup cannot do", is_error=False)
     if device.has_slots and any(module.init_commands for module in file.modules):
-        yield Finding("modules of the file have start-up objects of their own; compare them with startup", False)
+        text = "modules of the file have start-up objects of their own; compare them with startup"
+        yield Finding(text, is_error=False)
 
 
 # ---- facts about drives
@@ -254,7 +274,8 @@ def _drive_findings(pdos: PdoSet, device: EsiDevice, state_timeout: float) -> It
             yield Finding(f"the file lists no object 0x{index:04X}, {what}, which the rig needs", is_error=False)
     lacking = [f"0x{each.index:04X} ({each.name})" for each in REACTIONS if each.index not in device.objects]
     if lacking:
-        yield Finding(f"the file lists no option code {', '.join(lacking)}: read what the drive does then", False)
+        text = f"the file lists no option code {', '.join(lacking)}: read in the manual what the drive does"
+        yield Finding(text, is_error=False)
 
 
 def _is_drive(pdos: PdoSet) -> bool:

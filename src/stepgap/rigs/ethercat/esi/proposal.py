@@ -8,7 +8,13 @@ import tomli_w
 
 from stepgap.base.errors import InputError
 from stepgap.rigs.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY
-from stepgap.rigs.ethercat.esi.comparison import SYNC_SIGNALS, compare_pdos, startup_commands, startup_text
+from stepgap.rigs.ethercat.esi.comparison import (
+    SYNC_SIGNALS,
+    compare_pdos,
+    names_no_objects,
+    startup_commands,
+    startup_text,
+)
 from stepgap.rigs.ethercat.esi.document import EsiDevice, EsiFile, EsiPdo
 from stepgap.rigs.ethercat.esi.reader import parse_number
 from stepgap.rigs.ethercat.pdo import ENTRY_FORMATS, Entry, Pdo, PdoSet
@@ -77,7 +83,7 @@ def _latest(file: EsiFile, product: str | None) -> list[EsiDevice]:
 
 
 def _device_lines(file: EsiFile, device: EsiDevice) -> Iterator[str]:
-    sets = _named_sets(device)
+    sets = _named_sets(device, file)
     revisions = sorted({each.revision for each in file.devices if each.product == device.product})
     yield f"# {device.kind}: {device.name}"
     yield "[[slaves]]"
@@ -99,8 +105,7 @@ def _device_lines(file: EsiFile, device: EsiDevice) -> Iterator[str]:
 
 
 def _fits(pdos: PdoSet, device: EsiDevice, file: EsiFile) -> bool:
-    findings = compare_pdos(pdos, device, file)
-    return bool(pdos.inputs) and not findings
+    return bool(pdos.inputs) and not compare_pdos(pdos, device, file)
 
 
 def _clock_lines(device: EsiDevice) -> Iterator[str]:
@@ -114,11 +119,10 @@ def _clock_lines(device: EsiDevice) -> Iterator[str]:
 
 def _startup_lines(device: EsiDevice) -> Iterator[str]:
     commands = startup_commands(device)
-    texts = {startup_text(each): each.comment for each in commands}
-    texts.pop("", None)
+    texts = {(each.index, each.subindex): (startup_text(each), each.comment) for each in commands if startup_text(each)}
     if texts:
         yield "startup = ["
-        for text, comment in texts.items():
+        for text, comment in texts.values():
             yield f"    {_quoted(text)}," + (f" # {comment}" if comment else "")
         yield "]"
     for each in commands:
@@ -132,20 +136,22 @@ def _startup_lines(device: EsiDevice) -> Iterator[str]:
 _Chosen = tuple[tuple[EsiPdo, ...], tuple[EsiPdo, ...]]
 
 
-def _named_sets(device: EsiDevice) -> dict[str, _Chosen]:
-    """Sets that can be exchanged: one for torque, if the device is a drive, and that after power-up."""
+def _named_sets(device: EsiDevice, file: EsiFile) -> dict[str, _Chosen]:
+    """Sets that the rig can exchange: one for torque, if the device is a drive, and that after power-up."""
     name = re.sub(r"[^a-z0-9]+", "-", (device.kind or device.name or "device").lower()).strip("-") or "device"
-    after_power_up = (
-        tuple(pdo for pdo in device.outputs if pdo.sync_manager is not None),
-        tuple(pdo for pdo in device.inputs if pdo.sync_manager is not None),
-    )
+    torque, default = _for_torque(device), _after_power_up(device)
     found: dict[str, _Chosen] = {}
-    torque = _for_torque(device)
     if torque:
         found[f"{name}-torque"] = torque
-    if any(after_power_up) and after_power_up != torque:
-        found[f"{name}-default"] = after_power_up
-    return {each: pdos for each, pdos in found.items() if _writable(pdos)}
+    if any(default) and default != torque:
+        found[f"{name}-default"] = default
+    return {each: pdos for each, pdos in found.items() if not _obstacle(pdos, device, file)}
+
+
+def _after_power_up(device: EsiDevice) -> _Chosen:
+    """The PDOs that the device exchanges unless a master changes this."""
+    outputs = tuple(pdo for pdo in device.outputs if pdo.sync_manager is not None)
+    return outputs, tuple(pdo for pdo in device.inputs if pdo.sync_manager is not None)
 
 
 def _for_torque(device: EsiDevice) -> _Chosen | None:
@@ -180,13 +186,16 @@ def _input_costs(objects: frozenset[int]) -> int:
     return len({0x6061, 0x606C, 0x6077} - objects)
 
 
-def _writable(pdos: _Chosen) -> bool:
-    """Whether a `rig.toml` can have these PDOs."""
+def _obstacle(pdos: _Chosen, device: EsiDevice, file: EsiFile) -> str:
+    """Why the rig cannot exchange these PDOs; empty if it can."""
+    outside = [pdo for each in pdos for pdo in each if not 0x1600 <= pdo.index <= 0x1BFF]
+    if outside:
+        return f"0x{outside[0].index:04X} is no index of a PDO from 0x1600 to 0x1BFF"
     try:
-        PdoSet(*_converted(pdos))
-    except ValueError:
-        return False
-    return all(0x1600 <= pdo.index <= 0x1BFF for each in pdos for pdo in each)
+        converted = PdoSet(*_converted(pdos))
+    except ValueError as error:
+        return str(error)
+    return "; ".join(each.text for each in compare_pdos(converted, device, file) if each.is_error)
 
 
 def _converted(chosen: _Chosen) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
@@ -225,6 +234,8 @@ def _set_lines(name: str, outputs: tuple[EsiPdo, ...], inputs: tuple[EsiPdo, ...
             for entry, described in zip(own.entries, pdo.entries, strict=True):
                 yield f'    "{entry}",' + (f" # {described.name}" if described.name and not entry.name else "")
             yield "]"
+    if any(map(names_no_objects, (*outputs, *inputs))):
+        yield "# The file does not say which objects these are: write those of the manual, with their names."
     limits = sorted({entry.index for pdo in outputs for entry in pdo.entries} & LIMITS)
     if limits:
         listed = ", ".join(f"0x{index:04X}" for index in limits)
@@ -235,6 +246,9 @@ def _other_lines(file: EsiFile, device: EsiDevice, sets: dict[str, _Chosen]) -> 
     """The PDOs that are in no set, and what else a user must know."""
     used = {pdo.index for pdos in sets.values() for each in pdos for pdo in each}
     others = [pdo for pdo in (*device.outputs, *device.inputs) if pdo.index not in used]
+    if obstacle := _obstacle(_after_power_up(device), device, file):
+        yield ""
+        yield f"# The rig cannot exchange the PDOs after power-up: {obstacle}"
     if others:
         yield ""
         yield "# Other PDOs of the device:"
