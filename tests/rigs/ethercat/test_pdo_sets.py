@@ -1,5 +1,6 @@
 """Every set of PDOs of a drive: brought up to OP with a drive that has it, torque in, position out, in lock-step."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -193,6 +194,22 @@ def test_a_rated_torque_in_another_unit_is_refused() -> None:
     message = r"rated torque of 2000 N·m \(0x6076\), but the settings have 2$"
     with drive_ring(name, layout_of(name, mappable=False)), pytest.raises(RigFault, match=message), wrong:
         pass
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "esi.md"
+
+
+@pytest.mark.parametrize("name", IDENTITIES)
+def test_the_page_describes_the_set(name: str) -> None:
+    """Its identity, and its first and last PDOs, in the first of its two tables."""
+    (row, _) = re.findall(rf"^\| `{name}` \|.*$", PAGE.read_text("utf-8"), re.MULTILINE)
+    identity, found = IDENTITIES[name], PDO_SETS[name]
+    for pdos, cell in zip((found.outputs, found.inputs), row.split("|")[3:5], strict=True):
+        assert re.findall(r"0x\w{4}", cell)[0] == f"0x{pdos[0].index:04X}"
+        assert re.findall(r"0x\w{4}", cell)[-1] == f"0x{pdos[-1].index:04X}"
+        assert ("digital inputs" in cell) == ("digital_inputs" in Packing(pdos).names)
+    assert f"vendor 0x{identity.vendor:X}" in row
+    assert f"0x{identity.product:08X}" in row
 
 
 DELTA_ESI = """<EtherCATInfo><Vendor><Id>#x1DD</Id></Vendor><Descriptions><Devices><Device>

@@ -91,10 +91,7 @@ def test_what_differs_is_an_error(drive: EsiFile, changes: dict[str, object], er
         (
             (pdo(0x1600, CONTROL, "0x607A:00:32"), pdo(0x1601, "0x0000:00:16", TORQUE, MODE, "0x0000:00:8")),
             PDOS.inputs,
-            [
-                "pdos: PDO 0x1600 (Position) excludes 0x1601",
-                "pdos: PDO 0x1601 (Torque) excludes 0x1600",
-            ],
+            ["pdos: PDOs 0x1600 and 0x1601 cannot be exchanged together (Exclude)"],
         ),
         ((*PDOS.outputs, pdo(0x1602, "0x60FE:01:32")), PDOS.inputs, ["pdos: PDO 0x1602 cannot be in sync manager 2"]),
         (PDOS.outputs, (pdo(0x1A01, "0x6077:00:16 torque"),), ["pdos: PDO 0x1A00 (Actual values) is mandatory among"]),

@@ -13,7 +13,7 @@ from stepgap.base.settings_file import build
 from stepgap.rigs.ethercat.esi.comparison import compare_with_esi
 from stepgap.rigs.ethercat.esi.document import EsiDevice, EsiEntry, EsiFile, EsiPdo, InitCommand, OpMode
 from stepgap.rigs.ethercat.esi.proposal import MOST_DEVICES, propose
-from stepgap.rigs.ethercat.esi.reader import read_esi
+from stepgap.rigs.ethercat.esi.reader import read_esi, shorten
 from stepgap.rigs.ethercat.pdo import Packing, PdoSet
 from stepgap.rigs.ethercat.pdo_sets import PDO_SETS
 from stepgap.rigs.ethercat.rig_settings import Slave, WrittenPdoSet
@@ -119,25 +119,37 @@ def test_a_limit_among_the_outputs_is_warned_of() -> None:
     assert "# Take 0x6072 out of the outputs" in propose(EsiFile("d.xml", 1, "", (device,)))
 
 
-TEXTS = st.text(st.characters(codec="utf-8", exclude_categories=["C"]), max_size=12).map(str.strip)
-OBJECTS = st.sampled_from([0, 0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6072, 0x6077, 0x607A, 0x2000])
-ENTRIES = st.builds(EsiEntry, OBJECTS, st.integers(0, 3), st.sampled_from([1, 7, 8, 16, 32, 64, 65]), TEXTS)
+TEXTS = st.text(st.characters(codec="utf-8", exclude_categories=["C"]), max_size=12).map(shorten)
+OUTPUT_OBJECTS = {0x6040: 16, 0x6071: 16, 0x6060: 8, 0x607A: 32, 0x6072: 16, 0x2000: 64}
+INPUT_OBJECTS = {0x6041: 16, 0x6064: 32, 0x6061: 8, 0x606C: 32, 0x6077: 16, 0x603F: 16, 0x2001: 8}
+ODD_ENTRIES = st.builds(EsiEntry, st.sampled_from([0, 0x6040, 0x2002]), st.integers(0, 300), st.integers(1, 70), TEXTS)
 
 
-def pdos(first: int, manager: int) -> st.SearchStrategy[tuple[EsiPdo, ...]]:
-    indices = st.integers(first, first + 3)
+def rarely(value: object, usual: object) -> st.SearchStrategy[Any]:
+    """The usual value, and in one of eight cases the other one."""
+    return st.integers(0, 7).map(lambda number: usual if number else value)
+
+
+def pdos(first: int, manager: int, objects: dict[int, int]) -> st.SearchStrategy[tuple[EsiPdo, ...]]:
+    """PDOs with objects of a drive, most of which the rig can exchange."""
+    well_formed = st.lists(st.sampled_from(sorted(objects)), min_size=2, max_size=6, unique=True).map(
+        lambda chosen: tuple(EsiEntry(index, 0, objects[index]) for index in chosen)
+    )
+    contents = st.integers(0, 7).flatmap(
+        lambda number: well_formed if number else st.lists(ODD_ENTRIES, max_size=3).map(tuple)
+    )
     one = st.builds(
         EsiPdo,
-        indices,
+        st.integers(first, first + 3),
         TEXTS,
-        st.lists(ENTRIES, max_size=4).map(tuple),
+        contents,
         st.booleans(),
-        st.booleans(),
-        st.sampled_from([None, manager, 0]),
-        st.frozensets(indices, max_size=2),
-        st.frozensets(st.just(manager), max_size=1),
+        rarely(True, False),
+        st.sampled_from([None, manager]) | rarely(0, manager),
+        rarely(frozenset({first, first + 1}), frozenset()),
+        rarely(frozenset({manager}), frozenset()),
     )
-    return st.lists(one, max_size=4, unique_by=lambda each: each.index).map(tuple)
+    return st.lists(one, min_size=1, max_size=3, unique_by=lambda each: each.index).map(tuple)
 
 
 COMMANDS = st.builds(
@@ -156,10 +168,10 @@ DEVICES = st.builds(
     name=TEXTS,
     product=st.integers(0, 2**32 - 1),
     revision=st.integers(1, 2**32 - 1),
-    outputs=pdos(0x1600, 2),
-    inputs=pdos(0x1A00, 3),
-    has_coe=st.booleans(),
-    pdo_assign=st.booleans(),
+    outputs=pdos(0x1600, 2, OUTPUT_OBJECTS),
+    inputs=pdos(0x1A00, 3, INPUT_OBJECTS),
+    has_coe=rarely(False, True),
+    pdo_assign=rarely(False, True),
     pdo_config=st.booleans(),
     init_commands=st.lists(COMMANDS, max_size=4, unique_by=lambda each: (each.index, each.subindex)).map(tuple),
     op_modes=st.lists(
@@ -169,7 +181,7 @@ DEVICES = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=80)
 @given(DEVICES)
 def test_what_is_proposed_can_be_pasted_and_contradicts_nothing(device: EsiDevice) -> None:
     file = EsiFile("any.xml", 7, "Any", (device,))

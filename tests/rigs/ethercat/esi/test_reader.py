@@ -141,7 +141,7 @@ def test_a_document_type_is_refused_before_anything_is_expanded_or_fetched(tmp_p
 def test_sizes_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match=f"more than {DEEPEST} elements within each other"):
         parse_tree(b"<a>" * 100_000)
-    monkeypatch.setattr(tree, "MOST_ELEMENTS", 1000)
+    monkeypatch.setattr(tree, "MOST_KEPT", 1000)
     with pytest.raises(ValueError, match="more than 1000 elements"):
         parse_tree(b"<EtherCATInfo>" + b"<Vendor/>" * 1000)
     text = "x" * (LONGEST_TEXT + 1)

@@ -13,7 +13,7 @@ from stepgap.rigs.rig import Finding
 OUTPUT_MANAGER, INPUT_MANAGER = 2, 3
 """Sync managers to which the rig assigns PDOs, with the objects 0x1C12 and 0x1C13."""
 
-WATCHDOG_TRIGGER = 0x40
+_WATCHDOG_TRIGGER = 0x40
 """Bit of a sync manager's control byte: its data restart the watchdog of the process data."""
 
 SYNC_SIGNALS = 0x0700
@@ -22,7 +22,7 @@ SYNC_SIGNALS = 0x0700
 NEEDED_OBJECTS = {0x6072: "the largest torque", 0x6076: "the rated torque"}
 """Objects of a drive without which the rig does not connect."""
 
-CONTROLWORD = 0x6040
+_CONTROLWORD = 0x6040
 """Object of CiA 402 by which a drive is known."""
 
 _SYNC_PARAMETERS = (0x1C32, 0x1C33)
@@ -110,8 +110,11 @@ def _direction_findings(
         else:
             known = _listed([each.index for each in (*own, *of_modules)], 16, 4) or "none"
             yield Finding(f"pdos: there is no PDO 0x{pdo.index:04X} among the {kind}, which are {known}")
+    pairs = {(each.index, other) for each in chosen for other in each.excludes & set(indices) - {each.index}}
+    for first, second in sorted({(min(pair), max(pair)) for pair in pairs}):
+        yield Finding(f"pdos: PDOs 0x{first:04X} and 0x{second:04X} cannot be exchanged together (Exclude)")
     for each in chosen:
-        yield from _combination_findings(each, indices, manager)
+        yield from _manager_findings(each, manager)
     for each in own:
         if each.mandatory and each.index not in indices:
             yield Finding(f"pdos: PDO 0x{each.index:04X} ({each.name}) is mandatory among the {kind}")
@@ -156,10 +159,7 @@ def _difference(wanted: Pdo, found: EsiPdo) -> str:
     return "" if bit == at else f"PDO 0x{wanted.index:04X} has {bit} bits, but {at} according to the file"
 
 
-def _combination_findings(pdo: EsiPdo, indices: Sequence[int], manager: int) -> Iterator[Finding]:
-    others = sorted(pdo.excludes & set(indices) - {pdo.index})
-    if others:
-        yield Finding(f"pdos: PDO 0x{pdo.index:04X} ({pdo.name}) excludes {_listed(others, 8, 4)}")
+def _manager_findings(pdo: EsiPdo, manager: int) -> Iterator[Finding]:
     assigned = pdo.sync_manager
     if (assigned is not None and assigned != manager) or manager in pdo.excluded_managers:
         place = "cannot be in" if assigned in (None, manager) else f"is in sync manager {assigned}, not in"
@@ -222,7 +222,7 @@ def startup_commands(device: EsiDevice) -> list[InitCommand]:
 
     It sets the objects of other keys of `rig.toml`, and the option codes of a drive, so that torque goes off.
     """
-    is_drive = any(entry.index == CONTROLWORD for pdo in device.outputs for entry in pdo.entries)
+    is_drive = any(entry.index == _CONTROLWORD for pdo in device.outputs for entry in pdo.entries)
     reactions = {each.index for each in REACTIONS} if is_drive else set()
     return [
         each
@@ -264,7 +264,7 @@ def _drive_findings(pdos: PdoSet, device: EsiDevice, state_timeout: float) -> It
     if not _is_drive(pdos):
         return
     control = device.control_bytes[OUTPUT_MANAGER] if len(device.control_bytes) > OUTPUT_MANAGER else None
-    if control is not None and not control & WATCHDOG_TRIGGER:
+    if control is not None and not control & _WATCHDOG_TRIGGER:
         text = f"the control byte 0x{control:02X} of the outputs enables no watchdog"
         yield Finding(f"{text}; the proof of the watchdog on the drive counts", is_error=False)
     if not device.objects:

@@ -18,7 +18,7 @@ from stepgap.base.errors import InputError
 LARGEST_ESI_FILE = 2**26
 """Largest file that is read [bytes]; those of large terminal families have some 20 MB."""
 
-DEEPEST, MOST_ELEMENTS, LONGEST_TEXT = 64, 500_000, 2**16
+DEEPEST, MOST_KEPT, LONGEST_TEXT = 64, 500_000, 2**16
 """Limits of nested elements, of elements that are kept, and of the characters of one of them."""
 
 STRUCTURE: Mapping[str, frozenset[str]] = MappingProxyType({
@@ -185,8 +185,8 @@ class _Builder:
             self._skipped += 1
             return
         self._count += 1
-        if self._count > MOST_ELEMENTS:
-            raise _RefusedTree(f"line {self._line}: more than {MOST_ELEMENTS} elements")
+        if self._count > MOST_KEPT:
+            raise _RefusedTree(f"line {self._line}: more than {MOST_KEPT} elements")
         element = Element(name, attributes, self._line)
         around.children.append(element)
         self._open.append(element)
