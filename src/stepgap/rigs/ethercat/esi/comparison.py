@@ -22,6 +22,9 @@ SYNC_SIGNALS = 0x0700
 NEEDED_OBJECTS = {0x6072: "the largest torque", 0x6076: "the rated torque"}
 """Objects of a drive without which the rig does not connect."""
 
+ZERO_LIMITS = frozenset({0x6072, 0x607F, 0x6080, 0x60E0, 0x60E1})
+"""Limits of torque and speed with which a drive does not move if they are zero, as the rig sends what has no name."""
+
 _CONTROLWORD = 0x6040
 """Object of CiA 402 by which a drive is known."""
 
@@ -125,10 +128,8 @@ def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[
     difference = _difference(wanted, found)
     if not difference:
         if names_no_objects(found):
-            text = (
-                f"pdos: the file does not say which objects PDO 0x{found.index:04X} has; only their sizes are compared"
-            )
-            yield Finding(text, is_error=False)
+            text = f"pdos: the file does not say which objects PDO 0x{found.index:04X} has"
+            yield Finding(f"{text}; only their sizes are compared", is_error=False)
         return
     if found.fixed or not pdo_config:
         reason = "its contents are fixed" if found.fixed else "its contents cannot be written (PdoConfig)"
@@ -263,6 +264,10 @@ def _drive_findings(pdos: PdoSet, device: EsiDevice, state_timeout: float) -> It
         yield Finding(text, is_error=False)
     if not _is_drive(pdos):
         return
+    sent = {entry.index for pdo in pdos.outputs for entry in pdo.entries}
+    for index in sorted(sent & ZERO_LIMITS):
+        text = f"pdos: the rig sends zero to 0x{index:04X} among the outputs, with which a drive does not move"
+        yield Finding(text, is_error=False)
     control = device.control_bytes[OUTPUT_MANAGER] if len(device.control_bytes) > OUTPUT_MANAGER else None
     if control is not None and not control & _WATCHDOG_TRIGGER:
         text = f"the control byte 0x{control:02X} of the outputs enables no watchdog"

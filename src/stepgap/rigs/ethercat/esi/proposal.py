@@ -10,6 +10,7 @@ from stepgap.base.errors import InputError
 from stepgap.rigs.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY
 from stepgap.rigs.ethercat.esi.comparison import (
     SYNC_SIGNALS,
+    ZERO_LIMITS,
     compare_pdos,
     names_no_objects,
     startup_commands,
@@ -39,9 +40,6 @@ VALUES = {
 
 OTHER_TARGETS = frozenset({0x607A, 0x60FF, 0x6042})
 """Targets of position and velocity, which a set for torque does without if possible."""
-
-LIMITS = frozenset({0x6072, 0x607F, 0x6080, 0x60E0, 0x60E1})
-"""Limits with which a drive does not move if they are zero, as the rig sends what has no name."""
 
 _MOST_SEARCHED, _MOST_COMBINED = 24, 3
 _LARGEST_ENTRY = 64
@@ -179,7 +177,7 @@ def _combination(
 
 
 def _output_costs(objects: frozenset[int]) -> int:
-    return 100 * len(objects & LIMITS) + 10 * len(objects & OTHER_TARGETS) + (0x6060 not in objects)
+    return 100 * len(objects & ZERO_LIMITS) + 10 * len(objects & OTHER_TARGETS) + (0x6060 not in objects)
 
 
 def _input_costs(objects: frozenset[int]) -> int:
@@ -236,7 +234,7 @@ def _set_lines(name: str, outputs: tuple[EsiPdo, ...], inputs: tuple[EsiPdo, ...
             yield "]"
     if any(map(names_no_objects, (*outputs, *inputs))):
         yield "# The file does not say which objects these are: write those of the manual, with their names."
-    limits = sorted({entry.index for pdo in outputs for entry in pdo.entries} & LIMITS)
+    limits = sorted({entry.index for pdo in outputs for entry in pdo.entries} & ZERO_LIMITS)
     if limits:
         listed = ", ".join(f"0x{index:04X}" for index in limits)
         yield f"# Take {listed} out of the outputs: the rig would send zero, with which the drive does not move."
