@@ -4,13 +4,18 @@ import shlex
 import sys
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from stepgap.base.errors import InputError
 from stepgap.cli.options import Flag, Name, Overrides, Program, Seconds, add_verb
 from stepgap.cli.terminal import announces_compilation, check_consent
+
+if TYPE_CHECKING:  # slow imports are made where they are used
+    from collections.abc import Mapping, Sequence
+
+    from stepgap.rigs.rig import Finding
 
 ETHERCAT = "ethercat"
 """Name of the rig that `rig.toml` describes."""
@@ -29,7 +34,7 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     """
     from functools import partial
 
-    from stepgap.plants.commissioning.check import describe, measure, with_watchdog, write_check
+    from stepgap.plants.commissioning.check import describe, measure, with_findings, with_watchdog, write_check
     from stepgap.plants.commissioning.limp import limp_setup
     from stepgap.plants.commissioning.proof import fingerprint
     from stepgap.rigs.entry_points import load_rig
@@ -51,8 +56,10 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     else:
         mark, make_rig = fingerprint(rig_file), partial(load_rig, plant or ETHERCAT, rig_file, robot)
         found, setup = make_rig(), limp_setup(make_rig, control, frames)
+        findings = found.findings()
+        _refuse_contradictions(rig_file, mark, findings)
         result = measure(setup, frames, found.sensor_model.tick, found.limits or limits, seconds)
-        result = with_watchdog(result, make_rig)
+        result = with_watchdog(with_findings(result, findings), make_rig)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))
         print(file)
@@ -211,6 +218,19 @@ def incident(log: Path, /, *, seconds: Seconds = 1.0, out: Path | None = None) -
     write_new(picture, "--out", incident_picture(found, form))
 
 
+def esi(file: Path, /, *, product: Name | None = None) -> None:
+    """Print what a rig.toml needs for the devices of an ESI file: identity, PDOs, clocks and start-up objects.
+
+    Args:
+        file: ESI file (EtherCAT Slave Information, ETG.2000) of a vendor.
+        product: Product code of the device, such as 0x00030924. [default: all devices]
+    """
+    from stepgap.rigs.ethercat.esi.proposal import propose
+    from stepgap.rigs.ethercat.esi.reader import read_esi
+
+    print(propose(read_esi(file), product))
+
+
 def emulate(
     experiment: Path | None = None,
     /,
@@ -264,12 +284,29 @@ def _refuse_surplus(experiment: Path | None, surplus: tuple[str, ...]) -> None:
     raise InputError(f"{command[0]}: a command goes after --; type `{typed}`, options of rig emulate before the --")
 
 
+def _refuse_contradictions(rig_file: Path, mark: "Mapping[str, str]", findings: "Sequence[Finding]") -> None:
+    """Prints what contradicts the settings, before anything is connected, and ends with exit code 1; else returns."""
+    from stepgap.plants.commissioning.check import write_refusal
+
+    contradictions = [each.text for each in findings if each.is_error]
+    if contradictions:
+        for text in contradictions:
+            print(f"error   {text}")
+        for each in findings:
+            if not each.is_error:
+                print(f"remark  {each.text}")
+        print(f"result  not passed: {rig_file.name} contradicts ESI files of the devices; nothing was measured")
+        print(write_refusal(rig_file, mark, contradictions))
+        sys.exit(1)
+
+
 def _check_seconds(seconds: float) -> None:
     if not (isfinite(seconds) and 0.1 <= seconds <= LONGEST_DURATION):
         raise InputError(f"--seconds {seconds:g}: it must lie between 0.1 and {LONGEST_DURATION:g}")
 
 
 rig = App(name="rig", help="Commission a robot, on EtherCAT or by the name of its rig, or practise on an emulated one.")
+add_verb(rig, "esi", esi)
 add_verb(rig, "check", check)
 add_verb(rig, "calibrate", calibrate)
 add_verb(rig, "dry-run", dry_run_)

@@ -7,7 +7,7 @@ from multiprocessing import RawValue
 from typing import Any
 
 from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import Health, Reading, Rig, SensorModel, Torques
+from stepgap.rigs.rig import Finding, Health, Reading, Rig, SensorModel, Torques
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,10 @@ class LimpRig(Rig):
     def remarks(self) -> tuple[str, ...]:
         """Those of the rig."""
         return self._rig.remarks
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Those of the rig."""
+        return self._rig.findings()
 
     def clock_correction(self, slip: float = 0.0) -> float:
         """That of the rig."""

@@ -70,6 +70,19 @@ class WatchdogTimes:
     measured: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class Finding:
+    """What a document about a device says against the settings of a rig.
+
+    Attributes:
+        text: One sentence.
+        is_error: Settings and document contradict each other; otherwise it is only doubtful whether they agree.
+    """
+
+    text: str
+    is_error: bool = True
+
+
 class RigFault(StepGapError):
     """Error of a rig that has stopped: torque is off and remains off."""
 
@@ -122,6 +135,16 @@ class Rig(ABC):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a person should know about the connected rig, although it is no fault; one line each."""
+        return ()
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Compares the settings with documents of the devices, and while the rig is connected also with its devices.
+
+        It reads files, which takes time: not between two ticks.
+
+        Raises:
+            InputError: A document cannot be read.
+        """
         return ()
 
     @property

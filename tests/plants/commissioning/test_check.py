@@ -23,13 +23,14 @@ from stepgap.plants.commissioning.check import (
     clock_offsets,
     describe,
     timing_of,
+    with_findings,
     with_watchdog,
     write_check,
 )
 from stepgap.plants.commissioning.limp import Ticks
 from stepgap.plants.commissioning.proof import fingerprint, proof_file
 from stepgap.plants.realtime.pace import NO_LOCKED_MEMORY, NO_PRIORITY
-from stepgap.rigs.rig import RigFault, SensorModel, WatchdogTimes
+from stepgap.rigs.rig import Finding, RigFault, SensorModel, WatchdogTimes
 from stepgap.rigs.still_rig import StillRig
 
 TICK = 1e-3
@@ -117,6 +118,9 @@ class WatchedRig(StillRig):
             raise RigFault(result)
         return result
 
+    def findings(self) -> tuple[Finding, ...]:
+        return (Finding("its file has another revision", is_error=False),)
+
     def close(self) -> None:
         self.closed += 1
 
@@ -137,7 +141,17 @@ def test_the_shortest_measurement_of_a_watchdog_counts(found: Any, watchdog: Wat
     check = with_watchdog(GOOD, lambda: rig)
     assert (check.watchdog, check.watchdog_fault) == (watchdog, fault)
     assert (rig.found, rig.closed) == ([], count)
+    assert check.remarks == (() if fault else ("its file has another revision",))
     assert with_watchdog(replace(GOOD, fault="a drive failed"), lambda: rig).fault == "a drive failed"
+
+
+def test_contradictions_of_documents_are_failures_and_doubts_are_remarks() -> None:
+    check = with_findings(
+        replace(GOOD, simulated=True), [Finding("the PDO is fixed"), Finding("perhaps", is_error=False)]
+    )
+    assert check.failures() == ["the PDO is fixed"]
+    assert check.remarks == ("perhaps",)
+    assert "not passed: the PDO is fixed" in describe(check, bus=True)
 
 
 @pytest.mark.parametrize(

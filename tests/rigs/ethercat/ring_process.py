@@ -40,16 +40,22 @@ class Behind(NamedTuple):
     """
 
     cycles: int
-    torques: list[tuple[float, float]]
+    torques: list[Torques]
     enabled: list[bool]
     now: list[float]
 
 
-class Recorder(Machine):
+class RecordingMachine(Machine):
+    """A machine that keeps its torques."""
+
+    torques: list[Torques]
+
+
+class Recorder(RecordingMachine):
     """Records torques; its sensors count its ticks."""
 
     def __init__(self) -> None:
-        self.torques: list[tuple[float, float]] = []
+        self.torques = []
 
     @property
     def period(self) -> float:
@@ -63,8 +69,7 @@ class Recorder(Machine):
         return self._reading()
 
     def tick(self, torques: Torques) -> HopperReading:
-        torque_1, torque_2 = torques
-        self.torques.append((torque_1, torque_2))
+        self.torques.append(torques)
         return self._reading()
 
     def _reading(self) -> HopperReading:
@@ -72,7 +77,7 @@ class Recorder(Machine):
         return HopperReading(ticks, 10 * ticks, -ticks, 2 * ticks, 0.5 * ticks)
 
 
-class RecordedTwin(TwinMachine):
+class RecordedTwin(TwinMachine, RecordingMachine):
     """The twin, held until a second after its first torque, however late that comes.
 
     It records all torques, also those before its last restart.
@@ -80,7 +85,7 @@ class RecordedTwin(TwinMachine):
 
     def __init__(self) -> None:
         super().__init__(Twin(RobotParameters(), RealityGap(), np.random.default_rng(0), hold=1.0))
-        self.torques: list[tuple[float, float]] = []
+        self.torques = []
 
     def start(self) -> HopperReading:
         self._limp = True
@@ -88,9 +93,8 @@ class RecordedTwin(TwinMachine):
         return self._reading
 
     def tick(self, torques: Torques) -> HopperReading:
-        torque_1, torque_2 = torques
-        self.torques.append((torque_1, torque_2))
-        self._limp = self._limp and torque_1 == torque_2 == 0
+        self.torques.append(torques)
+        self._limp = self._limp and not any(torques)
         return self._reading if self._limp else super().tick(torques)
 
 
@@ -110,7 +114,7 @@ class LiveRing:
 
 
 @contextmanager
-def live_ring(*faults: Fault, make_machine: Callable[[], Recorder | RecordedTwin] = Recorder) -> Iterator[LiveRing]:
+def live_ring(*faults: Fault, make_machine: Callable[[], RecordingMachine] = Recorder) -> Iterator[LiveRing]:
     """A ring in lock-step; skips the test where raw sockets are not allowed."""
     context = get_context("forkserver")
     context.set_forkserver_preload([__name__])
@@ -131,7 +135,7 @@ def live_ring(*faults: Fault, make_machine: Callable[[], Recorder | RecordedTwin
 
 
 def _serve(
-    interface: str, pipe: Connection, faults: tuple[Fault, ...], make_machine: Callable[[], Recorder | RecordedTwin]
+    interface: str, pipe: Connection, faults: tuple[Fault, ...], make_machine: Callable[[], RecordingMachine]
 ) -> None:
     with suppress(PermissionError):  # pysoem waits 2 ms for some answers, less than a busy machine may take
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stepgap.rigs.ethercat.pdo import ENTRY_FORMATS, PDO_SETS, SIGNED_VALUES, Entry, Packing, Pdo
+from stepgap.rigs.ethercat.pdo import ENTRY_FORMATS, SIGNED_VALUES, Entry, Packing, Pdo
+from stepgap.rigs.ethercat.pdo_sets import PDO_SETS
 
 ENTRIES = st.builds(
     Entry,

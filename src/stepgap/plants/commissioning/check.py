@@ -13,7 +13,7 @@ from stepgap.plants.realtime.pace import NEEDED_FOR_TORQUE
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.limp_rig import FrameCount
-from stepgap.rigs.rig import CLOCK_OFFSET, Rig, RigFault, WatchdogTimes
+from stepgap.rigs.rig import CLOCK_OFFSET, Finding, Rig, RigFault, WatchdogTimes
 from stepgap.step import Array
 
 CHECK = "check"
@@ -96,6 +96,7 @@ class Check:
         watchdog_fault: Why the watchdog is not proven; empty if it is, or if it was not measured.
         remarks: What a person should know about the rig, although it is no fault.
         clock: Distances of frames from their times; None without distributed clocks.
+        contradictions: What documents of the devices say against the settings; empty if they agree.
     """
 
     tick: float
@@ -109,10 +110,11 @@ class Check:
     watchdog_fault: str = ""
     remarks: tuple[str, ...] = ()
     clock: ClockOffsets | None = None
+    contradictions: tuple[str, ...] = ()
 
     def failures(self) -> list[str]:
         """Describes what is not within the limits; empty if the check is passed."""
-        timing, found = self.timing, []
+        timing, found = self.timing, list(self.contradictions)
         if timing.missed_in_a_row > self.late_ticks:
             found.append(f"{timing.missed_in_a_row} ticks in a row were missed, at most {self.late_ticks} are allowed")
         if timing.punctual < PUNCTUAL:
@@ -211,6 +213,7 @@ def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
         try:
             with make_rig() as rig:
                 best, found = replace(best, remarks=rig.remarks), rig.watchdog_times()
+                best = with_findings(best, rig.findings())  # which takes time: when frames have ended
         except RigFault as fault:
             return replace(check, watchdog_fault=str(fault))
         if found and (best.watchdog is None or _longest_time(found) < _longest_time(best.watchdog)):
@@ -218,6 +221,13 @@ def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
         if not _slow_watchdogs(found):
             break
     return best
+
+
+def with_findings(check: Check, findings: Sequence[Finding]) -> Check:
+    """Adds what documents of the devices say: contradictions are failures, doubts are remarks."""
+    doubts = tuple(each.text for each in findings if not each.is_error)
+    contradictions = tuple(each.text for each in findings if each.is_error)
+    return replace(check, remarks=(*check.remarks, *doubts), contradictions=contradictions)
 
 
 def _longest_time(watchdog: WatchdogTimes) -> float:
@@ -289,6 +299,20 @@ def write_check(rig_file: Path, mark: Mapping[str, str], check: Check) -> Path:
     """
     seconds = check.timing.ticks * check.tick
     return write_proof(rig_file, CHECK, mark, {"passed": not check.failures(), "seconds": seconds, **asdict(check)})
+
+
+def write_refusal(rig_file: Path, mark: Mapping[str, str], contradictions: Sequence[str]) -> Path:
+    """Writes that settings have not passed, because they contradict documents; returns the path.
+
+    Args:
+        rig_file: File of the settings.
+        mark: Their `fingerprint` when they were read.
+        contradictions: What the documents say.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    return write_proof(rig_file, CHECK, mark, {"passed": False, "contradictions": list(contradictions)})
 
 
 def checked(rig_file: Path) -> None:

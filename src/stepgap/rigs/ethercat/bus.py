@@ -226,6 +226,10 @@ class Bus:
         if self._claim:
             self._claim.close()
 
+    def revision(self, number: int) -> int | None:
+        """Revision number of a slave; None while the bus is not up."""
+        return self._master.slaves[number].rev if self._master is not None else None
+
     def label(self, number: int) -> str:
         """Name of a slave for messages."""
         return f"slave {number + 1} '{self._settings.slaves[number].name}'"
@@ -237,6 +241,10 @@ class Bus:
                 raise RigFault(
                     f"{self.label(number)} must be {_identity(slave.vendor, slave.product)}, "
                     f"but there is {_identity(device.man, device.id)}"
+                )
+            if slave.revision not in (0, device.rev):
+                raise RigFault(
+                    f"{self.label(number)} must be revision 0x{slave.revision:08X}, but there is 0x{device.rev:08X}"
                 )
         if len(found) < len(wanted):
             raise RigFault(f"{self.label(len(found))} is missing: {len(found)} of {len(wanted)} slaves answer")

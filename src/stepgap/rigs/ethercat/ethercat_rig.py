@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from math import isfinite, nan
+from pathlib import Path
 from struct import Struct
 from time import monotonic, sleep
 
@@ -17,6 +18,8 @@ from stepgap.rigs.ethercat.cia402 import (
     state_of,
 )
 from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime
+from stepgap.rigs.ethercat.esi.comparison import compare_with_esi, labelled
+from stepgap.rigs.ethercat.esi.reader import read_esi
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.reactions import secure_reactions
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
@@ -28,6 +31,7 @@ from stepgap.rigs.rig import (
     HEALTHY,
     LOST,
     DoubtfulSensor,
+    Finding,
     Health,
     Reading,
     Rig,
@@ -76,10 +80,14 @@ class EthercatRig(Rig):
         settings: The robot's bus, with its limit of lost frames.
         sensor_model: Timing of the sensors and conversion of their counts.
         host: The computer's clock, by which frames follow the reference clock of the bus.
+        folder: Folder to which the names of ESI files are relative.
     """
 
-    def __init__(self, settings: BusSettings, sensor_model: SensorModel, host: HostTime = COMPUTER):
+    def __init__(
+        self, settings: BusSettings, sensor_model: SensorModel, host: HostTime = COMPUTER, folder: Path = Path()
+    ):
         self._settings, self._bus, self._sensor_model = settings, Bus(settings, host), sensor_model
+        self._folder = folder
         self._motors = settings.motors
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
         self._sensors = tuple(
@@ -141,6 +149,30 @@ class EthercatRig(Rig):
     def remarks(self) -> tuple[str, ...]:
         """Objects of the drives that could not be set."""
         return tuple(self._remarks)
+
+    def findings(self) -> tuple[Finding, ...]:
+        """What the ESI files of the slaves say against the settings; while connected also about their revisions.
+
+        Raises:
+            InputError: A file cannot be read, or is not an ESI file.
+        """
+        slaves = self._settings.slaves
+        files = {name: read_esi(self._folder / name) for name in sorted({slave.esi for slave in slaves} - {""})}
+        return tuple(
+            finding
+            for number, slave in enumerate(slaves)
+            if slave.esi
+            for finding in labelled(
+                compare_with_esi(
+                    slave,
+                    self._settings.pdo_set(slave),
+                    files[slave.esi],
+                    STATE_TIMEOUT,
+                    self._bus.revision(number),
+                ),
+                f"{self._bus.label(number)}, {slave.esi}",
+            )
+        )
 
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.
@@ -264,9 +296,9 @@ class EthercatRig(Rig):
         """Compares the drives' rated torques with the settings and sets the drives' torque limits."""
         for drive, motor in zip(self._drives, self._motors, strict=True):
             rated = self._bus.read_object(drive, _RATED_TORQUE, _U32)
-            if rated != round(motor.rated_torque * 1000):
+            if rated != motor.rated_units:
                 raise RigFault(
-                    f"{self._bus.label(drive)} has a rated torque of {rated / 1000:g} N·m (0x6076), "
+                    f"{self._bus.label(drive)} has a rated torque of {rated * motor.rated_torque_unit:g} N·m (0x6076), "
                     f"but the settings have {motor.rated_torque:g}"
                 )
             self._bus.write_object(drive, _LARGEST_TORQUE, _U16, motor.most_units)

@@ -15,11 +15,15 @@ SIGNED_VALUES = {
     "velocity": True,
     "torque": True,
     "mode_display": True,
+    "error_code": False,
+    "digital_inputs": False,
     "counter": True,
     "force": True,
     "status": False,
 }
-"""The values that a rig uses, and whether each is signed. An unsigned counter is read as signed: it is unwrapped.
+"""The values that a rig knows, and whether each is signed. An unsigned counter is read as signed: it is unwrapped.
+
+A rig ignores those that it does not use, such as the digital inputs of a drive.
 
 The status word of a terminal consists of many objects of one bit, so its entry is written as padding with a name.
 """
@@ -145,41 +149,3 @@ class PdoSet:
     def __post_init__(self) -> None:
         for pdos in (self.outputs, self.inputs):
             Packing(pdos)
-
-
-def _pdo(index: int, *entries: str) -> Pdo:
-    return Pdo(index, tuple(map(Entry.parse, entries)))
-
-
-PDO_SETS: Mapping[str, PdoSet] = {
-    "none": PdoSet(),
-    # The mapping of cyclic synchronous torque in ETH Zurich's elmo_ethercat_sdk; firmware 1.1.15 added the padding.
-    "elmo-cst": PdoSet(
-        outputs=(
-            _pdo(0x1602, "0x6071:00:16 target_torque", "0x6040:00:16 controlword"),
-            _pdo(0x160B, "0x6060:00:8 mode", "0x0000:00:8"),
-        ),
-        inputs=(
-            _pdo(
-                0x1A02,
-                "0x6064:00:32 position",
-                "0x6077:00:16 torque",
-                "0x6041:00:16 statusword",
-                "0x6061:00:8 mode_display",
-                "0x0000:00:8",
-            ),
-            _pdo(0x1A11, "0x606C:00:32 velocity"),
-        ),
-    ),
-    # Control bits, which the rig does not use, are combined as padding.
-    "beckhoff-el5101": PdoSet(
-        outputs=(_pdo(0x1603, "0x0000:00:16", "0x7010:11:32"),),
-        inputs=(_pdo(0x1A04, "0x0000:00:16 status", "0x6010:11:32 counter", "0x6010:12:32"),),
-    ),
-    "beckhoff-el5151": PdoSet(
-        outputs=(_pdo(0x1600, "0x0000:00:16", "0x7000:11:32"),),
-        inputs=(_pdo(0x1A00, "0x0000:00:16 status", "0x6000:11:32 counter", "0x6000:12:32"),),
-    ),
-    "analog-input": PdoSet(inputs=(_pdo(0x1A00, "0x0000:00:16 status", "0x6000:11:16 force"),)),
-}
-"""Predefined sets by their name in `rig.toml`, which may describe others."""

@@ -8,7 +8,8 @@ from math import floor, isfinite
 
 from stepgap.base.ranges import format_value, require
 from stepgap.rigs.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY, DcSettings
-from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
+from stepgap.rigs.ethercat.pdo import Entry, Packing, Pdo, PdoSet
+from stepgap.rigs.ethercat.pdo_sets import PDO_SETS
 from stepgap.rigs.ethercat.startup import StartupObject, require_objects
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import Reading
@@ -73,6 +74,9 @@ class Slave:
         name: Name for messages and for the tables that refer to it.
         vendor: Vendor ID.
         product: Product code.
+        revision: Revision number that the device must have; 0 if any is right.
+        esi: ESI file of its vendor, relative to the folder of this file, with which `rig check` compares these
+            settings; empty for none.
         pdos: Name of its set of PDOs.
         startup: Objects that are written and read back before it exchanges process data, in this order, each as
             `StartupObject.parse` reads it.
@@ -84,6 +88,8 @@ class Slave:
     name: str
     vendor: int
     product: int
+    revision: int = 0
+    esi: str = ""
     pdos: str = "none"
     startup: tuple[str, ...] = ()
     assign_activate: int = 0
@@ -91,7 +97,7 @@ class Slave:
 
     def __post_init__(self) -> None:
         require(bool(self.name.strip()) and self.name.isprintable(), "name", self.name, "be a string of one line")
-        for name in ("vendor", "product"):
+        for name in ("vendor", "product", "revision"):
             require(0 <= getattr(self, name) < 2**32, name, getattr(self, name), "lie between 0 and 2³²")
         require_objects("startup", self.startup)
         activate, shift = self.assign_activate, self.sync0_shift
@@ -148,6 +154,8 @@ class Motor(Encoder):
             position; 0 if the drive does not send one, or in another way.
         keep_reactions: Leave the drive's option codes (0x6007, 0x605A to 0x605E) as they are, instead of setting them
             so that torque goes off; for a drive that refuses this, after reading its manual.
+        rated_torque_unit: Unit of 0x6076 of the drive [N·m]; 0.001 according to CiA 402, smaller in some drives
+            for small motors.
     """
 
     rated_torque: float
@@ -155,11 +163,16 @@ class Motor(Encoder):
     gear: float = 1.0
     velocity_unit: float = 1.0
     keep_reactions: bool = False
+    rated_torque_unit: float = 1e-3
 
     def __post_init__(self) -> None:
         super().__post_init__()
         rated, limit = self.rated_torque, self.torque_limit
-        require(1e-3 <= rated < 2**32 / 1000, "rated_torque", rated, "lie in the range of 0x6076, 0.001 to 4294967")
+        smallest = self.rated_torque_unit
+        require(1e-9 <= smallest <= 1, "rated_torque_unit", smallest, "lie between 1e-9 and 1")
+        largest = (2**32 - 1) * smallest
+        rule = f"lie in the range of 0x6076, {smallest:g} to {largest:.7g}"
+        require(smallest <= rated <= largest, "rated_torque", rated, rule)
         require(1e-3 <= self.gear <= 1e4, "gear", self.gear, "lie between 0.001 and 10000")
         unit = self.velocity_unit
         require(isfinite(unit) and unit >= 0, "velocity_unit", unit, "be finite and not negative")
@@ -167,6 +180,11 @@ class Motor(Encoder):
         require(
             0 < limit <= most, "torque_limit", limit, f"be positive and at most 32 times the rated torque, {most:g}"
         )
+
+    @property
+    def rated_units(self) -> int:
+        """Rated torque in units of 0x6076."""
+        return round(self.rated_torque / self.rated_torque_unit)
 
     @property
     def torque_unit(self) -> float:

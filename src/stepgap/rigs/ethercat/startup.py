@@ -73,7 +73,7 @@ class StartupObject:
         index, subindex, kind = int(match[1], 16), int(match[2], 16), match[3].upper()
         if kind not in LAYOUTS:
             raise ValueError(f"{match[3]} is not a type; these are {', '.join(LAYOUTS)}")
-        if any(low <= index <= high for low, high in _RESERVED):
+        if is_reserved(index):
             raise ValueError(f"0x{index:04X} is set by the master, from other keys of this file")
         try:
             value = float(match[4]) if kind == "REAL32" else int(match[4], 0)
@@ -84,6 +84,11 @@ class StartupObject:
 
     def __str__(self) -> str:
         return f"0x{self.index:04X}:{self.subindex:02X} {self.kind} = {self.value:g}"
+
+
+def is_reserved(index: int) -> bool:
+    """Whether the master sets an object itself, so that it cannot be a startup object."""
+    return any(low <= index <= high for low, high in _RESERVED)
 
 
 def require_objects(name: str, texts: tuple[str, ...]) -> None:

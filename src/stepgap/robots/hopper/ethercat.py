@@ -7,6 +7,7 @@ from pathlib import Path
 
 from stepgap.base.ranges import require
 from stepgap.base.settings_file import build, read_toml, with_table
+from stepgap.rigs.ethercat.distributed_clocks import COMPUTER
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor, RigDevice
 from stepgap.robots.hopper.limits import SafetyLimits
@@ -117,9 +118,15 @@ def read_rig_settings(path: Path) -> RigSettings:
     return build(RigSettings, read_toml(path, "a rig"), lambda name: f"{path}: {with_table(name)}")
 
 
-def hopper_on_ethercat(settings: RigSettings, robot: RobotParameters) -> EthercatRig:
-    """Rig of these settings, not yet connected; its sensor model uses the robot's boom length."""
-    return EthercatRig(settings, settings.sensor_model(robot.boom_length))
+def hopper_on_ethercat(settings: RigSettings, robot: RobotParameters, folder: Path = Path()) -> EthercatRig:
+    """Rig of these settings, not yet connected; its sensor model uses the robot's boom length.
+
+    Args:
+        settings: The settings.
+        robot: The robot.
+        folder: Folder to which the names of ESI files in the settings are relative.
+    """
+    return EthercatRig(settings, settings.sensor_model(robot.boom_length), COMPUTER, folder)
 
 
 def ethercat_rig_from_file(settings: Path, robot: Robot) -> EthercatRig:
@@ -128,4 +135,4 @@ def ethercat_rig_from_file(settings: Path, robot: Robot) -> EthercatRig:
     Raises:
         InputError: A setting is wrong; the message names file, key and rule. Or the robot is not the hopper.
     """
-    return hopper_on_ethercat(read_rig_settings(settings), parameters_of(robot))
+    return hopper_on_ethercat(read_rig_settings(settings), parameters_of(robot), settings.parent)

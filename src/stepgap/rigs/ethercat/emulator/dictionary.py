@@ -10,7 +10,8 @@ DEVICE_TYPE, DEVICE_NAME, IDENTITY = 0x1000, 0x1008, 0x1018
 SYNC_MANAGER_TYPES, ASSIGN_OUTPUTS, ASSIGN_INPUTS = 0x1C00, 0x1C12, 0x1C13
 """Communication area (ETG.1000.6): kinds of the sync managers, PDOs in them."""
 
-MOST_PDOS, MOST_PARTS = 8, 8
+MOST_PDOS, MOST_PARTS = 8, 16
+"""Largest number of PDOs in a sync manager, and of entries in a PDO."""
 
 
 class Abort(StepGapError):

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
-from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, Mapped, ObjectEntry
+from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, ObjectEntry
+from stepgap.rigs.ethercat.emulator.drive_layout import ELMO_LAYOUT, DriveLayout
 from stepgap.rigs.ethercat.emulator.mailbox import emergency
 from stepgap.rigs.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
@@ -77,7 +78,9 @@ class DriveSettings:
 
     Attributes:
         identity: Its identity.
-        rated_torque: Torque of the value 1000 of a torque object [mN·m].
+        layout: The PDOs that it exchanges.
+        rated_torque: Torque of the value 1000 of a torque object, in `rated_torque_unit`.
+        rated_torque_unit: Unit of that object, 0x6076 [N·m].
         largest_torque: Limit of the drive, in 1/1000 of `rated_torque`; the master may change it by SDO.
         period: Time of a tick [s].
         abort_connection: What it does when frames end, after power-up: 0 nothing, 1 fault, 2 or 3 torque off
@@ -86,28 +89,13 @@ class DriveSettings:
     """
 
     identity: Identity = ELMO_GOLD
+    layout: DriveLayout = ELMO_LAYOUT
     rated_torque: int = 16_000
+    rated_torque_unit: float = 1e-3
     largest_torque: int = 2500
     period: float = 1e-3
     abort_connection: int = 1
     ramps: int = 1
-
-
-OUTPUT_PDOS = {
-    0x1602: (Mapped(TARGET_TORQUE, 0, 16), Mapped(CONTROLWORD, 0, 16)),
-    0x160B: (Mapped(MODE, 0, 8), Mapped(0, 0, 8)),
-}
-INPUT_PDOS = {
-    0x1A02: (
-        Mapped(POSITION, 0, 32),
-        Mapped(TORQUE, 0, 16),
-        Mapped(STATUSWORD, 0, 16),
-        Mapped(MODE_DISPLAY, 0, 8),
-        Mapped(0, 0, 8),
-    ),
-    0x1A11: (Mapped(VELOCITY, 0, 32),),
-}
-"""PDOs for torque control with the mapping of Elmo's drives; only 0x1602 and 0x1A02 are assigned after power-up."""
 
 
 class Drive(EmulatedDevice):
@@ -154,15 +142,16 @@ class Drive(EmulatedDevice):
             ERROR_REGISTER: self._register,
             SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
         }
+        objects, layout = {(index, 0): entry for index, entry in entries.items()}, settings.layout
         self.dictionary = Dictionary(
             settings.identity,
-            {(index, 0): entry for index, entry in entries.items()},
-            OUTPUT_PDOS,
-            INPUT_PDOS,
-            (0x1602,),
-            (0x1A02,),
+            {**objects, **layout.idle_objects(objects)},
+            layout.outputs,
+            layout.inputs,
+            layout.assigned_outputs,
+            layout.assigned_inputs,
             _check,
-            mappable=True,
+            layout.mappable,
         )
         self.state, self.torque, self._before = DriveState.SWITCH_ON_DISABLED, 0.0, 0
         self.messages.clear()
@@ -216,7 +205,7 @@ class Drive(EmulatedDevice):
         follows = self.state is DriveState.OPERATION_ENABLED and self._mode_display.value == CYCLIC_SYNCHRONOUS_TORQUE
         limit = self._largest.value
         self._torque.value = min(max(self._target.value, -limit), limit) if follows else 0
-        self.torque = self._torque.value * self._settings.rated_torque * 1e-6
+        self.torque = self._torque.value * self._settings.rated_torque * (self._settings.rated_torque_unit / 1000)
         self._status.value = self.state | VOLTAGE_ENABLED | REMOTE | (FOLLOWS if follows else 0)
 
 
