@@ -1,4 +1,7 @@
-"""A rig whose motors get no torque, whatever is commanded: for measurements, calibration and trials."""
+"""A rig whose motors get no torque, whatever is commanded: for measurements, calibration and trials.
+
+It does not move, so that it passes no warning on, which would let it land.
+"""
 
 from collections.abc import Mapping
 from ctypes import c_longlong
@@ -62,6 +65,16 @@ class LimpRig(Rig):
     def diagnostics(self) -> tuple[float, ...]:
         """Those of the rig."""
         return self._rig.diagnostics
+
+    @property
+    def diagnostic_ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Those of the rig."""
+        return self._rig.diagnostic_ranges
+
+    @property
+    def diagnostic_names(self) -> Mapping[str, Mapping[int, str]]:
+        """Those of the rig."""
+        return self._rig.diagnostic_names
 
     @property
     def remarks(self) -> tuple[str, ...]:

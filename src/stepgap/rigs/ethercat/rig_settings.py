@@ -8,6 +8,7 @@ from math import floor, isfinite
 
 from stepgap.base.ranges import format_value, require
 from stepgap.rigs.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY, DcSettings
+from stepgap.rigs.ethercat.drive_limits import DriveLimits
 from stepgap.rigs.ethercat.pdo import PDO_SETS, Entry, Packing, Pdo, PdoSet
 from stepgap.rigs.ethercat.startup import StartupObject, require_objects
 from stepgap.rigs.limits import RigLimits
@@ -137,8 +138,8 @@ class Encoder:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motor(Encoder):
-    """A drive with its encoder.
+class Motor(DriveLimits, Encoder):
+    """A drive with its encoder; `DriveLimits` describes the limits of what else it reports.
 
     Attributes:
         rated_torque: Rated torque of the motor [N·m], as in the drive (0x6076), in 1/1000 of which torques are sent.
@@ -157,7 +158,8 @@ class Motor(Encoder):
     keep_reactions: bool = False
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        Encoder.__post_init__(self)
+        DriveLimits.__post_init__(self)
         rated, limit = self.rated_torque, self.torque_limit
         require(1e-3 <= rated < 2**32 / 1000, "rated_torque", rated, "lie in the range of 0x6076, 0.001 to 4294967")
         require(1e-3 <= self.gear <= 1e4, "gear", self.gear, "lie between 0.001 and 10000")
@@ -319,6 +321,13 @@ class BusSettings(ABC):
         lacking = outputs - set(Packing(pdos.outputs).names) | inputs - set(Packing(pdos.inputs).names)
         rule = f"be a slave whose PDOs have {', '.join(sorted(lacking))}"
         require(not lacking, f"{table}.slave", name, rule)
+        if isinstance(device, Motor):
+            device.require_values(table, name, self.input_entries(name))
+
+    def input_entries(self, name: str) -> Mapping[str, Entry]:
+        """Entries of the values that the slave with a name sends, by their names."""
+        mapping = Packing(self.pdo_set(self.slaves[self.position(name)]).inputs).mapping
+        return {value: entry for value, (entry, _) in mapping.items()}
 
 
 def _values_of(device: RigDevice) -> tuple[set[str], set[str]]:

@@ -1,0 +1,253 @@
+"""What a drive reports beside its motion, reading by reading: is it within its limits, and can it be believed?"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, nan
+from typing import NamedTuple
+
+from stepgap.rigs.ethercat.cia402 import STATUSWORD_UNIT
+from stepgap.rigs.ethercat.drive_limits import (
+    BUS_VOLTAGE,
+    DIGITAL_INPUTS,
+    TEMPERATURE,
+    TEMPERATURES,
+    VOLTAGES,
+    DriveLimits,
+    largest_number,
+)
+from stepgap.rigs.ethercat.pdo import SIGNED_VALUES, Entry
+
+MOTION_UNITS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
+"""Values of a drive that are logged as they are, with their units."""
+
+BEYOND = 3
+"""Number of plausible readings in a row beyond a limit, after which it counts as exceeded: one may be noise."""
+
+DOUBTS = 20
+"""Number by which implausible readings must exceed plausible ones, until a value counts as invalid."""
+
+LARGEST_JUMP = 5.0
+"""Largest plausible change of a temperature from one reading to the next [°C]; at least two counts."""
+
+INPUT_STATES = {0: "closed", 1: "open"}
+"""Names of the logged numbers of an STO or enable input."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that a drive reports, and its limits.
+
+    Attributes:
+        name: Name of the value in the PDOs.
+        unit: Unit of the limits.
+        scale: Value of one count.
+        plausible: Least and largest plausible value.
+        jump: Largest plausible change from one reading to the next.
+        limits: Least and largest value that is allowed.
+        warning: Value above which the robot shall land.
+        frozen: Number of readings for which the value may stay exactly the same.
+        without_value: Numbers by which the drive tells that it has no value.
+    """
+
+    name: str
+    unit: str
+    scale: float
+    plausible: tuple[float, float]
+    jump: float = inf
+    limits: tuple[float, float] = (-inf, inf)
+    warning: float = inf
+    frozen: float = inf
+    without_value: tuple[int, ...] = ()
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether anything depends on the value."""
+        return self.limits != (-inf, inf) or self.warning < inf or self.frozen < inf
+
+    def value(self, raw: int) -> float:
+        """Value of a number in the process data; NaN if the drive has none."""
+        return nan if raw in self.without_value else raw * self.scale
+
+
+class Track(NamedTuple):
+    """What was seen of a quantity.
+
+    Attributes:
+        value: Last plausible value; NaN before the first.
+        doubts: Number of implausible readings that were not outweighed by plausible ones.
+        beyond: Number of plausible readings in a row beyond the limits.
+        warned: Number of plausible readings in a row above the warning level.
+        same: Number of readings since the value changed.
+    """
+
+    value: float = nan
+    doubts: int = 0
+    beyond: int = 0
+    warned: int = 0
+    same: int = 0
+
+
+def with_value(quantity: Quantity, track: Track, value: float) -> Track:
+    """Track with another reading; an implausible one, such as NaN, changes the doubts only."""
+    least, most = quantity.plausible
+    if not least <= value <= most or abs(value - track.value) > quantity.jump:
+        return track._replace(doubts=track.doubts + 1)
+    low, high = quantity.limits
+    return Track(
+        value,
+        max(0, track.doubts - 1),
+        track.beyond + 1 if not low <= value <= high else 0,
+        track.warned + 1 if value > quantity.warning else 0,
+        track.same + 1 if value == track.value else 0,
+    )
+
+
+def excess_of(quantity: Quantity, track: Track) -> str:
+    """Describes a value beyond its limits, after which torque must go off; empty if it is within them."""
+    if track.beyond < BEYOND:
+        return ""
+    low, high = quantity.limits
+    rule = f"at most {high:g}" if low == -inf else f"{low:g} to {high:g}"
+    return f"its {_words(quantity)} is {track.value:.1f} {quantity.unit}, allowed is {rule}"
+
+
+def warning_of(quantity: Quantity, track: Track) -> str:
+    """Describes why the robot should land: the warning level, or a value that cannot be relied upon; or empty."""
+    if not quantity.is_limited:
+        return ""
+    if track.doubts >= DOUBTS:
+        return f"its {_words(quantity)} is not plausible"
+    if track.same >= quantity.frozen:
+        return f"its {_words(quantity)} is frozen at {track.value:.1f} {quantity.unit}"
+    if track.warned >= BEYOND:
+        return f"its {_words(quantity)} is {track.value:.1f} {quantity.unit}, more than {quantity.warning:g}"
+    return ""
+
+
+def _words(quantity: Quantity) -> str:
+    return quantity.name.replace("_", " ")
+
+
+def quantities_of(limits: DriveLimits, entries: Mapping[str, Entry], cycle: float) -> list[Quantity]:
+    """Temperature and bus voltage, as far as a drive sends them.
+
+    Args:
+        limits: Limits of the drive.
+        entries: Entries of its inputs by name.
+        cycle: Time between two readings [s].
+    """
+    pair = limits.bus_voltage
+    wanted = (
+        Quantity(
+            TEMPERATURE,
+            "°C",
+            limits.temperature_unit,
+            TEMPERATURES,
+            max(LARGEST_JUMP, 2 * limits.temperature_unit),
+            (-inf, limits.temperature_limit),
+            limits.temperature_warning,
+            limits.temperature_frozen_time / cycle,
+            _without_value(entries.get(TEMPERATURE)),
+        ),
+        Quantity(
+            BUS_VOLTAGE,
+            "V",
+            limits.bus_voltage_unit,
+            VOLTAGES,
+            limits=(pair[0], pair[1]) if pair else (-inf, inf),
+            frozen=limits.bus_voltage_frozen_time / cycle,
+            without_value=_without_value(entries.get(BUS_VOLTAGE)),
+        ),
+    )
+    return [quantity for quantity in wanted if quantity.name in entries]
+
+
+def _without_value(entry: Entry | None) -> tuple[int, ...]:
+    if entry is None:
+        return ()
+    most = largest_number(entry)
+    return (most, -most - 1) if SIGNED_VALUES[entry.name] else (most,)
+
+
+@dataclass(frozen=True)
+class SafetyInput:
+    """An input that must be closed for torque.
+
+    Attributes:
+        name: Name of its field in the log.
+        label: Its name for messages.
+        bits: Numbers of its bits.
+        open: Value of each bit while it is open.
+    """
+
+    name: str
+    label: str
+    bits: tuple[int, ...]
+    open: int
+
+    def is_open(self, inputs: int) -> bool:
+        """Whether one of its channels is open."""
+        return any(inputs >> bit & 1 == self.open for bit in self.bits)
+
+
+class DriveWatch:
+    """Watches the values of one drive, and keeps those that are logged.
+
+    Args:
+        label: Name of the drive for messages.
+        limits: Its limits.
+        entries: Entries of its inputs by name.
+        cycle: Time between two readings [s].
+    """
+
+    def __init__(self, label: str, limits: DriveLimits, entries: Mapping[str, Entry], cycle: float):
+        self._label = label
+        self._quantities = quantities_of(limits, entries, cycle)
+        self.restart()
+        inputs = (
+            SafetyInput("sto", "STO input", limits.sto_bits, limits.sto_open),
+            SafetyInput("enable", "enable input", limits.enable_bits, limits.enable_open),
+        )
+        self._inputs = [each for each in inputs if each.bits]
+        self._raw = [name for name in MOTION_UNITS if name in entries]
+        self._raw += [DIGITAL_INPUTS] if DIGITAL_INPUTS in entries else []
+        self.units = {
+            **{name: MOTION_UNITS.get(name, "") for name in self._raw},
+            **{quantity.name: quantity.unit for quantity in self._quantities},
+            **{each.name: "" for each in self._inputs},
+        }
+        """Logged values with their units."""
+        self.ranges = {quantity.name: quantity.limits for quantity in self._quantities}
+        """Limits of logged values; infinite if there is none."""
+        self.names = {each.name: INPUT_STATES for each in self._inputs}
+        """Names of the numbers of logged values."""
+        self.values: tuple[float, ...] = (nan,) * len(self.units)
+        """Logged values in the last reading."""
+
+    def restart(self) -> None:
+        """Forgets earlier readings, as after a pause without frames."""
+        self._tracks = [Track()] * len(self._quantities)
+
+    def update(self, values: Mapping[str, int]) -> str:
+        """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""
+        numbers = [float(values[name]) for name in self._raw]
+        excess = ""
+        for index, quantity in enumerate(self._quantities):
+            raw = values[quantity.name]
+            self._tracks[index] = track = with_value(quantity, self._tracks[index], quantity.value(raw))
+            excess = excess or excess_of(quantity, track)
+            numbers.append(raw * quantity.scale)
+        numbers += [float(each.is_open(values[DIGITAL_INPUTS])) for each in self._inputs]
+        self.values = tuple(numbers)
+        return self.open_inputs(values) or (f"{self._label}: {excess}" if excess else "")
+
+    def open_inputs(self, values: Mapping[str, int]) -> str:
+        """Names the inputs that are open, or returns an empty text."""
+        found = [each.label for each in self._inputs if each.is_open(values[DIGITAL_INPUTS])]
+        return f"the {' and the '.join(found)} of {self._label} {'are' if len(found) > 1 else 'is'} open" if found else ""
+
+    @property
+    def warning(self) -> str:
+        """Why the robot should land, or an empty text."""
+        found = map(warning_of, self._quantities, self._tracks)
+        return next((f"{self._label}: {text}" for text in found if text), "")
