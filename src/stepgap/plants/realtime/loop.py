@@ -188,10 +188,11 @@ class ControlLoop:
         """After a warning of the rig, lands a moving robot; one that is limp gets no torque."""
         if self._stop_requested or not (warning := self._rig.warning):
             return
-        if self._state not in MOVING:
+        if self._state <= RigState.READY:
             raise RigFault(f"{warning}: no torque is given")
-        self._board.message = f"{warning}: the robot lands"
-        self._stop_requested = True
+        if self._state in MOVING:
+            self._board.message = f"{warning}: the robot lands"
+            self._stop_requested = True
 
     def _enter(self, state: RigState) -> None:
         if state == self._state:
