@@ -84,6 +84,41 @@ WRONG = [
         "[motor_1] torque_limit = inf, but it must be positive and at most 32",
     ),
     (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\ntemperature_warning = 60\ntemperature_limit = 70",
+        "[motor_1] temperature_warning = 60.0, but it must be left out, or the PDOs of 'left drive' must have an entry",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\ntemperature_limit = 70",
+        "[motor_1] temperature_warning = inf, but it must be below temperature_limit = 70",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nbus_voltage = [20, 60]",
+        "[motor_1] bus_voltage = [20.0, 60.0], but it must be left out, or the PDOs of 'left drive' must have an entry",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nbus_voltage = [60, 20]",
+        "[motor_1] bus_voltage = [60.0, 20.0], but it must be two voltages, [lowest, highest]",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nsto_bits = [16]",
+        "[motor_1] sto_bits = [16], but it must be left out, or the PDOs of 'left drive' must have an entry named digital",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nsto_bits = [16]\nenable_bits = [16]",
+        "[motor_1] enable_bits = [16], but it must differ from sto_bits = [16]",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nsto_bit = 16",
+        "[motor_1] sto_bit: unknown key; did you mean sto_bits?",
+    ),
+    (
         'slave = "right drive"',
         'slave = "left drive"',
         "[motor_2] slave = 'left drive', but it must differ from motor 1",

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.rigs.ethercat.emulator.drive import ABORT_CONNECTION, OPTION_CODES, Drive, DriveSettings
-from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.ethercat.ethercat_rig import NO_STO_INPUT, EthercatRig
 from stepgap.rigs.ethercat.reactions import REACTIONS, secure_reactions
 from stepgap.rigs.ethercat.rig_settings import Slave
 from stepgap.rigs.ethercat.startup import LAYOUTS, StartupObject, write_startup
@@ -142,7 +142,7 @@ def test_start_up_objects_and_reactions_reach_the_drives():
         read = connected._bus.read_object
         for number in (0, 1):
             assert [read(number, each.index, Struct("<h")) for each in REACTIONS] == [1, 0, 0, 0, 0]
-        assert connected.remarks == ()
+        assert connected.remarks == (NO_STO_INPUT,)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Limits of what a drive reports beside its motion: temperature, bus voltage, STO and enable inputs."""
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from math import inf, isfinite
 
 from stepgap.base.ranges import require
@@ -23,7 +23,7 @@ class DriveLimits:
     Attributes:
         temperature_unit: Temperature of one count [°C].
         temperature_warning: Temperature above which the robot lands [°C].
-        temperature_limit: Temperature above which torque goes off [°C].
+        temperature_limit: Temperature above which torque goes off [°C]; it needs a lower `temperature_warning`.
         temperature_frozen_time: Time for which the temperature may stay exactly the same, until it is doubted [s].
         bus_voltage_unit: Voltage of one count [V]; 0x6079 counts millivolts.
         bus_voltage: Lowest and highest voltage, beyond which torque goes off [V]; empty if there is no limit.
@@ -55,7 +55,8 @@ class DriveLimits:
             value = getattr(self, name)
             require(value == inf or least < value < most, name, value, f"lie between {least:g} and {most:g}")
         warning, limit = self.temperature_warning, self.temperature_limit
-        require(warning < limit or limit == inf, "temperature_warning", warning, f"be below temperature_limit = {limit}")
+        rule = f"be below temperature_limit = {limit:g}, so that the robot lands before torque goes off"
+        require(warning < limit or limit == inf, "temperature_warning", warning, rule)
         for name in ("temperature_frozen_time", "bus_voltage_frozen_time"):
             require(getattr(self, name) >= 0.1, name, getattr(self, name), "be at least 0.1")
         _require_voltages(self.bus_voltage)
@@ -81,9 +82,9 @@ class DriveLimits:
         """
         for field in fields(DriveLimits):
             wanted, value = _NEEDS.get(field.name, ""), getattr(self, field.name)
-            given = field.default is not MISSING and value != field.default
+            is_met = not wanted or wanted in entries or value == field.default
             rule = f"be left out, or the PDOs of '{slave}' must have an entry named {wanted}"
-            require(not wanted or not given or wanted in entries, f"{table}.{field.name}", value, rule)
+            require(is_met, f"{table}.{field.name}", list(value) if isinstance(value, tuple) else value, rule)
         for name, value, unit in self._largest():
             entry = entries.get(_NEEDS[name])
             most = inf if entry is None else unit * largest_number(entry)
