@@ -1,7 +1,4 @@
-"""A rig whose motors get no torque, whatever is commanded: for measurements, calibration and trials.
-
-It does not move, so that it passes no warning on, which would let it land.
-"""
+"""A rig whose motors get no torque, whatever is commanded: for measurements, calibration and trials."""
 
 from collections.abc import Mapping
 from ctypes import c_longlong
@@ -75,6 +72,11 @@ class LimpRig(Rig):
     def diagnostic_names(self) -> Mapping[str, Mapping[int, str]]:
         """Those of the rig."""
         return self._rig.diagnostic_names
+
+    @property
+    def warning(self) -> str:
+        """That of the rig, after which a limp robot is switched off."""
+        return self._rig.warning
 
     @property
     def remarks(self) -> tuple[str, ...]:

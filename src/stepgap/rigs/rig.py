@@ -120,7 +120,10 @@ class Rig(ABC):
 
     @property
     def warning(self) -> str:
-        """Why a moving robot should land, although there is no fault, as one line; empty if there is no reason."""
+        """Why a moving robot should land and a limp one get no torque, although there is no fault, as one line.
+
+        It is empty if there is no reason.
+        """
         return ""
 
     def clock_correction(self, slip: float = 0.0) -> float:  # noqa: ARG002

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from stepgap.plants.commissioning.limp import describe_devices
+from stepgap.plants.commissioning.limp import LastTick, describe_devices
 from stepgap.plants.realtime.board import Request
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.records.incident import describe_incident
@@ -84,6 +84,10 @@ def test_torque_is_off_without_a_brake_and_the_log_explains_it(name, tmp_path):
         assert expected in hopping.board.message
         check_torques(ring, hopping)
         assert ring.look().now == [0.0, 0.0]
+        last = LastTick(COLUMN)
+        last.append(np.array(hopping.rows))
+        assert last.fields["state"] == RigState.FAULT
+        assert describe_devices(hopping.rig, last.fields)["motor_2_sto"] == ("open" if name == "STO" else "closed")
         explained = describe_incident(incident_of(hopping, tmp_path / "a.mcap"))
         for text in (expected, shown, "state: HOP → FAULT", "motor_2_temperature", "torque was off 0 ms after"):
             assert text in explained

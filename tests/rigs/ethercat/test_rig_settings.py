@@ -106,7 +106,7 @@ WRONG = [
     (
         "torque_limit = 38.0",
         "torque_limit = 38.0\nsto_bits = [16]",
-        "[motor_1] sto_bits = [16], but it must be left out, or the PDOs of 'left drive' must have an entry named digital",
+        "[motor_1] sto_bits = [16], but it must be left out, or the PDOs of 'left drive' must have an entry",
     ),
     (
         "torque_limit = 38.0",

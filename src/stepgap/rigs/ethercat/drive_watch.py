@@ -244,7 +244,9 @@ class DriveWatch:
     def open_inputs(self, values: Mapping[str, int]) -> str:
         """Names the inputs that are open, or returns an empty text."""
         found = [each.label for each in self._inputs if each.is_open(values[DIGITAL_INPUTS])]
-        return f"the {' and the '.join(found)} of {self._label} {'are' if len(found) > 1 else 'is'} open" if found else ""
+        return (
+            f"the {' and the '.join(found)} of {self._label} {'are' if len(found) > 1 else 'is'} open" if found else ""
+        )
 
     @property
     def warning(self) -> str:

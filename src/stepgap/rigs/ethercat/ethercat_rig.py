@@ -164,8 +164,8 @@ class EthercatRig(Rig):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Objects of the drives that could not be set, what they report without a limit, and a warning."""
-        return (*self._remarks, *self._unlimited(), *filter(None, [self.warning]))
+        """Objects of the drives that could not be set, and what they report without a limit."""
+        return (*self._remarks, *self._unlimited())
 
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.

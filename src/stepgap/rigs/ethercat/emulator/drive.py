@@ -260,9 +260,7 @@ class Drive(EmulatedDevice):
         """Updates temperature, bus voltage and inputs after a tick in which the motor turned by an angle [rad]."""
         settings, period = self._settings, self._settings.period
         taken = self.torque * turned / period - self._fed
-        self._stage = next_stage(
-            settings.power, self._stage, period, self._torque.value / 1000, taken, self._heating
-        )
+        self._stage = next_stage(settings.power, self._stage, period, self._torque.value / 1000, taken, self._heating)
         self._temperature.value = round(10 * self._stage.temperature)
         self._voltage.value = round(1000 * self._stage.voltage)
         self._inputs.value = self._closed

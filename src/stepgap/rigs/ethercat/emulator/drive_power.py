@@ -1,4 +1,4 @@
-"""Temperature and bus voltage of an emulated drive: losses heat it, and a motor that is driven charges its capacitor."""
+"""Temperature and bus voltage of an emulated drive: losses heat it, and a motor that is driven charges the bus."""
 
 from dataclasses import dataclass
 from math import exp, sqrt
