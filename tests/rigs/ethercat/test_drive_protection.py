@@ -12,7 +12,8 @@ from stepgap.rigs.ethercat.drive_watch import BEYOND, DOUBTS
 from stepgap.rigs.ethercat.emulator.drive import BUS_VOLTAGE, DIGITAL_INPUTS, DRIVE_TEMPERATURE
 from stepgap.rigs.ethercat.emulator.faults import DriveFault, Fault, FedBus, Heated, OpenedInput, StuckObject
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
-from stepgap.rigs.ethercat.ethercat_rig import NO_STO_INPUT, EthercatRig
+from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.ethercat.watched_drives import NO_STO_INPUT
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.ethercat import RigSettings
 from stepgap.robots.hopper.parameters import RobotParameters

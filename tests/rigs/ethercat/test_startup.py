@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.rigs.ethercat.emulator.drive import ABORT_CONNECTION, OPTION_CODES, Drive, DriveSettings
-from stepgap.rigs.ethercat.ethercat_rig import NO_STO_INPUT, EthercatRig
+from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.ethercat.reactions import REACTIONS, secure_reactions
 from stepgap.rigs.ethercat.rig_settings import Slave
 from stepgap.rigs.ethercat.startup import LAYOUTS, StartupObject, write_startup
+from stepgap.rigs.ethercat.watched_drives import NO_STO_INPUT
 from stepgap.rigs.rig import MissingObject, RigFault
 from tests.rigs.ethercat.ring_process import Recorder, live_ring
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, nan
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from stepgap.rigs.ethercat.cia402 import STATUSWORD_UNIT
 from stepgap.rigs.ethercat.drive_limits import (
@@ -95,7 +95,7 @@ def with_value(quantity: Quantity, track: Track, value: float) -> Track:
     low, high = quantity.limits
     return Track(
         value,
-        max(0, track.doubts - 1),
+        track.doubts - 1 if track.doubts else 0,
         track.beyond + 1 if not low <= value <= high else 0,
         track.warned + 1 if value > quantity.warning else 0,
         track.same + 1 if value == track.value else 0,
@@ -176,18 +176,24 @@ class SafetyInput:
     Attributes:
         name: Name of its field in the log.
         label: Its name for messages.
-        bits: Numbers of its bits.
-        open: Value of each bit while it is open.
+        mask: Its bits; 0 if the drive does not report it.
+        closed: These bits while all its channels are closed.
     """
 
     name: str
     label: str
-    bits: tuple[int, ...]
-    open: int
+    mask: int
+    closed: int
+
+    @classmethod
+    def of(cls, name: str, label: str, bits: tuple[int, ...], opened: int) -> Self:
+        """Input with some bits, each of which has the value `opened` while its channel is open."""
+        mask = sum(1 << bit for bit in bits)
+        return cls(name, label, mask, 0 if opened else mask)
 
     def is_open(self, inputs: int) -> bool:
         """Whether one of its channels is open."""
-        return any(inputs >> bit & 1 == self.open for bit in self.bits)
+        return inputs & self.mask != self.closed
 
 
 class DriveWatch:
@@ -205,10 +211,10 @@ class DriveWatch:
         self._quantities = quantities_of(limits, entries, cycle)
         self.restart()
         inputs = (
-            SafetyInput("sto", "STO input", limits.sto_bits, limits.sto_open),
-            SafetyInput("enable", "enable input", limits.enable_bits, limits.enable_open),
+            SafetyInput.of("sto", "STO input", limits.sto_bits, limits.sto_open),
+            SafetyInput.of("enable", "enable input", limits.enable_bits, limits.enable_open),
         )
-        self._inputs = [each for each in inputs if each.bits]
+        self._inputs = [each for each in inputs if each.mask]
         self._raw = [name for name in MOTION_UNITS if name in entries]
         self._raw += [DIGITAL_INPUTS] if DIGITAL_INPUTS in entries else []
         self.units = {
@@ -230,16 +236,18 @@ class DriveWatch:
 
     def update(self, values: Mapping[str, int]) -> str:
         """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""
-        numbers = [float(values[name]) for name in self._raw]
-        excess = ""
+        numbers, excess = [float(values[name]) for name in self._raw], ""
         for index, quantity in enumerate(self._quantities):
             raw = values[quantity.name]
             self._tracks[index] = track = with_value(quantity, self._tracks[index], quantity.value(raw))
-            excess = excess or excess_of(quantity, track)
+            if track.beyond >= BEYOND:
+                excess = excess_of(quantity, track)
             numbers.append(raw * quantity.scale)
-        numbers += [float(each.is_open(values[DIGITAL_INPUTS])) for each in self._inputs]
-        self.values = tuple(numbers)
-        return self.open_inputs(values) or (f"{self._label}: {excess}" if excess else "")
+        opened = [float(each.is_open(values[DIGITAL_INPUTS])) for each in self._inputs]
+        self.values = (*numbers, *opened)
+        if any(opened):
+            return self.open_inputs(values)
+        return f"{self._label}: {excess}" if excess else ""
 
     def open_inputs(self, values: Mapping[str, int]) -> str:
         """Names the inputs that are open, or returns an empty text."""
@@ -247,6 +255,10 @@ class DriveWatch:
         return (
             f"the {' and the '.join(found)} of {self._label} {'are' if len(found) > 1 else 'is'} open" if found else ""
         )
+
+    def describe(self, values: Mapping[str, int]) -> str:
+        """Describes temperature and bus voltage in the inputs of a frame; empty if the drive reports neither."""
+        return ", ".join(f"{values[each.name] * each.scale:.1f} {each.unit}" for each in self._quantities)
 
     @property
     def warning(self) -> str:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from math import isfinite
 from struct import Struct
 from time import monotonic, sleep
-from typing import TypeVar
 
 from stepgap.rigs.ethercat.bus import STATE_TIMEOUT, Bus
 from stepgap.rigs.ethercat.cia402 import (
@@ -17,12 +16,12 @@ from stepgap.rigs.ethercat.cia402 import (
     state_of,
 )
 from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime
-from stepgap.rigs.ethercat.drive_watch import DriveWatch
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.reactions import secure_reactions
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
 from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
 from stepgap.rigs.ethercat.startup import StartupObject, write_startup
+from stepgap.rigs.ethercat.watched_drives import WatchedDrives
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
     CLOCK_OFFSET,
@@ -38,8 +37,6 @@ from stepgap.rigs.rig import (
     WatchdogTimes,
 )
 
-_T = TypeVar("_T")
-
 _ERROR_CODE, _STATUSWORD, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6041, 0x6072, 0x6076
 _MODE, _MODE_DISPLAY = 0x6060, 0x6061
 _U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
@@ -53,9 +50,6 @@ STATES_EVERY = 50
 
 WATCHDOG_PATIENCE = 0.1
 """Time in addition to twice the watchdog's until it counts as missing [s]."""
-
-NO_STO_INPUT = "no drive reports its STO input (digital_inputs, sto_bits): an open one is seen only by a drive's state"
-"""Remark on a rig whose messages cannot name its STO inputs."""
 
 OPEN_FRAMES = 20
 """Number of frames in a row with an open STO or enable input, after which drives are not enabled."""
@@ -97,16 +91,7 @@ class EthercatRig(Rig):
             for drive in self._drives
             for pdos in [settings.pdo_set(settings.slaves[drive])]
         }
-        self._watches = {
-            name: DriveWatch(
-                self._bus.label(settings.position(device.slave)),
-                device,
-                settings.input_entries(device.slave),
-                settings.cycle,
-            )
-            for name, device in settings.devices.items()
-            if isinstance(device, Motor)
-        }
+        self._watched = WatchedDrives(settings, self._bus.label, self._bus.inputs)
         self._connected, self._fault, self._remarks = False, "", list[str]()
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
         self._reading = settings.reading((0.0,) * len(self._sensors))
@@ -133,24 +118,23 @@ class EthercatRig(Rig):
         Each only if the drive sends it. With distributed clocks also how much too late the frame passed the reference
         clock, and the last correction.
         """
-        drives = self._of_motors(lambda watch: watch.units)
-        return {**drives, **(CLOCK_DIAGNOSTICS if self._bus.steering else {})}
+        return {**self._watched.units, **(CLOCK_DIAGNOSTICS if self._bus.steering else {})}
 
     @property
     def diagnostic_ranges(self) -> Mapping[str, tuple[float, float]]:
         """Limits of temperatures and bus voltages; infinite where there is none."""
-        return self._of_motors(lambda watch: watch.ranges)
+        return self._watched.ranges
 
     @property
     def diagnostic_names(self) -> Mapping[str, Mapping[int, str]]:
         """Names of the states of STO and enable inputs."""
-        return self._of_motors(lambda watch: watch.names)
+        return self._watched.names
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """Those values in the last good frame."""
         steering = self._bus.steering
-        values = tuple([value for watch in self._watches.values() for value in watch.values])
+        values = self._watched.values
         return (*values, steering.offset, steering.shift) if steering else values
 
     def clock_correction(self, slip: float = 0.0) -> float:
@@ -160,12 +144,12 @@ class EthercatRig(Rig):
     @property
     def warning(self) -> str:
         """Temperature above its warning level, or temperature or bus voltage that cannot be relied upon."""
-        return next((warning for watch in self._watches.values() if (warning := watch.warning)), "")
+        return self._watched.warning
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Objects of the drives that could not be set, and what they report without a limit."""
-        return (*self._remarks, *self._unlimited())
+        return (*self._remarks, *self._watched.remarks)
 
     def connect(self) -> None:
         """Brings the bus up, checks it, and enables the drives with no torque.
@@ -182,8 +166,7 @@ class EthercatRig(Rig):
             self._transition(Wanted.RESET, lambda states: State.FAULT not in states)
             self._transition(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
             self._check_modes()
-            for watch in self._watches.values():
-                watch.restart()
+            self._watched.restart()
             self._update_reading()
         except BaseException:
             self.close()
@@ -279,13 +262,6 @@ class EthercatRig(Rig):
                 write_startup(self._bus, drive, StartupObject(_MODE, 0, "INT8", CYCLIC_TORQUE))
         self._check_drives()
 
-    def _unlimited(self) -> list[str]:
-        """What drives report without a limit, and whether none reports its STO input."""
-        found = [] if any(motor.sto_bits for motor in self._motors) else [NO_STO_INPUT]
-        for drive, motor in zip(self._drives, self._motors, strict=True):
-            found += motor.remarks(self._bus.label(drive), self._settings.input_entries(motor.slave))
-        return found
-
     def _check_modes(self) -> None:
         """Ensures that enabled drives which do not report their mode in each frame are in that of torque."""
         for drive in self._drives:
@@ -316,14 +292,14 @@ class EthercatRig(Rig):
             if self._bus.receive():
                 status = [self._bus.inputs(drive)["statusword"] for drive in self._drives]
                 states, controlwords = zip(*(next_controlword(word, wanted) for word in status), strict=True)
-                opened = self._open_inputs()
+                opened = self._watched.open_inputs()
                 if arrived(states) and not opened:
                     return
                 frames_open = frames_open + 1 if opened else 0
                 if frames_open > OPEN_FRAMES:
                     raise RigFault(f"{opened}, so that the drives get no torque: {self._drive_report()}")
                 if monotonic() > until:
-                    hint = "" if any(motor.sto_bits for motor in self._motors) else f"; {NO_STO_INPUT}"
+                    hint = f"; {self._watched.hint}" if self._watched.hint else ""
                     raise RigFault(f"the drives cannot be {wanted.name.lower()}: {self._drive_report()}{hint}")
             elif monotonic() > until:
                 raise RigFault(f"no frame comes back: {self._bus.state_report()}")
@@ -331,31 +307,19 @@ class EthercatRig(Rig):
 
     def _update_reading(self) -> None:
         """Updates the reading from a good frame; a drive that takes no torque or a doubtful sensor is a fault."""
-        inputs = {drive: self._bus.inputs(drive) for drive in self._drives}
-        faults = [watch.update(values) for watch, values in zip(self._watches.values(), inputs.values(), strict=True)]
-        if any(faults):
-            raise self._trip("; ".join(filter(None, faults)))
-        for drive, values in inputs.items():
+        if excess := self._watched.update():
+            raise self._trip(excess)
+        for drive in self._drives:
+            values = self._bus.inputs(drive)
             mode = values.get("mode_display", CYCLIC_TORQUE)
             if state_of(values["statusword"]) != State.ENABLED or mode != CYCLIC_TORQUE:
                 fault = self._trip(f"{self._bus.label(drive)} no longer accepts torque commands")
-                opened = self._open_inputs()  # some drives report it later than their state
+                opened = self._watched.open_inputs()  # some drives report it later than their state
                 raise RigFault("; ".join(filter(None, [opened, f"{fault}: {self._drive_report()}"])))
         self._reading = self._settings.reading([sensor.value(self._bus) for sensor in self._sensors])
         for sensor in self._sensors:
             if doubt := sensor.doubt:
                 raise DoubtfulSensor(str(self._trip(f"{self._bus.label(sensor.slave)}: {doubt.value}")))
-
-    def _open_inputs(self) -> str:
-        """Names the STO and enable inputs that are open in the last good frame; empty if none is."""
-        watches = zip(self._watches.values(), self._drives, strict=True)
-        return "; ".join(filter(None, [watch.open_inputs(self._bus.inputs(drive)) for watch, drive in watches]))
-
-    def _of_motors(self, values: Callable[[DriveWatch], Mapping[str, _T]]) -> dict[str, _T]:
-        """Values of all watches, with the names of the motors before theirs."""
-        return {
-            f"{motor}_{name}": value for motor, watch in self._watches.items() for name, value in values(watch).items()
-        }
 
     def _check_al_states(self) -> None:
         """Checks every `STATES_EVERY` frames whether all slaves are in OP; repeats the request if a reply is lost."""
@@ -402,7 +366,8 @@ class EthercatRig(Rig):
         values = self._bus.inputs(drive)
         state = state_of(values["statusword"]).value
         mode = f", mode {values['mode_display']}" if "mode_display" in values else ""
-        text = f"{self._bus.label(drive)} is in state {state}{mode}"
+        watched = self._watched.describe(drive)
+        text = f"{self._bus.label(drive)} is in state {state}{mode}{', ' if watched else ''}{watched}"
         try:
             error = self._bus.read_object(drive, _ERROR_CODE, _U16)
         except RigFault:  # for example a drive without power; this must not hide the first fault
