@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stepgap.rigs.ethercat import ethercat_rig
-from stepgap.rigs.ethercat.drive_watch import BEYOND, DOUBTS
-from stepgap.rigs.ethercat.emulator.drive import BUS_VOLTAGE, DIGITAL_INPUTS, DRIVE_TEMPERATURE
+from stepgap.rigs.ethercat.drive_watch import BEYOND, MOST_DOUBTS
+from stepgap.rigs.ethercat.emulator.drive import DC_LINK_VOLTAGE, DRIVE_INPUTS, DRIVE_TEMPERATURE
 from stepgap.rigs.ethercat.emulator.faults import DriveFault, Fault, FedBus, Heated, OpenedInput, StuckObject
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
@@ -74,7 +74,7 @@ STOPPED: dict[str, tuple[Fault, int, str, dict[str, float]]] = {
     "overvoltage": (FedBus(0, "drive_2", 2000.0), 10 + BEYOND, "slave 2 'drive_2': its bus voltage is 6", {}),
     "undervoltage": (FedBus(0, "drive_2", -6000.0), 8 + BEYOND, "V, allowed is 30 to 65", {}),
     "a voltage of zero": (
-        StuckObject(0, "drive_1", BUS_VOLTAGE, 0),
+        StuckObject(0, "drive_1", DC_LINK_VOLTAGE, 0),
         BEYOND,
         "slave 1 'drive_1': its bus voltage is 0.0 V, allowed is 30 to 65",
         {"motor_1_bus_voltage": 0.0},
@@ -102,17 +102,21 @@ WARNED: dict[str, tuple[Fault, int, str]] = {
     "heat": (Heated(0, "drive_2", 1000.0), 55 + BEYOND, "slave 2 'drive_2': its temperature is 8"),
     "no temperature": (
         StuckObject(0, "drive_1", DRIVE_TEMPERATURE, -0x8000),
-        DOUBTS,
+        MOST_DOUBTS,
         "its temperature is not plausible",
     ),
     "a wrong temperature": (
         StuckObject(0, "drive_1", DRIVE_TEMPERATURE, 899),
-        DOUBTS,
+        MOST_DOUBTS,
         "its temperature is not plausible",
     ),
-    "no voltage": (StuckObject(0, "drive_1", BUS_VOLTAGE, 2**32 - 1), DOUBTS, "its bus voltage is not plausible"),
+    "no voltage": (
+        StuckObject(0, "drive_1", DC_LINK_VOLTAGE, 2**32 - 1),
+        MOST_DOUBTS,
+        "its bus voltage is not plausible",
+    ),
     "frozen voltage": (
-        StuckObject(0, "drive_2", BUS_VOLTAGE),
+        StuckObject(0, "drive_2", DC_LINK_VOLTAGE),
         100,
         "slave 2 'drive_2': its bus voltage is frozen at 4",
     ),
@@ -191,7 +195,7 @@ def test_values_are_read_with_their_units_and_limits_and_healthy_drives_run_on()
 def test_values_without_limits_give_remarks() -> None:
     none = {"temperature_warning": inf, "temperature_limit": inf, "bus_voltage": (), "sto_bits": (), "enable_bits": ()}
     motors = {name: replace(getattr(SETTINGS, name), **none) for name in ("motor_1", "motor_2")}
-    with live_ring(StuckObject(0, "drive_1", DIGITAL_INPUTS, 0)), rig_of(replace(SETTINGS, **motors)) as rig:
+    with live_ring(StuckObject(0, "drive_1", DRIVE_INPUTS, 0)), rig_of(replace(SETTINGS, **motors)) as rig:
         assert ticks_until_fault(rig, 20) == (20, "")
         assert rig.remarks[0] == NO_STO_INPUT
         assert len(rig.remarks) == 7

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from stepgap.rigs.ethercat.drive_limits import DriveLimits, largest_number
 from stepgap.rigs.ethercat.drive_watch import (
     BEYOND,
-    DOUBTS,
     LARGEST_JUMP,
+    MOST_DOUBTS,
     DriveWatch,
-    Quantity,
+    ReportedValue,
     Track,
     excess_of,
-    quantities_of,
+    reported_values,
     warning_of,
     with_value,
 )
@@ -37,14 +37,14 @@ LIMITS = DriveLimits(
     enable_bits=(18,),
     enable_open=1,
 )
-TEMPERATURE, VOLTAGE = quantities_of(LIMITS, ENTRIES, 1e-3)
+TEMPERATURE, VOLTAGE = reported_values(LIMITS, ENTRIES, 1e-3)
 CLOSED = {"statusword": 0x1237, "temperature": 312, "bus_voltage": 48_000, "digital_inputs": 0x3_0000}
 
 
-def tracked(quantity: Quantity, values: list[float]) -> Track:
+def tracked(reported: ReportedValue, values: list[float]) -> Track:
     track = Track()
     for value in values:
-        track = with_value(quantity, track, value)
+        track = with_value(reported, track, value)
     return track
 
 
@@ -57,16 +57,16 @@ any_values = st.lists(st.floats() | st.sampled_from([nan, inf, 25.0, 69.0, 71.0,
 
 @given(any_values)
 def test_any_sequence_is_judged_by_plausible_readings_alone(values: list[float]) -> None:
-    for quantity in (TEMPERATURE, VOLTAGE):
-        track = tracked(quantity, values)
-        least, most = quantity.plausible
+    for reported in (TEMPERATURE, VOLTAGE):
+        track = tracked(reported, values)
+        least, most = reported.plausible
         assert isnan(track.value) or least <= track.value <= most
-        low, high = quantity.limits
-        if excess_of(quantity, track):
+        low, high = reported.limits
+        if excess_of(reported, track):
             plausible = [value for value in values if least <= value <= most]
             assert sum(not low <= value <= high for value in plausible) >= BEYOND
-            assert f"{track.value:.1f}" in excess_of(quantity, track)
-        assert "\n" not in warning_of(quantity, track) + excess_of(quantity, track)
+            assert f"{track.value:.1f}" in excess_of(reported, track)
+        assert "\n" not in warning_of(reported, track) + excess_of(reported, track)
 
 
 @given(st.lists(st.floats(20.0, 60.0), max_size=200), st.data())
@@ -97,7 +97,7 @@ def test_a_rising_temperature_first_warns_and_then_stops(step: float) -> None:
 @pytest.mark.parametrize("bad", [nan, inf, -inf, 3276.7, -273.0, 60.0], ids=str)
 def test_a_temperature_that_is_implausible_is_doubted_and_not_believed(bad: float) -> None:
     good = [31.0] * 10
-    assert not warning_of(TEMPERATURE, tracked(TEMPERATURE, good + [bad] * (DOUBTS - 1)))
+    assert not warning_of(TEMPERATURE, tracked(TEMPERATURE, good + [bad] * (MOST_DOUBTS - 1)))
     track = tracked(TEMPERATURE, good + [bad] * 200)
     assert track.value == 31.0
     assert warning_of(TEMPERATURE, track) == "its temperature is not plausible"
@@ -108,7 +108,7 @@ def test_a_temperature_that_is_implausible_is_doubted_and_not_believed(bad: floa
 
 def test_a_frozen_value_is_doubted_after_its_time() -> None:
     limits = DriveLimits(bus_voltage=(20, 60), bus_voltage_frozen_time=0.5, temperature_frozen_time=1.0)
-    temperature, voltage = quantities_of(limits, ENTRIES, 1e-3)
+    temperature, voltage = reported_values(limits, ENTRIES, 1e-3)
     assert not warning_of(voltage, tracked(voltage, [48.0] * 500))
     assert warning_of(voltage, tracked(voltage, [48.0] * 501)) == "its bus voltage is frozen at 48.0 V"
     assert not warning_of(voltage, tracked(voltage, ([48.0] * 400 + [48.001]) * 3))
@@ -154,10 +154,10 @@ def test_the_numbers_for_no_value_are_no_values() -> None:
     drive = watch()
     for raw in (0x7FFF, -0x8000):
         drive.restart()
-        for _ in range(DOUBTS):
+        for _ in range(MOST_DOUBTS):
             assert drive.update({**CLOSED, "temperature": raw, "bus_voltage": 2**32 - 1}) == ""
         assert drive.warning == "slave 1 'left': its temperature is not plausible"
-    for _ in range(3 * DOUBTS):
+    for _ in range(3 * MOST_DOUBTS):
         drive.update(CLOSED)
     assert drive.warning == ""
 
@@ -216,7 +216,7 @@ def test_any_settings_are_refused_by_the_name_of_a_key_or_judge_any_reading(
         "bus_voltage": voltage % 2**32,
         "digital_inputs": inputs % 2**32,
     }
-    for _ in range(DOUBTS + 1):
+    for _ in range(MOST_DOUBTS + 1):
         drive.update({name: values[name] for name in entries})
     assert len(drive.values) == len(drive.units)
     if limits.bus_voltage and not drive.warning:

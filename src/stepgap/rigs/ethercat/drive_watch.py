@@ -23,7 +23,7 @@ MOTION_UNITS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "to
 BEYOND = 3
 """Number of plausible readings in a row beyond a limit, after which it counts as exceeded: one may be noise."""
 
-DOUBTS = 20
+MOST_DOUBTS = 20
 """Number by which implausible readings must exceed plausible ones, until a value counts as invalid."""
 
 LARGEST_JUMP = 5.0
@@ -34,8 +34,8 @@ INPUT_STATES = {0: "closed", 1: "open"}
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """A number that a drive reports, and its limits.
+class ReportedValue:
+    """A value that a drive reports as a number, and its limits.
 
     Attributes:
         name: Name of the value in the PDOs.
@@ -70,7 +70,7 @@ class Quantity:
 
 
 class Track(NamedTuple):
-    """What was seen of a quantity.
+    """What was seen of a value.
 
     Attributes:
         value: Last plausible value; NaN before the first.
@@ -87,48 +87,48 @@ class Track(NamedTuple):
     same: int = 0
 
 
-def with_value(quantity: Quantity, track: Track, value: float) -> Track:
+def with_value(reported: ReportedValue, track: Track, value: float) -> Track:
     """Track with another reading; an implausible one, such as NaN, changes the doubts only."""
-    least, most = quantity.plausible
-    if not least <= value <= most or abs(value - track.value) > quantity.jump:
+    least, most = reported.plausible
+    if not least <= value <= most or abs(value - track.value) > reported.jump:
         return track._replace(doubts=track.doubts + 1)
-    low, high = quantity.limits
+    low, high = reported.limits
     return Track(
         value,
         track.doubts - 1 if track.doubts else 0,
         track.beyond + 1 if not low <= value <= high else 0,
-        track.warned + 1 if value > quantity.warning else 0,
+        track.warned + 1 if value > reported.warning else 0,
         track.same + 1 if value == track.value else 0,
     )
 
 
-def excess_of(quantity: Quantity, track: Track) -> str:
+def excess_of(reported: ReportedValue, track: Track) -> str:
     """Describes a value beyond its limits, after which torque must go off; empty if it is within them."""
     if track.beyond < BEYOND:
         return ""
-    low, high = quantity.limits
+    low, high = reported.limits
     rule = f"at most {high:g}" if low == -inf else f"{low:g} to {high:g}"
-    return f"its {_words(quantity)} is {track.value:.1f} {quantity.unit}, allowed is {rule}"
+    return f"its {_words(reported)} is {track.value:.1f} {reported.unit}, allowed is {rule}"
 
 
-def warning_of(quantity: Quantity, track: Track) -> str:
+def warning_of(reported: ReportedValue, track: Track) -> str:
     """Describes why the robot should land: the warning level, or a value that cannot be relied upon; or empty."""
-    if not quantity.is_limited:
+    if not reported.is_limited:
         return ""
-    if track.doubts >= DOUBTS:
-        return f"its {_words(quantity)} is not plausible"
-    if track.same >= quantity.frozen:
-        return f"its {_words(quantity)} is frozen at {track.value:.1f} {quantity.unit}"
+    if track.doubts >= MOST_DOUBTS:
+        return f"its {_words(reported)} is not plausible"
+    if track.same >= reported.frozen:
+        return f"its {_words(reported)} is frozen at {track.value:.1f} {reported.unit}"
     if track.warned >= BEYOND:
-        return f"its {_words(quantity)} is {track.value:.1f} {quantity.unit}, more than {quantity.warning:g}"
+        return f"its {_words(reported)} is {track.value:.1f} {reported.unit}, more than {reported.warning:g}"
     return ""
 
 
-def _words(quantity: Quantity) -> str:
-    return quantity.name.replace("_", " ")
+def _words(reported: ReportedValue) -> str:
+    return reported.name.replace("_", " ")
 
 
-def quantities_of(limits: DriveLimits, entries: Mapping[str, Entry], cycle: float) -> list[Quantity]:
+def reported_values(limits: DriveLimits, entries: Mapping[str, Entry], cycle: float) -> list[ReportedValue]:
     """Temperature and bus voltage, as far as a drive sends them.
 
     Args:
@@ -138,7 +138,7 @@ def quantities_of(limits: DriveLimits, entries: Mapping[str, Entry], cycle: floa
     """
     pair = limits.bus_voltage
     wanted = (
-        Quantity(
+        ReportedValue(
             TEMPERATURE,
             "°C",
             limits.temperature_unit,
@@ -149,7 +149,7 @@ def quantities_of(limits: DriveLimits, entries: Mapping[str, Entry], cycle: floa
             limits.temperature_frozen_time / cycle,
             _without_value(entries.get(TEMPERATURE)),
         ),
-        Quantity(
+        ReportedValue(
             BUS_VOLTAGE,
             "V",
             limits.bus_voltage_unit,
@@ -159,7 +159,7 @@ def quantities_of(limits: DriveLimits, entries: Mapping[str, Entry], cycle: floa
             without_value=_without_value(entries.get(BUS_VOLTAGE)),
         ),
     )
-    return [quantity for quantity in wanted if quantity.name in entries]
+    return [reported for reported in wanted if reported.name in entries]
 
 
 def _without_value(entry: Entry | None) -> tuple[int, ...]:
@@ -208,7 +208,7 @@ class DriveWatch:
 
     def __init__(self, label: str, limits: DriveLimits, entries: Mapping[str, Entry], cycle: float):
         self._label = label
-        self._quantities = quantities_of(limits, entries, cycle)
+        self._reported = reported_values(limits, entries, cycle)
         self.restart()
         inputs = (
             SafetyInput.of("sto", "STO input", limits.sto_bits, limits.sto_open),
@@ -219,11 +219,11 @@ class DriveWatch:
         self._raw += [DIGITAL_INPUTS] if DIGITAL_INPUTS in entries else []
         self.units = {
             **{name: MOTION_UNITS.get(name, "") for name in self._raw},
-            **{quantity.name: quantity.unit for quantity in self._quantities},
+            **{reported.name: reported.unit for reported in self._reported},
             **{each.name: "" for each in self._inputs},
         }
         """Logged values with their units."""
-        self.ranges = {quantity.name: quantity.limits for quantity in self._quantities}
+        self.ranges = {reported.name: reported.limits for reported in self._reported}
         """Limits of logged values; infinite if there is none."""
         self.names = {each.name: INPUT_STATES for each in self._inputs}
         """Names of the numbers of logged values."""
@@ -232,17 +232,17 @@ class DriveWatch:
 
     def restart(self) -> None:
         """Forgets earlier readings, as after a pause without frames."""
-        self._tracks = [Track()] * len(self._quantities)
+        self._tracks = [Track()] * len(self._reported)
 
     def update(self, values: Mapping[str, int]) -> str:
         """Takes the inputs of a good frame; returns why torque must go off, or an empty text."""
         numbers, excess = [float(values[name]) for name in self._raw], ""
-        for index, quantity in enumerate(self._quantities):
-            raw = values[quantity.name]
-            self._tracks[index] = track = with_value(quantity, self._tracks[index], quantity.value(raw))
+        for index, reported in enumerate(self._reported):
+            raw = values[reported.name]
+            self._tracks[index] = track = with_value(reported, self._tracks[index], reported.value(raw))
             if track.beyond >= BEYOND:
-                excess = excess_of(quantity, track)
-            numbers.append(raw * quantity.scale)
+                excess = excess_of(reported, track)
+            numbers.append(raw * reported.scale)
         opened = [float(each.is_open(values[DIGITAL_INPUTS])) for each in self._inputs]
         self.values = (*numbers, *opened)
         if any(opened):
@@ -258,10 +258,10 @@ class DriveWatch:
 
     def describe(self, values: Mapping[str, int]) -> str:
         """Describes temperature and bus voltage in the inputs of a frame; empty if the drive reports neither."""
-        return ", ".join(f"{values[each.name] * each.scale:.1f} {each.unit}" for each in self._quantities)
+        return ", ".join(f"{values[each.name] * each.scale:.1f} {each.unit}" for each in self._reported)
 
     @property
     def warning(self) -> str:
         """Why the robot should land, or an empty text."""
-        found = map(warning_of, self._quantities, self._tracks)
+        found = map(warning_of, self._reported, self._tracks)
         return next((f"{self._label}: {text}" for text in found if text), "")

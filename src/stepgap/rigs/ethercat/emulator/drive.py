@@ -18,7 +18,7 @@ CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
 POSITION, VELOCITY = 0x6064, 0x606C
 TARGET_TORQUE, _LARGEST_TORQUE, _RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
 SUPPORTED_MODES, ABORT_CONNECTION = 0x6502, 0x6007
-DRIVE_TEMPERATURE, BUS_VOLTAGE, DIGITAL_INPUTS = 0x2100, 0x6079, 0x60FD
+DRIVE_TEMPERATURE, DC_LINK_VOLTAGE, DRIVE_INPUTS = 0x2100, 0x6079, 0x60FD
 OPTION_CODES = (0x605A, 0x605B, 0x605C, 0x605E)
 """Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register).
 
@@ -172,8 +172,8 @@ class Drive(EmulatedDevice):
             _ERROR_CODE: self._error,
             ERROR_REGISTER: self._register,
             DRIVE_TEMPERATURE: self._temperature,
-            BUS_VOLTAGE: self._voltage,
-            DIGITAL_INPUTS: self._inputs,
+            DC_LINK_VOLTAGE: self._voltage,
+            DRIVE_INPUTS: self._inputs,
             SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
         }
         self._objects = entries
