@@ -1,8 +1,6 @@
 """A hopping twin whose drives become hot, whose bus voltage rises, or whose STO input opens, on the emulated ring."""
 
-from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -13,28 +11,17 @@ from stepgap.plants.ticks.rig_state import RigState
 from stepgap.records.incident import describe_incident
 from stepgap.rigs.ethercat.drive_watch import BEYOND
 from stepgap.rigs.ethercat.emulator.faults import Fault, FedBus, Heated, OpenedInput
-from stepgap.robots.hopper.ethercat import hopper_on_ethercat
-from tests.plants.realtime.test_faults import COLUMN, HOPPING, ROBOT, SETTINGS, Deployment, check_torques, incident_of
-from tests.rigs.ethercat.ring_process import RecordedTwin, live_ring
+from tests.plants.realtime.test_faults import (
+    COLUMN,
+    HOPPING,
+    Deployment,
+    check_torques,
+    cycles_to_connect,
+    deployment,
+    incident_of,
+)
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
-
-
-@contextmanager
-def deployment(*faults: Fault):
-    with live_ring(*faults, make_machine=RecordedTwin) as ring, hopper_on_ethercat(SETTINGS, ROBOT) as rig:
-        begun = Deployment(rig)
-        try:
-            yield ring, begun
-        finally:
-            begun.board.close()
-            begun.board.unlink()
-
-
-@cache
-def cycles_to_connect() -> int:
-    with deployment() as (ring, _):
-        return ring.look().cycles
 
 
 def at(tick: int, fault: Fault) -> Fault:
