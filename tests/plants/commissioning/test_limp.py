@@ -6,6 +6,8 @@ from math import inf, nan
 import numpy as np
 
 from stepgap.plants.commissioning.limp import LastTick, describe_devices
+from stepgap.rigs.limits import RigLimits
+from stepgap.rigs.limp_rig import FrameCount, LimpRig
 from stepgap.rigs.rig import SensorModel
 from stepgap.rigs.still_rig import StillRig
 
@@ -24,6 +26,10 @@ class ReportingRig(StillRig):
     @property
     def diagnostic_names(self) -> Mapping[str, Mapping[int, str]]:
         return {"left_sto": {0: "closed", 1: "open"}}
+
+    @property
+    def warning(self) -> str:
+        return "the left drive is hot"
 
 
 def test_of_a_tick_that_failed_the_known_values_are_kept() -> None:
@@ -45,3 +51,11 @@ def test_what_a_rig_judges_is_described_by_names_and_units() -> None:
     assert describe_devices(rig, tick) == {"left_temperature": "31.3 °C", "left_sto": "open"}
     assert describe_devices(rig, {**tick, "left_temperature": nan, "left_sto": 3.0}) == {"left_sto": "3"}
     assert describe_devices(StillRig(SensorModel(tick=1e-3), ()), tick) == {}
+
+
+def test_a_limp_rig_tells_what_its_rig_tells() -> None:
+    rig = ReportingRig(SensorModel(tick=1e-3), ())
+    limp = LimpRig(rig, RigLimits(), FrameCount())
+    for name in ("diagnostic_units", "diagnostic_ranges", "diagnostic_names", "warning"):
+        assert getattr(limp, name) == getattr(rig, name)
+    assert describe_devices(limp, {"left_sto": 0.0}) == {"left_sto": "closed"}
