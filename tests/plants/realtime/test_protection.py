@@ -53,7 +53,7 @@ def test_the_first_thrust_is_within_the_limits():
 STOPPED = {
     "STO": (OpenedInput(0, "drive_2"), 1, "the STO input of slave 2 'drive_2' is open", "motor_2_sto: closed → open"),
     "overvoltage": (
-        FedBus(0, "drive_1", 2000.0),
+        FedBus(0, "drive_1", 50_000.0),
         10 + BEYOND,
         "slave 1 'drive_1': its bus voltage is 6",
         "motor_1_bus_voltage",

@@ -70,9 +70,9 @@ STOPPED: dict[str, tuple[Fault, int, str, dict[str, float]]] = {
     ),
     # 25 to 90 °C at 2 K a tick
     "temperature": (Heated(0, "drive_1", 2000.0), 33 + BEYOND, "slave 1 'drive_1': its temperature is 9", {}),
-    # 19.2 J charge 20 mF from 48 to 65 V
-    "overvoltage": (FedBus(0, "drive_2", 2000.0), 10 + BEYOND, "slave 2 'drive_2': its bus voltage is 6", {}),
-    "undervoltage": (FedBus(0, "drive_2", -6000.0), 8 + BEYOND, "V, allowed is 30 to 65", {}),
+    # 480 J charge 0.5 F from 48 to 65 V
+    "overvoltage": (FedBus(0, "drive_2", 50_000.0), 10 + BEYOND, "slave 2 'drive_2': its bus voltage is 6", {}),
+    "undervoltage": (FedBus(0, "drive_2", -150_000.0), 8 + BEYOND, "V, allowed is 30 to 65", {}),
     "a voltage of zero": (
         StuckObject(0, "drive_1", DC_LINK_VOLTAGE, 0),
         BEYOND,

@@ -14,7 +14,7 @@ class PowerSettings:
         heating: Rate at which the rated torque heats a cold drive [K/s]; losses are proportional to the square of it.
         cooling_time: Time constant of cooling [s].
         voltage: Voltage of the supply, which gives energy but takes none back [V].
-        capacity: Capacity of the bus [F].
+        capacity: Capacity of the bus [F]; so large that the energy of a fall changes the voltage by a few volts only.
         charging_time: Time constant with which the supply charges it [s].
     """
 
@@ -22,7 +22,7 @@ class PowerSettings:
     heating: float = 0.1
     cooling_time: float = 300.0
     voltage: float = 48.0
-    capacity: float = 0.02
+    capacity: float = 0.5
     charging_time: float = 0.005
 
 
