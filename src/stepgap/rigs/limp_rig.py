@@ -64,6 +64,21 @@ class LimpRig(Rig):
         return self._rig.diagnostics
 
     @property
+    def diagnostic_ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Those of the rig."""
+        return self._rig.diagnostic_ranges
+
+    @property
+    def diagnostic_names(self) -> Mapping[str, Mapping[int, str]]:
+        """Those of the rig."""
+        return self._rig.diagnostic_names
+
+    @property
+    def warning(self) -> str:
+        """That of the rig, after which a limp robot is switched off."""
+        return self._rig.warning
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Those of the rig."""
         return self._rig.remarks

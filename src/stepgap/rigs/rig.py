@@ -121,6 +121,24 @@ class Rig(ABC):
         """What the drives reported with the last reading, for logs only, as `diagnostic_units` describes it."""
         return ()
 
+    @property
+    def diagnostic_ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Least and largest allowed value of those diagnostics that the rig itself judges; infinite without a limit."""
+        return {}
+
+    @property
+    def diagnostic_names(self) -> Mapping[str, Mapping[int, str]]:
+        """Names of the numbers of those diagnostics that are enumerated."""
+        return {}
+
+    @property
+    def warning(self) -> str:
+        """Why a moving robot should land and a limp one get no torque, although there is no fault, as one line.
+
+        It is empty if there is no reason.
+        """
+        return ""
+
     def clock_correction(self, slip: float = 0.0) -> float:  # noqa: ARG002
         """Time by which the next tick and all later ones shall begin later, called once before each tick [s].
 

@@ -83,6 +83,12 @@ def test_the_rule(timing: dict[str, float], fault: str, expected: str) -> None:
     assert expected in text
 
 
+def test_what_the_drives_report_is_described() -> None:
+    assert "drives                report nothing of this" in describe(GOOD, bus=True)
+    check = replace(GOOD, drives={"motor_1_temperature": "31.0 °C", "motor_1_sto": "closed"})
+    assert "drives                motor_1_temperature 31.0 °C, motor_1_sto closed\n" in describe(check, bus=True)
+
+
 IN_TIME = WatchdogTimes(0.05, {"drive_1": 0.051, "drive_2": 0.069})
 TOO_SLOW = WatchdogTimes(0.05, {"drive_1": 0.051, "drive_2": 0.071})
 

@@ -158,7 +158,8 @@ def test_a_drive_with_these_pdos_takes_torque_and_returns_its_position(name: str
         assert inputs["torque"] == 2000, "4 N·m are twice the rated torque"
         assert inputs.get("mode_display", 10) == 10
         assert inputs.get("error_code", 0) == 0
-        assert set(rig.diagnostic_units) == {"motor_statusword", "motor_velocity", "motor_torque"}
+        logged = {"statusword", "velocity", "torque", "digital_inputs"} & inputs.keys()
+        assert set(rig.diagnostic_units) == {f"motor_{name}" for name in logged}
 
 
 @pytest.mark.parametrize("name", sorted(set(IDENTITIES) - {"elmo-cst"}))

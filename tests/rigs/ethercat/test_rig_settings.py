@@ -1,5 +1,6 @@
 """rig.toml: read strictly, with errors that state what is valid."""
 
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -36,6 +37,25 @@ def test_the_example_is_a_rig() -> None:
     assert settings.limits.torque_step == 20
     assert settings.position(settings.contact.slave) == 5
     assert settings.pdo_set(settings.slaves[5]).inputs[0].index == 0x1A00
+
+
+def test_the_commented_keys_of_the_example_are_right(tmp_path: Path) -> None:
+    """All of them: the set of PDOs, and the limits of what its drive reports."""
+    commented = [line[2:] for line in TEXT.splitlines() if re.match(r"# (\[\[|[a-z_]+ = |  ?\")", line)]
+    start = commented.index("temperature_unit = 0.1       # of one count [°C]")
+    assert len(commented) == 18
+    text = TEXT.replace('pdos = "elmo-cst"', 'pdos = "watched-drive"', 1)
+    text = text.replace("[dc]  ", "\n".join(commented[:start]) + "\n[dc]  ")
+    settings = read(tmp_path, text.replace("[motor_2]", "\n".join(commented[start:]) + "\n[motor_2]"))
+    assert settings.motor_1.bus_voltage == (40.0, 56.0)
+    assert settings.motor_1.sto_bits == (16, 17)
+    assert settings.motor_2.sto_bits == ()
+    units = hopper_on_ethercat(settings, ROBOT).diagnostic_units
+    assert [name for name, unit in units.items() if unit in ("°C", "V")] == [
+        "motor_1_temperature",
+        "motor_1_bus_voltage",
+    ]
+    assert "motor_1_enable" in units
 
 
 WRONG = [
@@ -82,6 +102,41 @@ WRONG = [
         "torque_limit = 38.0",
         "torque_limit = inf",
         "[motor_1] torque_limit = inf, but it must be positive and at most 32",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\ntemperature_warning = 60\ntemperature_limit = 70",
+        "[motor_1] temperature_warning = 60.0, but it must be left out, or the PDOs of 'left drive' must have an entry",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\ntemperature_limit = 70",
+        "[motor_1] temperature_warning = inf, but it must be below temperature_limit = 70",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nbus_voltage = [20, 60]",
+        "[motor_1] bus_voltage = [20.0, 60.0], but it must be left out, or the PDOs of 'left drive' must have an entry",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nbus_voltage = [60, 20]",
+        "[motor_1] bus_voltage = [60.0, 20.0], but it must be two voltages, [lowest, highest]",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nsto_bits = [16]",
+        "[motor_1] sto_bits = [16], but it must be left out, or the PDOs of 'left drive' must have an entry",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nsto_bits = [16]\nenable_bits = [16]",
+        "[motor_1] enable_bits = [16], but it must differ from sto_bits = [16]",
+    ),
+    (
+        "torque_limit = 38.0",
+        "torque_limit = 38.0\nsto_bit = 16",
+        "[motor_1] sto_bit: unknown key; did you mean sto_bits?",
     ),
     (
         'slave = "right drive"',

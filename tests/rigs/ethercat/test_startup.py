@@ -13,6 +13,7 @@ from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.ethercat.reactions import REACTIONS, secure_reactions
 from stepgap.rigs.ethercat.rig_settings import Slave
 from stepgap.rigs.ethercat.startup import LAYOUTS, StartupObject, write_startup
+from stepgap.rigs.ethercat.watched_drives import NO_STO_INPUT
 from stepgap.rigs.rig import MissingObject, RigFault
 from tests.rigs.ethercat.ring_process import Recorder, live_ring
 
@@ -142,7 +143,7 @@ def test_start_up_objects_and_reactions_reach_the_drives():
         read = connected._bus.read_object
         for number in (0, 1):
             assert [read(number, each.index, Struct("<h")) for each in REACTIONS] == [1, 0, 0, 0, 0]
-        assert connected.remarks == ()
+        assert connected.remarks == (NO_STO_INPUT,)
 
 
 @pytest.mark.parametrize(

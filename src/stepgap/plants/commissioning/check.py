@@ -1,13 +1,13 @@
 """Check of computer and bus before a robot gets torque: late ticks, lost frames, privileges, and the watchdog."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.plants.commissioning.limp import Ticks, ticks_of
+from stepgap.plants.commissioning.limp import Ticks, describe_devices, ticks_of
 from stepgap.plants.commissioning.proof import proof_file, proven, write_proof
 from stepgap.plants.realtime.pace import NEEDED_FOR_TORQUE
 from stepgap.plants.realtime.process import RealtimeSetup
@@ -97,6 +97,7 @@ class Check:
         remarks: What a person should know about the rig, although it is no fault.
         clock: Distances of frames from their times; None without distributed clocks.
         contradictions: What documents of the devices say against the settings; empty if they agree.
+        drives: Temperatures, bus voltages and states of STO and enable inputs at the end, by name.
     """
 
     tick: float
@@ -111,6 +112,7 @@ class Check:
     remarks: tuple[str, ...] = ()
     clock: ClockOffsets | None = None
     contradictions: tuple[str, ...] = ()
+    drives: Mapping[str, str] = field(default_factory=dict)
 
     def failures(self) -> list[str]:
         """Describes what is not within the limits; empty if the check is passed."""
@@ -187,7 +189,10 @@ def measure(setup: RealtimeSetup, frames: FrameCount, tick: float, limits: RigLi
     ticks = ticks_of(setup, round(seconds / tick))
     timing = timing_of(ticks.column("late"), tick)
     lost, clock = frames.lost, clock_offsets(ticks)
-    return Check(tick, limits.late_ticks, limits.simulated, timing, lost, ticks.refused, ticks.fault, clock=clock)
+    drives = describe_devices(setup.make_rig(), dict(zip(ticks.names, ticks.rows[-1].tolist(), strict=True)))
+    return Check(
+        tick, limits.late_ticks, limits.simulated, timing, lost, ticks.refused, ticks.fault, clock=clock, drives=drives
+    )
 
 
 def clock_offsets(ticks: Ticks) -> ClockOffsets | None:
@@ -259,6 +264,7 @@ def describe(check: Check, bus: bool) -> str:
         "frames lost": f"  {check.lost_frames if bus else 'no bus was measured'}",
         "the kernel refused": f"  {check.refused or 'nothing'}",
         "watchdog": f"  {_describe_watchdog(check)}",
+        "drives": f"  {', '.join(f'{name} {text}' for name, text in check.drives.items()) or 'report nothing of this'}",
         "remarks": f"  {'; '.join(check.remarks) or 'none'}",
         "rule": f"  {rule}",
         "result": "  passed" if not failures else f"  not passed: {'; '.join(failures)}",

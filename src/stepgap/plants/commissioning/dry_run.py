@@ -11,7 +11,7 @@ from rich.table import Table
 
 from stepgap.base.errors import InputError
 from stepgap.base.signals import terminated_as_interrupted
-from stepgap.plants.commissioning.limp import LastTick, ended, limp_setup
+from stepgap.plants.commissioning.limp import LastTick, describe_devices, ended, limp_setup
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.log_description import LogEvent
@@ -93,7 +93,9 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
             while log.count < wanted and not session.over():
                 sleep(_UPDATE_EVERY)
                 display(describe(log, session), log.count)
-        fault = ended(session)
+            if fault := ended(session):
+                sleep(_UPDATE_EVERY)  # until the last ticks are read
+                display(describe(log, session), None)
     except KeyboardInterrupt:
         pass  # the regular end
     finally:
@@ -116,6 +118,7 @@ def _describer(
         return {
             "state": RigState(int(tick["state"])).name,
             **robot_control.describe(rig, tick),
+            **describe_devices(rig, tick),
             "late": f"{1e6 * tick['late']:.0f} µs, at most {1e6 * log.worst:.0f} µs",
             "lost": f"{frames.lost} frames",
         }
@@ -124,8 +127,11 @@ def _describer(
 
 
 @contextmanager
-def _display(every: int) -> Iterator[Callable[[DisplayedTick, int], None]]:
-    """Displays ticks as a table that is updated, on a terminal; otherwise as a plain line every `every` ticks."""
+def _display(every: int) -> Iterator[Callable[[DisplayedTick, int | None], None]]:
+    """Displays ticks as a table that is updated, on a terminal; otherwise as a plain line every `every` ticks.
+
+    The last tick before a fault, which has no number, is always displayed.
+    """
     console = Console(stderr=True, highlight=False)
     if console.is_terminal:
         with Live(console=console, auto_refresh=False) as live:
@@ -133,11 +139,11 @@ def _display(every: int) -> Iterator[Callable[[DisplayedTick, int], None]]:
         return
     due = 0
 
-    def line(tick: DisplayedTick, count: int) -> None:
+    def line(tick: DisplayedTick, count: int | None) -> None:
         nonlocal due
-        if count >= due:
+        if count is None or count >= due:
             console.print("; ".join(f"{name} {text}" for name, text in tick.items()), soft_wrap=True)
-            due = (count // every + 1) * every
+            due = ((count or 0) // every + 1) * every
 
     yield line
 

@@ -1,6 +1,6 @@
 """A real-time process that reads a robot's bus and gives it no torque."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
@@ -82,10 +82,10 @@ class _Memory(TickSink):
 
 
 class LastTick(TickSink):
-    """Keeps the last tick with known sensor values.
+    """Keeps the last tick with known sensor values, and what is known of later ones, such as that of a fault.
 
     Attributes:
-        fields: Its fields by name; empty before the first.
+        fields: Last known values by name; empty before the first tick with all of them.
     """
 
     def __init__(self, names: Iterable[str]):
@@ -94,10 +94,31 @@ class LastTick(TickSink):
 
     def append(self, rows: Array) -> None:
         """Takes ticks."""
+        later = list[list[float]]()
         for row in rows[::-1].tolist():
             if all(map(isfinite, row)):
                 self.fields = dict(zip(self._names, row, strict=True))
-                return
+                break
+            later.append(row)
+        if self.fields:
+            for row in reversed(later):
+                self.fields |= {name: value for name, value in zip(self._names, row, strict=True) if isfinite(value)}
+
+
+def describe_devices(rig: Rig, fields: Mapping[str, float]) -> dict[str, str]:
+    """Describes what the rig itself judges: temperatures, bus voltages and the state of inputs of its drives.
+
+    Args:
+        rig: The rig.
+        fields: Fields of a tick by name.
+    """
+    names, units = rig.diagnostic_names, rig.diagnostic_units
+    judged = {name: fields[name] for name in units if name in fields and name in {*names, *rig.diagnostic_ranges}}
+    return {
+        name: names[name].get(round(value), f"{value:g}") if name in names else f"{value:.1f} {units[name]}"
+        for name, value in judged.items()
+        if isfinite(value)
+    }
 
 
 def limp_setup(make_rig: Callable[[], Rig], robot_control: RobotControl, frames: FrameCount) -> RealtimeSetup:

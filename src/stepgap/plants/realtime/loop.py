@@ -137,6 +137,7 @@ class ControlLoop:
         """Computes and writes the torques; returns False when the robot is off."""
         time, control = self._clock.time, self._control
         self._watch_key()
+        self._watch_rig()
         self._enter(next_state(self._state, self._signals()))
         age = time - self._written if self._rig.sensor_model.sampled_at_write else 0.0
         torques, self._flags = control.tick(time, reading, self._order(), self._applied, health, age)
@@ -182,6 +183,16 @@ class ControlLoop:
             raise RigFault("the key was released before the robot hopped: torque is off")
         self._board.message = "the key was released: the robot lands"
         self._stop_requested = True
+
+    def _watch_rig(self) -> None:
+        """After a warning of the rig, lands a moving robot; one that is limp gets no torque."""
+        if self._stop_requested or not (warning := self._rig.warning):
+            return
+        if self._state <= RigState.READY:
+            raise RigFault(f"{warning}: no torque is given")
+        if self._state in MOVING:
+            self._board.message = f"{warning}: the robot lands"
+            self._stop_requested = True
 
     def _enter(self, state: RigState) -> None:
         if state == self._state:

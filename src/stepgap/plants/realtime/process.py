@@ -10,7 +10,7 @@ from stepgap.plants.realtime.board import Board
 from stepgap.plants.realtime.loop import LOOP_MEANING, LOOP_UNITS, ControlLoop, LoopSettings
 from stepgap.plants.realtime.pace import Pace, WallClock, ask_for_realtime
 from stepgap.plants.tick_control import RobotControl
-from stepgap.plants.ticks.log_description import LogDescription
+from stepgap.plants.ticks.log_description import FieldMeaning, LogDescription
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_ring import TickRing, free_memory
 from stepgap.rigs.rig import Rig, RigFault
@@ -43,8 +43,9 @@ class RealtimeSetup:
         Args:
             settings: Text of the file that describes the rig.
         """
-        meaning = self.robot_control.meaning(self.make_rig())
-        return LogDescription.here(settings, meaning.joined(LOOP_MEANING))
+        rig = self.make_rig()
+        of_rig = FieldMeaning(names=rig.diagnostic_names, ranges=rig.diagnostic_ranges)
+        return LogDescription.here(settings, self.robot_control.meaning(rig).joined(of_rig).joined(LOOP_MEANING))
 
 
 def run_realtime(setup: RealtimeSetup, board_name: str, ring_name: str, parent: int) -> None:

@@ -1,7 +1,7 @@
 """A robot on an EtherCAT bus as a `Rig`: drives in cyclic synchronous torque, encoders, force sensors."""
 
 from collections.abc import Callable, Mapping
-from math import isfinite, nan
+from math import isfinite
 from pathlib import Path
 from struct import Struct
 from time import monotonic, sleep
@@ -11,7 +11,6 @@ from stepgap.rigs.ethercat.cia402 import (
     CYCLIC_TORQUE,
     DISABLE_VOLTAGE,
     ENABLE,
-    STATUSWORD_UNIT,
     State,
     Wanted,
     next_controlword,
@@ -25,6 +24,7 @@ from stepgap.rigs.ethercat.reactions import secure_reactions
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
 from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
 from stepgap.rigs.ethercat.startup import StartupObject, write_startup
+from stepgap.rigs.ethercat.watched_drives import WatchedDrives
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
     CLOCK_OFFSET,
@@ -45,9 +45,6 @@ _ERROR_CODE, _STATUSWORD, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6041, 0x607
 _MODE, _MODE_DISPLAY = 0x6060, 0x6061
 _U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
 
-DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
-"""Inputs of a drive that are logged, with their units."""
-
 CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s"}
 """Values of the synchronisation with the reference clock that are logged, with their units."""
 
@@ -57,6 +54,9 @@ STATES_EVERY = 50
 
 WATCHDOG_PATIENCE = 0.1
 """Time in addition to twice the watchdog's until it counts as missing [s]."""
+
+OPEN_FRAMES = 20
+"""Number of frames in a row with an open STO or enable input, after which drives are not enabled."""
 
 _LAST_FRAMES = 3
 """Number of frames without torque that are sent at the end, in case one is lost."""
@@ -99,14 +99,7 @@ class EthercatRig(Rig):
             for drive in self._drives
             for pdos in [settings.pdo_set(settings.slaves[drive])]
         }
-        self._diagnosed = [
-            (name, value, unit, settings.position(device.slave))
-            for name, device in settings.devices.items()
-            if isinstance(device, Motor)
-            for value, unit in DIAGNOSTICS.items()
-            if value in self._values[settings.position(device.slave)]
-        ]
-        self._diagnostics = (nan,) * len(self._diagnosed)
+        self._watched = WatchedDrives(settings, self._bus.label, self._bus.inputs)
         self._connected, self._fault, self._remarks = False, "", list[str]()
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
         self._reading = settings.reading((0.0,) * len(self._sensors))
@@ -128,27 +121,43 @@ class EthercatRig(Rig):
 
     @property
     def diagnostic_units(self) -> Mapping[str, str]:
-        """Status word of every drive, and its velocity and torque if it sends them, in its own units.
+        """Status word of every drive, its velocity and torque in its own units, and what `DriveLimits` limit.
 
-        With distributed clocks also how much too late the frame passed the reference clock, and the last correction.
+        Each only if the drive sends it. With distributed clocks also how much too late the frame passed the reference
+        clock, and the last correction.
         """
-        drives = {f"{motor}_{name}": unit for motor, name, unit, _ in self._diagnosed}
-        return {**drives, **(CLOCK_DIAGNOSTICS if self._bus.steering else {})}
+        return {**self._watched.units, **(CLOCK_DIAGNOSTICS if self._bus.steering else {})}
+
+    @property
+    def diagnostic_ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Limits of temperatures and bus voltages; infinite where there is none."""
+        return self._watched.ranges
+
+    @property
+    def diagnostic_names(self) -> Mapping[str, Mapping[int, str]]:
+        """Names of the states of STO and enable inputs."""
+        return self._watched.names
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """Those values in the last good frame."""
         steering = self._bus.steering
-        return (*self._diagnostics, steering.offset, steering.shift) if steering else self._diagnostics
+        values = self._watched.values
+        return (*values, steering.offset, steering.shift) if steering else values
 
     def clock_correction(self, slip: float = 0.0) -> float:
         """Time by which the ticks shall be later, so that frames follow the reference clock [s]; 0 without clocks."""
         return self._bus.steering.correction(slip) if self._bus.steering else 0.0
 
     @property
+    def warning(self) -> str:
+        """Temperature above its warning level, or temperature or bus voltage that cannot be relied upon."""
+        return self._watched.warning
+
+    @property
     def remarks(self) -> tuple[str, ...]:
-        """Objects of the drives that could not be set."""
-        return tuple(self._remarks)
+        """Objects of the drives that could not be set, and what they report without a limit."""
+        return (*self._remarks, *self._watched.remarks)
 
     def findings(self) -> tuple[Finding, ...]:
         """What the ESI files of the slaves say against the settings; while connected also about their revisions.
@@ -189,6 +198,7 @@ class EthercatRig(Rig):
             self._transition(Wanted.RESET, lambda states: State.FAULT not in states)
             self._transition(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
             self._check_modes()
+            self._watched.restart()
             self._update_reading()
         except BaseException:
             self.close()
@@ -306,6 +316,7 @@ class EthercatRig(Rig):
     def _transition(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
         """Exchanges frames without torque until the drives have arrived at the wanted state."""
         until, controlwords = monotonic() + STATE_TIMEOUT, [DISABLE_VOLTAGE] * len(self._drives)
+        frames_open = 0
         while True:
             for drive, controlword in zip(self._drives, controlwords, strict=True):
                 self._command(drive, 0, controlword)
@@ -313,23 +324,30 @@ class EthercatRig(Rig):
             if self._bus.receive():
                 status = [self._bus.inputs(drive)["statusword"] for drive in self._drives]
                 states, controlwords = zip(*(next_controlword(word, wanted) for word in status), strict=True)
-                if arrived(states):
+                opened = self._watched.open_inputs()
+                if arrived(states) and not opened:
                     return
+                frames_open = frames_open + 1 if opened else 0
+                if frames_open > OPEN_FRAMES:
+                    raise RigFault(f"{opened}, so that the drives get no torque: {self._drive_report()}")
                 if monotonic() > until:
-                    raise RigFault(f"the drives cannot be {wanted.name.lower()}: {self._drive_report()}")
+                    hint = f"; {self._watched.hint}" if self._watched.hint else ""
+                    raise RigFault(f"the drives cannot be {wanted.name.lower()}: {self._drive_report()}{hint}")
             elif monotonic() > until:
                 raise RigFault(f"no frame comes back: {self._bus.state_report()}")
             self._bus.wait()
 
     def _update_reading(self) -> None:
         """Updates the reading from a good frame; a drive that takes no torque or a doubtful sensor is a fault."""
-        inputs = {drive: self._bus.inputs(drive) for drive in self._drives}
-        self._diagnostics = tuple([float(inputs[drive][name]) for _, name, _, drive in self._diagnosed])
-        for drive, values in inputs.items():
+        if excess := self._watched.update():
+            raise self._trip(excess)
+        for drive in self._drives:
+            values = self._bus.inputs(drive)
             mode = values.get("mode_display", CYCLIC_TORQUE)
             if state_of(values["statusword"]) != State.ENABLED or mode != CYCLIC_TORQUE:
                 fault = self._trip(f"{self._bus.label(drive)} no longer accepts torque commands")
-                raise RigFault(f"{fault}: {self._drive_report()}")
+                opened = self._watched.open_inputs()  # some drives report it later than their state
+                raise RigFault("; ".join(filter(None, [opened, f"{fault}: {self._drive_report()}"])))
         self._reading = self._settings.reading([sensor.value(self._bus) for sensor in self._sensors])
         for sensor in self._sensors:
             if doubt := sensor.doubt:
@@ -380,7 +398,8 @@ class EthercatRig(Rig):
         values = self._bus.inputs(drive)
         state = state_of(values["statusword"]).value
         mode = f", mode {values['mode_display']}" if "mode_display" in values else ""
-        text = f"{self._bus.label(drive)} is in state {state}{mode}"
+        watched = self._watched.describe(drive)
+        text = f"{self._bus.label(drive)} is in state {state}{mode}{', ' if watched else ''}{watched}"
         try:
             error = self._bus.read_object(drive, _ERROR_CODE, _U16)
         except RigFault:  # for example a drive without power; this must not hide the first fault

@@ -16,6 +16,8 @@ SIGNED_VALUES = {
     "torque": True,
     "mode_display": True,
     "error_code": False,
+    "temperature": True,
+    "bus_voltage": False,
     "digital_inputs": False,
     "counter": True,
     "force": True,

@@ -8,6 +8,7 @@ from math import floor, isfinite
 
 from stepgap.base.ranges import format_value, require
 from stepgap.rigs.ethercat.distributed_clocks import SYNC0_AND_SYNC1, SYNC0_ONLY, DcSettings
+from stepgap.rigs.ethercat.drive_limits import DriveLimits
 from stepgap.rigs.ethercat.pdo import Entry, Packing, Pdo, PdoSet
 from stepgap.rigs.ethercat.pdo_sets import PDO_SETS
 from stepgap.rigs.ethercat.startup import StartupObject, require_objects
@@ -143,8 +144,8 @@ class Encoder:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motor(Encoder):
-    """A drive with its encoder.
+class Motor(DriveLimits, Encoder):
+    """A drive with its encoder; `DriveLimits` describes the limits of what else it reports.
 
     Attributes:
         rated_torque: Rated torque of the motor [N·m], as in the drive (0x6076), in 1/1000 of which torques are sent.
@@ -166,7 +167,8 @@ class Motor(Encoder):
     rated_torque_unit: float = 1e-3
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        Encoder.__post_init__(self)
+        DriveLimits.__post_init__(self)
         rated, limit = self.rated_torque, self.torque_limit
         smallest = self.rated_torque_unit
         require(1e-9 <= smallest <= 1, "rated_torque_unit", smallest, "lie between 1e-9 and 1")
@@ -337,6 +339,13 @@ class BusSettings(ABC):
         lacking = outputs - set(Packing(pdos.outputs).names) | inputs - set(Packing(pdos.inputs).names)
         rule = f"be a slave whose PDOs have {', '.join(sorted(lacking))}"
         require(not lacking, f"{table}.slave", name, rule)
+        if isinstance(device, Motor):
+            device.require_values(table, name, self.input_entries(name))
+
+    def input_entries(self, name: str) -> Mapping[str, Entry]:
+        """Entries of the values that the slave with a name sends, by their names."""
+        mapping = Packing(self.pdo_set(self.slaves[self.position(name)]).inputs).mapping
+        return {value: entry for value, (entry, _) in mapping.items()}
 
 
 def _values_of(device: RigDevice) -> tuple[set[str], set[str]]:

@@ -10,7 +10,7 @@ from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.ethercat.emulator.terminals import ANALOG_IDENTITY, COUPLER_IDENTITY, ENCODER_IDENTITY
-from stepgap.rigs.ethercat.rig_settings import Encoder, Motor, Slave
+from stepgap.rigs.ethercat.rig_settings import Encoder, Motor, Slave, WrittenPdo, WrittenPdoSet
 from stepgap.rigs.rig import Health, Reading, Rig, RigFault, Torques
 from stepgap.robots.hopper.ethercat import Contact, RigSettings, hopper_on_ethercat
 from stepgap.robots.hopper.limits import SafetyLimits
@@ -26,9 +26,39 @@ PATIENT_REPLY = 0.45
 PATIENT_WATCHDOG = 0.5
 """Watchdog time of a ring in lock-step [s], the longest allowed; such a ring counts its own ticks."""
 
+_DRIVE_PDOS = WrittenPdoSet(
+    name="emulated-drive",
+    outputs=(
+        WrittenPdo(index=0x1602, entries=("0x6071:00:16 target_torque", "0x6040:00:16 controlword")),
+        WrittenPdo(index=0x160B, entries=("0x6060:00:8 mode", "0x0000:00:8")),
+    ),
+    inputs=(
+        WrittenPdo(
+            index=0x1A02,
+            entries=(
+                "0x6064:00:32 position",
+                "0x6077:00:16 torque",
+                "0x6041:00:16 statusword",
+                "0x6061:00:8 mode_display",
+                "0x0000:00:8",
+            ),
+        ),
+        WrittenPdo(
+            index=0x1A11,
+            entries=(
+                "0x606C:00:32 velocity",
+                "0x2100:00:16 temperature",
+                "0x6079:00:32 bus_voltage",
+                "0x60FD:00:32 digital_inputs",
+            ),
+        ),
+    ),
+)
+"""The set `elmo-cst`, and what else an emulated drive reports: its temperature is not an object of CiA 402."""
+
 _DEVICES = (
-    ("drive_1", ELMO_GOLD, "elmo-cst"),
-    ("drive_2", ELMO_GOLD, "elmo-cst"),
+    ("drive_1", ELMO_GOLD, _DRIVE_PDOS.name),
+    ("drive_2", ELMO_GOLD, _DRIVE_PDOS.name),
     ("coupler", COUPLER_IDENTITY, "none"),
     ("boom_horizontal", ENCODER_IDENTITY, "beckhoff-el5151"),
     ("boom_vertical", ENCODER_IDENTITY, "beckhoff-el5151"),
@@ -52,7 +82,18 @@ def emulated_settings(
     most = min(robot.torque_limit, rated * ring.largest_torque / 1000)
 
     def motor(slave: str) -> Motor:
-        return Motor(slave=slave, counts_per_turn=sensor_model.motor_counts, rated_torque=rated, torque_limit=most)
+        return Motor(
+            slave=slave,
+            counts_per_turn=sensor_model.motor_counts,
+            rated_torque=rated,
+            torque_limit=most,
+            temperature_unit=0.1,
+            temperature_warning=80.0,
+            temperature_limit=90.0,
+            bus_voltage=(30.0, 65.0),
+            sto_bits=(16, 17),
+            enable_bits=(18,),
+        )
 
     return RigSettings(
         interface=interface,
@@ -67,6 +108,7 @@ def emulated_settings(
             )
             for name, identity, pdos in _DEVICES
         ),
+        pdo_sets=(_DRIVE_PDOS,),
         motor_1=motor("drive_1"),
         motor_2=motor("drive_2"),
         boom_horizontal=Encoder(slave="boom_horizontal", counts_per_turn=sensor_model.boom_counts_horizontal),

@@ -12,14 +12,20 @@ from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.twin.twin import Twin
 
 
-def hopper_devices(settings: RingSettings, period: float) -> list[EmulatedDevice]:
+def hopper_devices(settings: RingSettings, period: float, motor_counts: float = 16384.0) -> list[EmulatedDevice]:
     """Devices of the ring in order: drive_1, drive_2, coupler, boom_horizontal, boom_vertical, contact_force.
 
     Args:
         settings: Torque and force scales.
         period: Time of a tick [s].
+        motor_counts: Counts of a motor per turn.
     """
-    drive = DriveSettings(rated_torque=settings.rated_torque, largest_torque=settings.largest_torque, period=period)
+    drive = DriveSettings(
+        rated_torque=settings.rated_torque,
+        largest_torque=settings.largest_torque,
+        period=period,
+        counts_per_turn=motor_counts,
+    )
     return [
         *(Drive(f"drive_{motor}", drive, attrgetter(f"motor_{motor}")) for motor in (1, 2)),
         Coupler("coupler"),
@@ -45,7 +51,7 @@ class TwinMachine(Machine):
 
     def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
         """Two drives, a coupler, two boom encoders and an analog input."""
-        return hopper_devices(settings, self.period)
+        return hopper_devices(settings, self.period, self._twin.sensor_model.motor_counts)
 
     def start(self) -> HopperReading:
         """Puts the twin into its starting pose, held."""

@@ -3,10 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from math import tau
 
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary, ObjectEntry
 from stepgap.rigs.ethercat.emulator.drive_layout import ELMO_LAYOUT, DriveLayout
+from stepgap.rigs.ethercat.emulator.drive_power import PowerSettings, PowerStage, next_stage
+from stepgap.rigs.ethercat.emulator.faults import DriveCondition, FedBus, Heated, OpenedInput, StuckObject
 from stepgap.rigs.ethercat.emulator.mailbox import emergency
 from stepgap.rigs.ethercat.emulator.sii import Identity
 from stepgap.rigs.rig import Reading
@@ -16,8 +19,12 @@ CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = 0x6040, 0x6041, 0x6060, 0x6061
 POSITION, VELOCITY = 0x6064, 0x606C
 TARGET_TORQUE, _LARGEST_TORQUE, _RATED_TORQUE, TORQUE = 0x6071, 0x6072, 0x6076, 0x6077
 SUPPORTED_MODES, ABORT_CONNECTION = 0x6502, 0x6007
+DRIVE_TEMPERATURE, DC_LINK_VOLTAGE, DRIVE_INPUTS = 0x2100, 0x6079, 0x60FD
 OPTION_CODES = (0x605A, 0x605B, 0x605C, 0x605E)
-"""Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register)."""
+"""Objects (CiA 402-2: device control, position, velocity and torque; CiA 301 for the error register).
+
+The temperature [0.1 °C, INTEGER16] is an object of this emulator, since the profile has none; the voltage is in mV.
+"""
 
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 
@@ -29,6 +36,9 @@ GENERIC_ERROR = 0x01
 
 ELMO_GOLD = Identity("Gold drive", 0x0000009A, 0x00030924, 0x00010420)
 """Identity of Elmo's Gold drives."""
+
+STO_CLOSED, ENABLE_CLOSED = 0x3_0000, 0x4_0000
+"""Bits of the digital inputs: both channels of the STO input, and the enable input; 1 where they are closed."""
 
 _SWITCH_ON, VOLTAGE, NO_QUICK_STOP, _ENABLE, FAULT_RESET = 0x01, 0x02, 0x04, 0x08, 0x80
 """Bits of the controlword (CiA 402-2, object 0x6040)."""
@@ -86,6 +96,8 @@ class DriveSettings:
         abort_connection: What it does when frames end, after power-up: 0 nothing, 1 fault, 2 or 3 torque off
             (CiA 402-2, object 0x6007).
         ramps: Value of its other option codes after power-up: 0 torque off, 1 and 2 ramps (0x605A to 0x605E).
+        counts_per_turn: Counts of its encoder per turn of the motor, for the power that it takes.
+        power: Parameters of its power stage.
     """
 
     identity: Identity = ELMO_GOLD
@@ -96,6 +108,8 @@ class DriveSettings:
     period: float = 1e-3
     abort_connection: int = 1
     ramps: int = 1
+    counts_per_turn: float = 16384.0
+    power: PowerSettings = PowerSettings()
 
 
 class Drive(EmulatedDevice):
@@ -110,7 +124,9 @@ class Drive(EmulatedDevice):
     def __init__(self, name: str, settings: DriveSettings, counts: Callable[[Reading], float]):
         self._settings, self._counts = settings, counts
         self._position = self._velocity = self._status = self._error = ObjectEntry(0, 0)  # replaced by power_on
-        self._true_counts = 0
+        self._true_counts, self._closed = 0, STO_CLOSED | ENABLE_CLOSED
+        self._heating = self._fed = 0.0
+        self._stuck: dict[int, int] = {}
         super().__init__(name, settings.identity)
         self.power_on()
 
@@ -123,6 +139,9 @@ class Drive(EmulatedDevice):
         self._position, self._velocity = ObjectEntry(0, 32, True), ObjectEntry(0, 32, True)
         self._largest = ObjectEntry(settings.largest_torque, 16, writable=True)
         self._error, self._register = ObjectEntry(0, 16), ObjectEntry(0, 8)
+        cold = PowerStage(settings.power.ambient, settings.power.voltage)
+        self._stage, self._temperature, self._voltage = cold, ObjectEntry(0, 16, True), ObjectEntry(0, 32)
+        self._inputs = ObjectEntry(self._closed, 32)
         self._abort = ObjectEntry(settings.abort_connection, 16, True, True)
         options = {index: ObjectEntry(settings.ramps, 16, True, True) for index in OPTION_CODES}
         entries = {
@@ -140,9 +159,13 @@ class Drive(EmulatedDevice):
             TORQUE: self._torque,
             _ERROR_CODE: self._error,
             ERROR_REGISTER: self._register,
+            DRIVE_TEMPERATURE: self._temperature,
+            DC_LINK_VOLTAGE: self._voltage,
+            DRIVE_INPUTS: self._inputs,
             SUPPORTED_MODES: ObjectEntry(1 << CYCLIC_SYNCHRONOUS_TORQUE - 1, 32),
         }
         objects, layout = {(index, 0): entry for index, entry in entries.items()}, settings.layout
+        self._objects = entries
         self.dictionary = Dictionary(
             settings.identity,
             {**objects, **layout.idle_objects(objects)},
@@ -155,6 +178,7 @@ class Drive(EmulatedDevice):
         )
         self.state, self.torque, self._before = DriveState.SWITCH_ON_DISABLED, 0.0, 0
         self.messages.clear()
+        self._measure(0.0)
 
     @property
     def is_enabled(self) -> bool:
@@ -169,6 +193,8 @@ class Drive(EmulatedDevice):
         elif self.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP):
             self._lose_connection()
         elif self.state is not DriveState.FAULT:
+            self.state = DriveState.SWITCH_ON_DISABLED
+        if self._is_open and self.state is not DriveState.FAULT:
             self.state = DriveState.SWITCH_ON_DISABLED
         if self.state is not DriveState.FAULT and self._error.value:
             self._error.value = self._register.value = 0
@@ -192,6 +218,24 @@ class Drive(EmulatedDevice):
             self.messages.append(emergency(code, GENERIC_ERROR))
         self._act()
 
+    def begin(self, condition: DriveCondition) -> None:
+        """Begins a fault of its power stage or its inputs, which lasts."""
+        if isinstance(condition, Heated):
+            self._heating += condition.rate
+        elif isinstance(condition, FedBus):
+            self._fed += condition.power
+        elif isinstance(condition, OpenedInput):
+            self._closed &= ~condition.bits
+            if condition.code:
+                self.trip(condition.code)
+        elif isinstance(condition, StuckObject):
+            present = self._objects[condition.index].value
+            self._stuck[condition.index] = present if condition.value is None else condition.value
+
+    @property
+    def _is_open(self) -> bool:
+        return self._closed != STO_CLOSED | ENABLE_CLOSED
+
     def sense(self, reading: Reading) -> None:
         """Updates position and velocity of the motor [counts, counts/s]."""
         counts = round(self._counts(reading))
@@ -199,6 +243,18 @@ class Drive(EmulatedDevice):
         moved = counts - self._true_counts if self.error.true_velocity else shown - self._position.value
         self._velocity.value = round(moved / self._settings.period)
         self._position.value, self._true_counts = shown, counts
+        self._measure(moved / self._settings.counts_per_turn * tau)
+
+    def _measure(self, turned: float) -> None:
+        """Updates temperature, bus voltage and inputs after a tick in which the motor turned by an angle [rad]."""
+        settings, period = self._settings, self._settings.period
+        taken = self.torque * turned / period - self._fed
+        self._stage = next_stage(settings.power, self._stage, period, self._torque.value / 1000, taken, self._heating)
+        self._temperature.value = round(10 * self._stage.temperature)
+        self._voltage.value = round(1000 * self._stage.voltage)
+        self._inputs.value = self._closed
+        for index, value in self._stuck.items():
+            self._objects[index].value = value
 
     def _act(self) -> None:
         """Sets torque [N·m] and statusword according to the state."""

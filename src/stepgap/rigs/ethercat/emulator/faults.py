@@ -172,6 +172,72 @@ class ReportedError:
     bits: int = 0x4000
 
 
+@dataclass(frozen=True)
+class OpenedInput:
+    """Digital inputs of a drive open, and it gives no torque: by default both channels of its STO input.
+
+    Attributes:
+        cycle: Cycle in which they open.
+        slave: Name of the drive.
+        bits: Their bits in 0x60FD.
+        code: Error code (object 0x603F) with which the drive goes to fault; 0 if it only disables its power stage.
+    """
+
+    cycle: int
+    slave: str
+    bits: int = 0x3_0000
+    code: int = 0
+
+
+@dataclass(frozen=True)
+class Heated:
+    """A drive that becomes hot from outside.
+
+    Attributes:
+        cycle: Cycle in which it begins.
+        slave: Name of the drive.
+        rate: Rate at which the temperature rises, in addition to that by losses [K/s].
+    """
+
+    cycle: int
+    slave: str
+    rate: float
+
+
+@dataclass(frozen=True)
+class FedBus:
+    """The bus of a drive is fed with power from outside, as by another drive that brakes.
+
+    Attributes:
+        cycle: Cycle in which it begins.
+        slave: Name of the drive.
+        power: The power, negative if it is drawn [W].
+    """
+
+    cycle: int
+    slave: str
+    power: float
+
+
+@dataclass(frozen=True)
+class StuckObject:
+    """An object of a drive that has a fixed number from now on, as after a failure of its measurement.
+
+    Attributes:
+        cycle: First cycle.
+        slave: Name of the drive.
+        index: Index of the object.
+        value: The number; None for the present one.
+    """
+
+    cycle: int
+    slave: str
+    index: int
+    value: int | None = None
+
+
+DriveCondition = OpenedInput | Heated | FedBus | StuckObject
+
 SensorFault = FrozenSensor | ShiftedSensor | NoisySensor | ReportedError
 
 Fault = (
@@ -185,5 +251,6 @@ Fault = (
     | DriveFault
     | SentEmergency
     | WrongMapping
+    | DriveCondition
     | SensorFault
 )

@@ -7,6 +7,7 @@ from stepgap.rigs.ethercat.emulator.clock import RingTime, SyncWatch
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.drive import SPEED_RUN_AWAY, Drive
 from stepgap.rigs.ethercat.emulator.faults import (
+    DriveCondition,
     DriveFault,
     DuplicatedFrame,
     Fault,
@@ -201,6 +202,8 @@ class Ring:
             self._reach(self._reached)
         elif isinstance(fault, DriveFault) and isinstance(slave.device, Drive):
             slave.device.trip(fault.code)
+        elif isinstance(fault, DriveCondition) and isinstance(slave.device, Drive):
+            slave.device.begin(fault)
         elif isinstance(fault, SentEmergency):
             slave.device.messages.append(emergency(fault.code, 0))
         elif isinstance(fault, SensorFault):
