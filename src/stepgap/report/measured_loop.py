@@ -108,9 +108,7 @@ def _fitted(errors: Array, used: Mask) -> Array:
     """M by least squares within the visits; (…, V, T + 1, n) to (…, n, n)."""
     before = np.where(used[..., None], errors[..., :-1, :] - _visit_means(errors[..., :-1, :], used), 0.0)
     # The means of what follows are not subtracted: these differences add up to zero in each visit.
-    rows, after = (
-        part.reshape(*part.shape[:-3], -1, part.shape[-1]) for part in (before, errors[..., 1:, :])
-    )
+    rows, after = (part.reshape(*part.shape[:-3], -1, part.shape[-1]) for part in (before, errors[..., 1:, :]))
     columns = np.swapaxes(rows, -1, -2)
     return np.swapaxes(np.linalg.solve(columns @ rows, columns @ after), -1, -2)
 
