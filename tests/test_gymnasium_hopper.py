@@ -68,7 +68,7 @@ def test_it_learns_in_a_few_steps(robot: Any, monkeypatch: pytest.MonkeyPatch) -
     for limit in ("FIRST_SAMPLES", "MOST_SAMPLES"):
         monkeypatch.setattr(f"stepgap.robots.nominal_maps.surrogate_map.{limit}", 64)
     nominal = fit_surrogate(robot.nominal_maps()["simulator"](), np.random.default_rng(0))
-    reference, log, errors = stairs(robot.space, steps=2), StepLog(robot.space), []
+    reference, log, errors = stairs(robot.space, steps=3), StepLog(robot.space), []
     for iteration in range(2):
         learner = Learner.start(nominal, log, LearningSettings(), iteration)
         steps = list(deploy(learner, MjcfPlant(robot, np.random.default_rng(iteration)), reference, iteration))
