@@ -110,7 +110,7 @@ def _fitted(errors: Array, used: Mask) -> Array:
     # The means of what follows are not subtracted: these differences add up to zero in each visit.
     rows, after = (part.reshape(*part.shape[:-3], -1, part.shape[-1]) for part in (before, errors[..., 1:, :]))
     columns = np.swapaxes(rows, -1, -2)
-    return np.swapaxes(np.linalg.solve(columns @ rows, columns @ after), -1, -2)
+    return np.swapaxes(np.asarray(np.linalg.solve(columns @ rows, columns @ after), float), -1, -2)
 
 
 def _continued(errors: Array, used: Mask, matrix: Array, offsets: Array, noise: Array) -> Array:

@@ -121,7 +121,7 @@ def _solver(basis: Array) -> Array | None:
     left, sizes, right = np.linalg.svd(basis, full_matrices=False)
     if sizes[-1] <= sizes[0] * len(basis) * np.finfo(float).eps:
         return None
-    return right.T @ (left.T / sizes[:, np.newaxis])
+    return np.asarray(right.T @ (left.T / sizes[:, np.newaxis]), float)
 
 
 def _near(basis: Array, values: Array, coefficients: Array) -> NDArray[np.bool_]:
