@@ -29,6 +29,9 @@ RUN_ELSEWHERE = {
 }
 """Pages whose blocks need more around them."""
 
+EXAMPLES_ELSEWHERE = {"own_robot.py": "test_own_robot.py"}
+"""Examples that a test of their own runs as programs."""
+
 TEXTS = {page: page.read_text("utf-8") for page in PAGES}
 SCRIPTS = {
     page: "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
@@ -85,6 +88,12 @@ def test_the_other_pages_run_elsewhere(page):
         assert f'"{page}"' in (ROOT / "tests" / RUN_ELSEWHERE[page]).read_text("utf-8")
 
 
+@pytest.mark.parametrize("example", EXAMPLES_ELSEWHERE)
+def test_the_other_examples_run_elsewhere(example):
+    assert (ROOT / "examples" / example).exists()
+    assert f'"{example}"' in (ROOT / "tests" / EXAMPLES_ELSEWHERE[example]).read_text("utf-8")
+
+
 def test_the_examples_for_those_from_matlab_are_many():
     assert len(EXAMPLE_IN_TABLE.findall(TEXTS[ROOT / "docs" / "from_matlab.md"])) > 30
 
@@ -135,7 +144,7 @@ def help_of(stepgap: Command, *verbs):
     return result.out if result.code == 0 else ""
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=name)
+@pytest.mark.parametrize("example", [each for each in EXAMPLES if each.name not in EXAMPLES_ELSEWHERE], ids=name)
 def test_examples_run(example, capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", [str(example)])
     runpy.run_path(str(example), run_name="__main__")

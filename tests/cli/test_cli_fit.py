@@ -1,11 +1,13 @@
 """`stepgap fit`: its results for logs with known errors, its output files, and the input that it refuses."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from stepgap.cli.app import main
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep
 from stepgap.records.model_files import read_saved_model, write_model
@@ -18,9 +20,13 @@ from tests.cli.command_line import Command, refused
 FOREIGN = ("--state", "v,y", "--next", "v2,y2", "--command", "fx,fy", "--nominal", "state")
 
 
+def compare_few_kinds(patch: pytest.MonkeyPatch, *kinds: str) -> None:
+    patch.setattr("stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: kinds)
+
+
 @pytest.fixture(autouse=True)
 def _few_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stepgap.learning.residual_fit.names_without_lagged_inputs", lambda: ("none", "constant", "gp"))
+    compare_few_kinds(monkeypatch, "none", "constant", "gp")
 
 
 def write_log(path: Path, offset: float, count: int = 40, seed: int = 0) -> None:
@@ -79,11 +85,21 @@ def test_an_offset_in_a_foreign_log(stepgap: Command) -> None:
     np.testing.assert_allclose(residual.mean(np.zeros((1, 4))), [[0.5, 0]], atol=0.06)
 
 
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with log.csv, whose first coordinate changes by 0.5, and the model that `fit --save` writes for it."""
+    folder = tmp_path_factory.mktemp("fitted")
+    write_log(folder / "log.csv", 0.5)
+    with pytest.MonkeyPatch.context() as patch:
+        compare_few_kinds(patch, "none", "constant", "gp")
+        main(["fit", str(folder / "log.csv"), *FOREIGN, "--save", str(folder / "model.json")])
+    return folder
+
+
 @pytest.fixture
-def saved(stepgap: Command) -> Path:
-    """The model that `fit --save` writes for log.csv, whose first coordinate changes by 0.5."""
-    write_log(Path("log.csv"), 0.5)
-    assert stepgap("fit", "log.csv", *FOREIGN, "--save", "model.json").code == 0
+def saved(stepgap: Command, fitted: Path) -> Path:
+    """The model of `fitted`, beside its log in the folder of the test."""
+    shutil.copytree(fitted, ".", dirs_exist_ok=True)
     return Path("model.json")
 
 
@@ -221,7 +237,8 @@ def rmse_of_gp(out: str) -> str:
     return next(line.split()[1] for line in out.splitlines() if line.startswith("gp "))
 
 
-def test_what_depends_on_the_yaw_is_removed_as_in_a_run(stepgap: Command) -> None:
+def test_what_depends_on_the_yaw_is_removed_as_in_a_run(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    compare_few_kinds(monkeypatch, "none", "constant")
     write_run(Path("run"), 0.0, tilt=0.1)
     as_run = stepgap("fit", "run", "--out", "as_run.json")
     assert "disturbance yaw-dependent part removed from the errors before a fit; the rest estimated" in as_run.out

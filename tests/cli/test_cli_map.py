@@ -10,6 +10,8 @@ import pytest
 
 from stepgap.control.command_table_file import read_table
 from stepgap.experiment.cases import processes
+from stepgap.experiment.settings import Experiment
+from stepgap.experiment.table_plan import TablePlan
 from stepgap.robots.hopper import Gains
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.sampled_map import SampledApexMap
@@ -97,9 +99,20 @@ def test_a_table(stepgap: Command) -> None:
     np.testing.assert_allclose(predicted, table.predicted[works], atol=1e-9)
 
 
+@pytest.fixture
+def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A table of 625 commands has two cases, as otherwise one of 10 000."""
+    monkeypatch.setattr("stepgap.experiment.table_plan.TablePlan", small_plan)
+
+
+def small_plan(settings: Experiment, points: int, tick: float, batch: int = 300) -> TablePlan:
+    return TablePlan(settings, points, tick, batch)
+
+
+@pytest.mark.usefixtures("small_batches")
 def test_every_way_to_compute_a_table_gives_the_same_file(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     def table(name: str, *options: object) -> str:
-        result = stepgap("map", "--points", 10, "--quiet", "--table", f"{name}.npz", *options)
+        result = stepgap("map", "--points", 5, "--quiet", "--table", f"{name}.npz", *options)
         assert (result.code, result.err) == (0, "")
         return result.out
 
@@ -118,14 +131,15 @@ def test_every_way_to_compute_a_table_gives_the_same_file(stepgap: Command, monk
         assert Path(f"{name}.npz").read_bytes() == Path("here.npz").read_bytes()
 
 
+@pytest.mark.usefixtures("small_batches")
 def test_parts_of_a_table_say_how_many_are_finished(stepgap: Command, in_a_thread: None) -> None:
-    command = ("map", "--points", 10, "--table", "t.npz", "--gains.stiffness", "2400")
+    command = ("map", "--points", 5, "--table", "t.npz", "--gains.stiffness", "2400")
     result = stepgap(*command, "--shard", "1/2")
     assert (result.code, result.out) == (0, "")
     assert result.err.endswith("\nt.npz.cases: 1 of 2 cases are finished\n")
     refused(stepgap(*command, "--processes", 2), "t.npz.cases: already holds results of these cases; continue by")
     refused(
-        stepgap("map", "--points", 10, "--table", "t.npz", "--resume"),
+        stepgap("map", "--points", 5, "--table", "t.npz", "--resume"),
         "t.npz.cases/table.toml: already there, but of other cases than these; choose another",
     )
     refused(stepgap(*command, "--merge", "none"), "--merge none: contains no table.toml")

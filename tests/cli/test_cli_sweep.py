@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -79,7 +78,7 @@ def table(here: Path, one: Path, in_a_thread: None, monkeypatch: pytest.MonkeyPa
 def dask(here: Path) -> Iterator[str]:
     """Address of a dask scheduler with a worker, each a process that is reached over TCP."""
     start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
-    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard"]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard"]
     processes = []
     try:
         with Path("dask.log").open("w") as log:
@@ -93,8 +92,7 @@ def dask(here: Path) -> Iterator[str]:
         yield "dask.json"
     finally:
         for process in processes:
-            process.send_signal(signal.SIGINT)
-        for process in processes:
+            process.kill()
             process.wait()
 
 
@@ -157,9 +155,11 @@ def test_a_killed_sweep_continues_without_loss(table: bytes, stepgap: Command) -
     assert before.items() <= {path: path.stat().st_ino for path in Path("killed").glob("cases/*/*.json")}.items()
 
 
-def test_a_case_that_cannot_run_is_recorded_with_its_reason(here: Path, stepgap: Command) -> None:
+def test_a_case_that_cannot_run_is_recorded_with_its_reason(
+    here: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     Path("s.toml").write_text('base = "short.toml"\nkeep = "nothing"\n[axes]\n"gains.rest_length" = [0.9, 0.285]')
-    result = stepgap("sweep", "s.toml", "--out", "out")
+    result = stepgap("sweep", "s.toml", "--out", "out", "--processes", 1)
     assert result.code == 0
     assert "case 0 failed: case 0: gains.rest_length = 0.9, but it must" in result.err
     found = read_results(Path("out/results.csv"))
@@ -168,6 +168,7 @@ def test_a_case_that_cannot_run_is_recorded_with_its_reason(here: Path, stepgap:
     assert not Path("out/runs").exists()
     (failed,) = Path("out").glob("cases/*/00000000.json")
     before = failed.stat().st_mtime_ns
+    compute_in_a_thread(monkeypatch)
     assert stepgap("sweep", "--out", "out", "--resume").code == 0
     assert failed.stat().st_mtime_ns == before
     assert stepgap("sweep", "--out", "out", "--resume", "--retry-failed").code == 0

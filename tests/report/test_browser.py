@@ -1,12 +1,14 @@
 """The report in a headless Chromium: it makes no request, has no error, and its replay can be scrubbed."""
 
 import json
+import shutil
 from functools import partial
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
 
+from stepgap.cli.run_report import report_run
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.motion import Replay
 from tests.browser import Watched
@@ -16,9 +18,10 @@ from tests.report.runs import SCENE, make_run, motion, report_of
 from tests.view.conftest import run_folder as run_folder
 
 
-def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) -> None:
+@pytest.mark.usefixtures("drawn_page")
+def test_the_replay_scrubs_and_plays(run_folder: Path, tmp_path: Path, watched_page: Watched) -> None:
     page = watched_page.page
-    page.goto((run_folder / "report.html").resolve().as_uri())
+    page.goto(report_run(shutil.copytree(run_folder, tmp_path / "run")).path.resolve().as_uri())
     slider, canvas, moment = (page.locator(f"#replay-{name}") for name in ("slider", "canvas", "moment"))
     slider.scroll_into_view_if_needed()
     expect(moment).to_contain_text("deployment")

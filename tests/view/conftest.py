@@ -4,7 +4,7 @@ import pytest
 
 from stepgap.cli.app import main
 from tests.browser import chromium as chromium  # a fixture
-from tests.quick_runs import leave_out_files_of_figures, leave_out_repeats
+from tests.quick_runs import leave_out_drawing, leave_out_repeats
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n0.15,0.57\n"
 STEPS = 4
@@ -19,10 +19,10 @@ def run_into(folder: Path, *more: str) -> None:
 
 @pytest.fixture(scope="session")
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of two deployments of four steps on the twin."""
+    """A run of two deployments of four steps on the twin, whose report is without figures."""
     folder = tmp_path_factory.mktemp("viewed") / "run"
     with pytest.MonkeyPatch.context() as patch:
         leave_out_repeats(patch)
-        leave_out_files_of_figures(patch)
+        leave_out_drawing(patch)
         run_into(folder, "--quiet")
     return folder

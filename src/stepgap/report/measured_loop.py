@@ -106,12 +106,11 @@ def _visit_means(values: Array, used: Mask) -> Array:
 
 def _fitted(errors: Array, used: Mask) -> Array:
     """M by least squares within the visits; (…, V, T + 1, n) to (…, n, n)."""
-    before, after = (
-        np.where(used[..., None], part - _visit_means(part, used), 0.0)
-        for part in (errors[..., :-1, :], errors[..., 1:, :])
-    )
-    moment, cross = (np.einsum("...vti,...vtj->...ij", before, part) for part in (before, after))
-    return np.swapaxes(np.linalg.solve(moment, cross), -1, -2)
+    before = np.where(used[..., None], errors[..., :-1, :] - _visit_means(errors[..., :-1, :], used), 0.0)
+    # The means of what follows are not subtracted: these differences add up to zero in each visit.
+    rows, after = (part.reshape(*part.shape[:-3], -1, part.shape[-1]) for part in (before, errors[..., 1:, :]))
+    columns = np.swapaxes(rows, -1, -2)
+    return np.swapaxes(np.asarray(np.linalg.solve(columns @ rows, columns @ after), float), -1, -2)
 
 
 def _continued(errors: Array, used: Mask, matrix: Array, offsets: Array, noise: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -188,7 +189,7 @@ def glitches(count: int, longest: float) -> Change:
 def write(log: HoppingLog, folder: Path, rng: np.random.Generator) -> None:
     """Writes log.csv and plan.csv; a plan is made shortly after its section, and its number is that of the step."""
     cells = [
-        [f"{value:.9g}" if np.isfinite(value) else "" for value in column]
+        [f"{value:.9g}" if isfinite(value) else "" for value in column.tolist()]
         for column in (log.height, log.forward, log.force)
     ]
     rows = zip(log.time.tolist(), *cells, np.where(log.flight, "FLIGHT", "STANCE").tolist(), strict=True)

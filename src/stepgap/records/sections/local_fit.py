@@ -98,21 +98,35 @@ def fit_parabola(signal: Signal, centre: float, begin: float, end: float) -> Loc
         return None
     s = (part.time - centre) / width
     basis, values = np.stack([np.ones_like(s), s, s * s], axis=-1), np.asarray(part.values, float)
-    used = np.ones(len(s), bool)
+    used, solver = np.ones(len(s), bool), _solver(basis)
     for _ in range(2):
-        used = _near(basis, values, used)
-    if used.sum() < FEWEST_SAMPLES or np.linalg.matrix_rank(basis[used]) < basis.shape[1]:
+        if solver is None:
+            return None
+        near = _near(basis, values, solver @ values[used])
+        if (near == used).all():
+            break
+        used, solver = near, _solver(basis[near])
+    if solver is None or used.sum() < FEWEST_SAMPLES:
         return None
-    solver = np.asarray(np.linalg.pinv(basis[used]), float)
     coefficients = solver @ values[used]
     residuals, extent = values[used] - basis[used] @ coefficients, float(np.ptp(values[used]))
     runs = 1 + int(np.count_nonzero(np.diff(values[used])))
     return LocalFit(centre, width, coefficients, solver @ solver.T, extent, residuals, runs, 1 - float(used.mean()))
 
 
-def _near(basis: Array, values: Array, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The samples near the parabola of those that are used: within `OUTLYING` robust standard deviations."""
-    residuals = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0])
+def _solver(basis: Array) -> Array | None:
+    """The matrix that gives the coefficients of least squares; None if they are not unique."""
+    if len(basis) < basis.shape[1]:
+        return None
+    left, sizes, right = np.linalg.svd(basis, full_matrices=False)
+    if sizes[-1] <= sizes[0] * len(basis) * np.finfo(float).eps:
+        return None
+    return np.asarray(right.T @ (left.T / sizes[:, np.newaxis]), float)
+
+
+def _near(basis: Array, values: Array, coefficients: Array) -> NDArray[np.bool_]:
+    """The samples near a parabola: within `OUTLYING` robust standard deviations."""
+    residuals = np.abs(values - basis @ coefficients)
     return residuals <= OUTLYING * 1.4826 * np.median(residuals) + 1e-12 * np.ptp(values)
 
 
