@@ -17,6 +17,8 @@ from tests.browser import watched_page as watched_page
 from tests.report.runs import SCENE, make_run, motion, report_of
 from tests.view.conftest import run_folder as run_folder
 
+pytestmark = pytest.mark.usefixtures("chromium")  # skips without it before anything is made for the browser
+
 
 @pytest.mark.usefixtures("drawn_page")
 def test_the_replay_scrubs_and_plays(run_folder: Path, tmp_path: Path, watched_page: Watched) -> None:

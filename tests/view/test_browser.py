@@ -13,7 +13,8 @@ from stepgap.view.page import Page
 from stepgap.view.source import Source
 from stepgap.view.watch import HERE, start_server, watch
 from tests.browser import Watched
-from tests.browser import watched_page as watched_page  # a fixture
+from tests.browser import chromium as chromium  # fixtures
+from tests.browser import watched_page as watched_page
 from tests.view.conftest import STEPS
 
 SMALL: ViewportSize = {"width": 800, "height": 500}
@@ -22,6 +23,9 @@ SMALL: ViewportSize = {"width": 800, "height": 500}
 
 ROBOT: FloatRect = {"x": 100, "y": 190, "width": 250, "height": 110}
 """Part of the small window that shows only the scene, with the leg in the middle."""
+
+
+pytestmark = pytest.mark.usefixtures("chromium")  # skips without it before anything is made for the browser
 
 
 @pytest.fixture
