@@ -12,20 +12,18 @@ import numpy as np
 
 from stepgap.base.compiled import as_written
 from stepgap.plants.tick_control import Mode
-from stepgap.robots.hopper.encoder_track import STILL_COUNTS, EncoderTrack, with_angle
+from stepgap.robots.hopper.encoder_track import NO_JUMP, STILL_COUNTS, EncoderTrack, may_rest, with_angle
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
 
 _TURN = 2.0 * np.pi
 
-IMPACT = 4.0
-"""Factor on the smallest detected jump just after touchdown, where the speed of the links changes at once (0.0086 rad).
+SHARED = 10.0
+"""Largest jump of a motor that the opposite jump of the other explains, as a multiple of the smallest detected jump.
 
-Elsewhere no jump was larger than 0.0017 rad.
+Impacts and vibrations fold the leg, so both links move by the same angle in opposite directions: on 45 twins, up to
+0.035 rad from tick to tick at touchdown, but never more than 0.0008 rad apart. An encoder that fails jumps alone.
 """
-
-IMPACT_TIME = 0.006
-"""Time for which `IMPACT` applies [s]; also that in which the leg takes up the load."""
 
 CHANGE = 10.0
 """Change of the movement in a tick, as a multiple of the smallest detected jump, which no torque or impact causes.
@@ -74,7 +72,6 @@ class SensorWatch(NamedTuple):
     Attributes:
         motor_1, motor_2, yaw, pitch: Last readings of the encoders.
         contact: Whether the contact force was above its threshold.
-        impact: Time at which the foot last came to the ground [s].
         yaw_there: Yaw at touchdown [rad]; NaN after it has moved in this stance, and in flight.
         foot_there: Forward distance of the foot from the hip at touchdown [m].
         low: Time for which the foot has been at the ground without contact force [s].
@@ -85,7 +82,6 @@ class SensorWatch(NamedTuple):
     yaw: EncoderTrack = EncoderTrack()
     pitch: EncoderTrack = EncoderTrack()
     contact: int = 0
-    impact: float = -1.0
     yaw_there: float = np.nan
     foot_there: float = 0.0
     low: float = 0.0
@@ -104,18 +100,17 @@ def judge_sensors(settings, state, sampled, phase, motion, body, inputs):
         body: `Body` of this tick.
         inputs: `TickInputs`.
     """
-    watch, contact = state.sensors, int(inputs.contact_force > settings.sensor_model.touchdown_force)
-    impact = sampled if contact and not watch.contact else watch.impact
-    motor_1, motor_2, yaw, pitch, doubts = _judge_encoders(settings, state, sampled, impact, phase, body, inputs)
-    yaw_there, foot_there, slid = _judge_stance(settings, state, phase, body)
+    contact = int(inputs.contact_force > settings.sensor_model.touchdown_force)
+    motor_1, motor_2, yaw, pitch, doubts = _judge_encoders(settings, state, sampled, contact, phase, body, inputs)
+    yaw_there, foot_there, slid = _judge_stance(settings, state, contact, phase, body)
     low, misplaced = _judge_foot(settings.limits, state, sampled, contact, phase, motion.hip_height + body.foot_y)
     if inputs.mode == Mode.STEP:
         doubts |= slid | misplaced
-    return SensorWatch(motor_1, motor_2, yaw, pitch, contact, impact, yaw_there, foot_there, low), doubts
+    return SensorWatch(motor_1, motor_2, yaw, pitch, contact, yaw_there, foot_there, low), doubts
 
 
 @as_written
-def _judge_encoders(settings, state, sampled, impact, phase, body, inputs):
+def _judge_encoders(settings, state, sampled, contact, phase, body, inputs):
     """Tracks of the four encoders, and the reasons to doubt one of them."""
     watch, model, limits = state.sensors, settings.sensor_model, settings.limits
     tick, motor = model.tick, _TURN / model.motor_counts
@@ -128,37 +123,46 @@ def _judge_encoders(settings, state, sampled, impact, phase, body, inputs):
     motor_2, jump_2 = with_angle(watch.motor_2, tick, motor, sampled, motor * inputs.motor_2, inputs.applied_2, moves_2)
     yaw, jump_3 = with_angle(watch.yaw, tick, yaw_count, sampled, body.yaw, 0.0, False)
     pitch, jump_4 = with_angle(watch.pitch, tick, pitch_count, sampled, pitch_count * inputs.boom_vertical, 0.0, flies)
-    hit = IMPACT if sampled - impact < IMPACT_TIME else 1.0
-    doubts = _doubts(limits, motor_1, jump_1, hit, tick, motor, limits.frozen_time)
-    doubts |= _doubts(limits, motor_2, jump_2, hit, tick, motor, limits.frozen_time) << 1
-    doubts |= _doubts(limits, yaw, jump_3, 1.0, tick, yaw_count, limits.frozen_time) << 2
-    doubts |= _doubts(limits, pitch, jump_4, 1.0, tick, pitch_count, PITCH_STILL * limits.frozen_time) << 3
+    if contact:
+        pitch = may_rest(pitch)
+    doubts = _doubts(limits, motor_1, jump_1, jump_2, tick, motor, limits.frozen_time)
+    doubts |= _doubts(limits, motor_2, jump_2, jump_1, tick, motor, limits.frozen_time) << 1
+    doubts |= _doubts(limits, yaw, jump_3, NO_JUMP, tick, yaw_count, limits.frozen_time) << 2
+    doubts |= _doubts(limits, pitch, jump_4, NO_JUMP, tick, pitch_count, PITCH_STILL * limits.frozen_time) << 3
     return motor_1, motor_2, yaw, pitch, doubts
 
 
 @as_written
-def _doubts(limits, track, jump, hit, tick, count, longest_still):
-    """Reasons to doubt an encoder, as those of motor 1."""
+def _doubts(limits, track, jump, other, tick, count, longest_still):
+    """Reasons to doubt an encoder, as those of motor 1; `other` is the `Jump` of the other motor."""
     least, doubts = max(limits.jump_angle, JUMP_COUNTS * count), 0
     if track.still > longest_still:
         doubts |= _FROZEN
+    size, change = _alone(jump.size, other.size, SHARED * least), _alone(jump.change, other.change, SHARED * least)
     jitter = limits.sample_jitter
     explained = JITTER_SHARE * jitter * jump.speed + tick * tick / LIGHT_LINK * jump.restless
-    if jump.size > hit * least + explained or jump.change > CHANGE * least + JITTER_CHANGE * jitter * jump.pace:
+    if size > least + explained or change > CHANGE * least + JITTER_CHANGE * jitter * jump.pace:
         doubts |= _JUMPED
     return doubts
 
 
 @as_written
-def _judge_stance(settings, state, phase, body):
+def _alone(jump, other, most):
+    """Part of a jump that no opposite jump of the other motor explains [rad]."""
+    return abs(jump) - (min(most, abs(other)) if jump * other < 0.0 else 0.0)
+
+
+@as_written
+def _judge_stance(settings, state, contact, phase, body):
     """Yaw and forward distance of the foot at touchdown, and the reason to doubt a yaw that does not move with the hip.
 
-    A foot that slips under a hip at rest would need a leg that pushes the ground but not the body.
+    A foot that slips under a hip at rest would need a leg that pushes the ground but not the body. A foot that bounces
+    moves freely, so each contact is judged on its own.
     """
     yaw_there, foot_there = state.sensors.yaw_there, state.sensors.foot_there
-    if not _is_stance(phase):
+    if not (contact and _is_stance(phase)):
         return np.nan, foot_there, 0
-    if not _is_stance(state.phase):
+    if not (state.sensors.contact and _is_stance(state.phase)):
         return body.yaw, body.foot_x, 0
     if abs(body.yaw - yaw_there) > STILL_COUNTS * _TURN / settings.sensor_model.boom_counts_horizontal:
         return np.nan, foot_there, 0
@@ -172,7 +176,8 @@ def _judge_foot(limits, state, sampled, contact, phase, height):
 
     Takes the height of the foot [m], which follows from the leg and the pitch of the boom.
     """
-    without = not contact and _in_flight(state, phase) and height < limits.ground_height
+    falls = state.flight.start > 0.0 and phase == Phase.DESCENT
+    without = not contact and falls and height < limits.ground_height
     low, doubts = state.sensors.low + (sampled - state.sampled) if without else 0.0, 0
     if low > NO_CONTACT * limits.frozen_time:
         doubts |= _GROUND_WITHOUT_CONTACT
