@@ -13,6 +13,7 @@ import numpy as np
 from stepgap.base.compiled import as_written
 from stepgap.plants.tick_control import Mode
 from stepgap.robots.hopper.encoder_track import NO_JUMP, STILL_COUNTS, EncoderTrack, may_rest, with_angle
+from stepgap.robots.hopper.estimator import vertical_acceleration
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
 
@@ -44,8 +45,8 @@ LIGHT_LINK = 8e-4
 With lost frames, links of some twins vibrate by more than 0.004 rad from tick to tick.
 """
 
-JUMP_COUNTS = 4.0
-"""Least jump that is detected [counts]; rounding alone causes 2. Noise is detected as jumps, too."""
+JUMP_COUNTS, ROUNDING = 4.0, 2.0
+"""Least jump that is detected, and that which rounding alone causes [counts]. Noise is detected as jumps, too."""
 
 MOVING_TORQUE = 0.5
 """Torque that moves a link [N·m]: more than friction and gravity, less than 2 % of the largest."""
@@ -55,6 +56,9 @@ PITCH_STILL = 7.0
 
 NO_CONTACT = 6.0
 """Time for which a foot at the ground may have no contact force, as a multiple of `frozen_time` (43 ms)."""
+
+FREE_FALL = -2.0
+"""Acceleration of the hip below which the robot flies, however low [m/s²]; the boom halves the gravity."""
 
 SWEEP = 0.012
 """Travel of the hip over a resting foot in which the yaw must move [m]; a foot that slips moves the hip, too (5 mm)."""
@@ -134,22 +138,34 @@ def _judge_encoders(settings, state, sampled, contact, phase, body, inputs):
 
 @as_written
 def _doubts(limits, track, jump, other, tick, count, longest_still):
-    """Reasons to doubt an encoder, as those of motor 1; `other` is the `Jump` of the other motor."""
-    least, doubts = max(limits.jump_angle, JUMP_COUNTS * count), 0
-    if track.still > longest_still:
-        doubts |= _FROZEN
-    size, change = _alone(jump.size, other.size, SHARED * least), _alone(jump.change, other.change, SHARED * least)
-    jitter = limits.sample_jitter
-    explained = JITTER_SHARE * jitter * jump.speed + tick * tick / LIGHT_LINK * jump.restless
-    if size > least + explained or change > CHANGE * least + JITTER_CHANGE * jitter * jump.pace:
-        doubts |= _JUMPED
-    return doubts
+    """Reasons to doubt an encoder, as those of motor 1; the other arguments are as for `jump_ratio`."""
+    doubts = _FROZEN if track.still > longest_still else 0
+    return doubts | _JUMPED if jump_ratio(limits, jump, other, tick, count) > 1.0 else doubts
 
 
 @as_written
-def _alone(jump, other, most):
+def jump_ratio(limits, jump, other, tick, count):
+    """Jump of an encoder as a multiple of the largest one for which it is not doubted.
+
+    Args:
+        limits: `SafetyLimits`.
+        jump: `Jump` of the encoder.
+        other: `Jump` of the other motor; `NO_JUMP` for an encoder of the boom.
+        tick: Time of a tick [s].
+        count: Angle of a count [rad].
+    """
+    least, jitter = max(limits.jump_angle, JUMP_COUNTS * count), limits.sample_jitter
+    shared, rounding = SHARED * least, ROUNDING * count
+    size = _alone(jump.size, other.size, shared, rounding)
+    change = _alone(jump.change, other.change, shared, rounding)
+    most = least + JITTER_SHARE * jitter * jump.speed + tick * tick / LIGHT_LINK * jump.restless
+    return max(size / most, change / (CHANGE * least + JITTER_CHANGE * jitter * jump.pace))
+
+
+@as_written
+def _alone(jump, other, most, rounding):
     """Part of a jump that no opposite jump of the other motor explains [rad]."""
-    return abs(jump) - (min(most, abs(other)) if jump * other < 0.0 else 0.0)
+    return abs(jump) - (min(most, max(0.0, abs(other) - rounding)) if jump * other < 0.0 else 0.0)
 
 
 @as_written
@@ -176,16 +192,21 @@ def _judge_foot(limits, state, sampled, contact, phase, height):
 
     Takes the height of the foot [m], which follows from the leg and the pitch of the boom.
     """
-    falls = state.flight.start > 0.0 and phase == Phase.DESCENT
-    without = not contact and falls and height < limits.ground_height
+    without = not contact and _in_flight(state, phase) and height < limits.ground_height
     low, doubts = state.sensors.low + (sampled - state.sampled) if without else 0.0, 0
-    if low > NO_CONTACT * limits.frozen_time:
+    if low > NO_CONTACT * limits.frozen_time and not _rises(state, phase):
         doubts |= _GROUND_WITHOUT_CONTACT
     if height > limits.ground_height and contact:
         doubts |= _CONTACT_IN_AIR
     if height < -limits.ground_height:
         doubts |= _FOOT_BELOW_GROUND
     return low, doubts
+
+
+@as_written
+def _rises(state, phase):
+    """Whether the robot rises without a push from the ground, which a low hop does as well as a high one."""
+    return phase == Phase.ASCENT and vertical_acceleration(state.flight.fit) < FREE_FALL
 
 
 @as_written
