@@ -22,8 +22,8 @@ _TURN = 2.0 * np.pi
 SHARED = 10.0
 """Largest jump of a motor that the opposite jump of the other explains, as a multiple of the smallest detected jump.
 
-Impacts and vibrations fold the leg, so both links move by the same angle in opposite directions: on 45 twins, up to
-0.035 rad from tick to tick at touchdown, but never more than 0.0008 rad apart. An encoder that fails jumps alone.
+Impacts and vibrations fold the leg, so both links move by the same angle in opposite directions: on 45 twins below
+80 rad/s, up to 0.035 rad per tick, but at most 0.0008 rad more than the other. An encoder that fails jumps alone.
 """
 
 CHANGE = 10.0
