@@ -46,7 +46,7 @@ from stepgap.robots.hopper.twin.twin import Twin
 ROBOT, GAINS, TICK = RobotParameters(), Gains(), 1e-3
 START_COMMAND, LEAST_COMMAND, MOST_COMMAND = (-4.0, -3.0), (-10.0, -9.0), (2.0, 3.0)
 """Command of the first hop, and the range of the others [N]."""
-OTHER_LIMITS = "lean_angle fold_angle longest_leg highest_hip continuous_torque mean_power".split()
+OTHER_LIMITS = ["lean_angle", "fold_angle", "longest_leg", "highest_hip", "continuous_torque", "mean_power"]
 """Largest values that are not limited if only torques, joint speed and sensors are judged."""
 DEPLOYMENTS = 12
 """Most deployments of a twin."""
@@ -68,7 +68,7 @@ def example_limits() -> SafetyLimits:
     return replace(limits, sample_jitter=0.1, first_share=1.0, lost_frames=5, stale_ticks=5, late_ticks=5)
 
 
-def unchanged(number: int, reading: HopperReading) -> HopperReading:  # noqa: ARG001
+def unchanged(number: int, reading: HopperReading) -> HopperReading:
     """The reading without a fault."""
     return reading
 
@@ -166,16 +166,17 @@ def deploy(row: Row, twin: Twin, limits: SafetyLimits, rng: np.random.Generator,
         row.lost, row.late = row.lost + health.frame_lost, row.late + health.late
         fastest = max(fastest, float(tick[JOINT_SPEED]))
         row.hops += int(flags & TickFlag.STEP_ENDED != 0)
-        if flags & (TickFlag.STOPPED | TickFlag.FAILED):
+        ended = flags & (TickFlag.STOPPED | TickFlag.FAILED) != 0
+        if ended:
             reason = control.stopped.split(" (")[0] or control.status.label
             row.stops[reason] += 1
             row.speeds[reason] = max(row.speeds.get(reason, 0.0), fastest)
             row.alarms += Limited(int(memory["watch"]["stopped"][0])) & DOUBTS != 0
-        if row.hops == hops:
+        if ended or row.hops == hops:
+            row.jump = max(row.jump, float(largest_jump(control.memory[0], np.array(ticks))))
             break
     row.ticks += len(ticks)
     row.joint_speed = max(row.joint_speed, fastest)
-    row.jump = max(row.jump, float(largest_jump(control.memory[0], np.array(ticks))))
 
 
 def measure(trouble: Trouble, limits: SafetyLimits, hops: int, physics_step: float, seed: int) -> Row:

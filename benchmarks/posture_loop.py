@@ -67,7 +67,9 @@ def main() -> None:
     for seed in range(first, last + 1):
         gap, gains = random_gap(np.random.default_rng(seed)), Gains()
         half = growth(gap, replace(gains, damping_gain=gains.damping_gain / 2))
-        print(f"{seed:4d} {1e3 * (gap.delay + gap.torque_lag):18.2f} {growth(gap, gains):17.4f} {half:28.4f}", flush=True)
+        print(
+            f"{seed:4d} {1e3 * (gap.delay + gap.torque_lag):18.2f} {growth(gap, gains):17.4f} {half:28.4f}", flush=True
+        )
 
 
 if __name__ == "__main__":
