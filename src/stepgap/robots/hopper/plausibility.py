@@ -19,7 +19,7 @@ from stepgap.robots.hopper.safety import Limited
 
 _TURN = 2.0 * np.pi
 
-SHARED = 10.0
+MOST_SHARED = 10.0
 """Largest jump of a motor that the opposite jump of the other explains, as a multiple of the smallest detected jump.
 
 Impacts and vibrations fold the leg, so both links move by the same angle in opposite directions: on 45 twins below
@@ -155,7 +155,7 @@ def jump_ratio(limits, jump, other, tick, count):
         count: Angle of a count [rad].
     """
     least, jitter = max(limits.jump_angle, JUMP_COUNTS * count), limits.sample_jitter
-    shared, rounding = SHARED * least, ROUNDING * count
+    shared, rounding = MOST_SHARED * least, ROUNDING * count
     size = _alone(jump.size, other.size, shared, rounding)
     change = _alone(jump.change, other.change, shared, rounding)
     most = least + JITTER_SHARE * jitter * jump.speed + tick * tick / LIGHT_LINK * jump.restless
