@@ -12,6 +12,7 @@ from stepgap.robots.hopper.estimator import (
     apex_passed,
     fitted_apex,
     mean_speed,
+    vertical_acceleration,
     with_reading,
     with_sample,
 )
@@ -93,6 +94,13 @@ def test_a_flight_of_two_late_samples_has_no_speed_yet():
         fit = with_sample(fit, time, 0.2 * time, 0.3)
         assert math.isnan(mean_speed(fit))
         assert np.isnan(fitted_apex(fit, COUNT_X)).all()
+
+
+@pytest.mark.parametrize("gravity", [5.2, 9.81])
+def test_the_acceleration_of_a_flight_is_that_of_its_fall(gravity):
+    fit, _ = fly(0.3, 0.6, 0.4, gravity=gravity)
+    assert vertical_acceleration(fit) == pytest.approx(-gravity, rel=1e-6)
+    assert math.isnan(vertical_acceleration(with_sample(FlightFit(), 0.0, 0.0, 0.4)))
 
 
 def test_heights_without_a_maximum_have_no_apex():

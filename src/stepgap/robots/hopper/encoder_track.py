@@ -5,6 +5,7 @@ is its movement minus the mean of the movements in the intervals before and afte
 change of speed, as by an impact, enters it with at most half its size.
 """
 
+from math import copysign
 from typing import NamedTuple
 
 from stepgap.base.compiled import as_written
@@ -52,9 +53,9 @@ class Jump(NamedTuple):
     """What the latest reading says about jumps, in angles per tick; zero until there are enough readings.
 
     Attributes:
-        size: Jump in the interval before the latest [rad].
+        size: Jump in the interval before the latest, positive in the direction of counting [rad].
         change: Change of the movement per tick in the latest interval, beyond that of an impact, which stops the link;
-            it shows a large jump at once [rad].
+            it shows a large jump at once; positive in the direction of counting [rad].
         speed: Largest movement per tick of the intervals beside that of `size`, and half of that in it, since a reading
             may be a tick late [rad].
         pace: Larger movement per tick of the two intervals before that of `change` [rad].
@@ -66,6 +67,9 @@ class Jump(NamedTuple):
     speed: float
     pace: float
     restless: float
+
+
+NO_JUMP = Jump(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @as_written
@@ -84,21 +88,22 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
         should_move: Whether something moves the link, so that standing still is counted.
     """
     if track.readings > 0 and time <= track.time:
-        return track, Jump(0.0, 0.0, 0.0, 0.0, 0.0)
+        return track, NO_JUMP
     if track.readings == 0:
         first = EncoderTrack(1, time, angle, 0.0, 0.0, 0.0, 0.0, torque, 0.0, 0.0, angle, 0.0)
-        return first, Jump(0.0, 0.0, 0.0, 0.0, 0.0)
+        return first, NO_JUMP
     took, moved = time - track.time, angle - track.angle
     size = change = speed = pace = 0.0
     longest = max(took, max(track.took, track.took_before)) / tick
     scale = 1.0 / max(1.0, longest * longest)
     if track.readings >= 2:
         before = track.moved / track.took
-        change = scale * tick * (abs(moved / took - before) - abs(before))
+        bend = moved / took - before
+        change = scale * tick * copysign(max(0.0, abs(bend) - abs(before)), bend)
         pace = tick * abs(before)
     if track.readings >= 3:
         before, latest = track.moved_before / track.took_before, moved / took
-        size = scale * abs(track.moved - 0.5 * (before + latest) * track.took)
+        size = scale * (track.moved - 0.5 * (before + latest) * track.took)
         speed = tick * max(abs(before), max(abs(latest), 0.5 * abs(track.moved / track.took)))
         pace = max(pace, tick * abs(before))
     restless = max(RESTLESS_KEPT * track.restless, abs(torque - track.torque))
@@ -112,3 +117,12 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
         track.restless, anchor, still,
     )  # fmt: skip
     return after, Jump(size, change, speed, pace, track.restless_before)
+
+
+@as_written
+def may_rest(track):
+    """`EncoderTrack` of a link that may stand still, so that the time of standing still begins anew."""
+    return EncoderTrack(
+        track.readings, track.time, track.angle, track.took, track.moved, track.took_before, track.moved_before,
+        track.torque, track.restless, track.restless_before, track.anchor, 0.0,
+    )  # fmt: skip

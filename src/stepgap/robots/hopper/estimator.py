@@ -145,12 +145,7 @@ def fitted_apex(fit, count):
     if np.isnan(mean_speed(fit)):
         return np.nan, np.nan
     n = fit.samples
-    m = fit.u / n
-    w2 = fit.u2 - m * fit.u
-    w3 = fit.u3 - m * (3.0 * fit.u2 - 2.0 * m * fit.u)
-    w4 = fit.u4 - m * (4.0 * fit.u3 - m * (6.0 * fit.u2 - 3.0 * m * fit.u))
-    skew, level = w3 / w2, w2 / n
-    q2 = w4 - skew * w3 - w2 * level
+    m, w2, skew, level, q2 = _polynomials(fit)
     wv, qv = _projections(m, skew, level, fit.v, fit.uv, fit.u2v)
     curvature = qv / q2
     if not curvature < 0.0:
@@ -163,6 +158,29 @@ def fitted_apex(fit, count):
     rounding = count * count / (count + abs(mean) * fit.latest)  # count / (1 + M)
     curvature_x = qx / (q2 + n * rounding * rounding / (3.0 * ACCELERATION * ACCELERATION))
     return mean + curvature_x * (2.0 * apex - skew), height
+
+
+@as_written
+def vertical_acceleration(fit):
+    """Upward acceleration of the free body in the flight so far [m/s²], from the parabola fitted to y.
+
+    NaN where `mean_speed` is.
+    """
+    if np.isnan(mean_speed(fit)):
+        return np.nan
+    m, _, skew, level, q2 = _polynomials(fit)
+    return 2.0 * _projections(m, skew, level, fit.v, fit.uv, fit.u2v)[1] / q2
+
+
+@as_written
+def _polynomials(fit):
+    """mean(u), Σ w², skew, level and Σ q², as in `fitted_apex`."""
+    m = fit.u / fit.samples
+    w2 = fit.u2 - m * fit.u
+    w3 = fit.u3 - m * (3.0 * fit.u2 - 2.0 * m * fit.u)
+    w4 = fit.u4 - m * (4.0 * fit.u3 - m * (6.0 * fit.u2 - 3.0 * m * fit.u))
+    skew, level = w3 / w2, w2 / fit.samples
+    return m, w2, skew, level, w4 - skew * w3 - w2 * level
 
 
 @as_written
