@@ -28,7 +28,8 @@ PDI_WATCHDOG_TIME = 0x0410
 EEPROM_CONFIGURATION, EEPROM_CONTROL, EEPROM_ADDRESS, EEPROM_DATA = 0x0500, 0x0502, 0x0504, 0x0508
 """Slave information interface (§6.4): write address and command, read the data."""
 
-EEPROM_READ, EEPROM_COMMANDS, EEPROM_ERRORS, EEPROM_READS_8_BYTES = 0x0100, 0x0700, 0x7800, 0x0040
+EEPROM_READ, EEPROM_COMMANDS, EEPROM_COMMAND_ERROR, EEPROM_READS_8_BYTES = 0x0100, 0x0700, 0x2000, 0x0040
+"""The command that reads, all commands; bits of the state: the command was refused, a read gives 8 bytes."""
 
 FMMU, FMMU_SIZE, FMMU_SLOTS = 0x0600, 16, 4
 """Fieldbus memory management units (§6.6): logical address → memory."""
