@@ -222,6 +222,14 @@ def test_states_go_up_one_at_a_time():
     assert bench.request(0, 7) == (0x12, StatusCode.UNKNOWN_STATE)
 
 
+def test_there_is_no_bootstrap():
+    bench = Bench()
+    bench.pre_operational()
+    assert bench.request(0, 3) == (0x12, 0x11)
+    assert bench.request(0, 1) == (1, 0)
+    assert bench.request(0, 3) == (0x11, 0x13)
+
+
 def test_an_error_is_acknowledged_by_a_request_of_init():
     bench = Bench()
     bench.pre_operational()

@@ -79,6 +79,9 @@ class AlState(IntEnum):
     OP = 8
 
 
+BOOTSTRAP = 3
+"""State in which firmware is loaded; none of the slaves has it."""
+
 ERROR_FLAG = ACKNOWLEDGE = 0x10
 """Bit of AL_STATUS: the last change was refused or a state was lost; bit of AL_CONTROL: the master acknowledges it."""
 
@@ -89,6 +92,7 @@ class StatusCode(IntEnum):
     NONE = 0x0000
     INVALID_CHANGE = 0x0011
     UNKNOWN_STATE = 0x0012
+    NO_BOOTSTRAP = 0x0013
     INVALID_MAILBOX = 0x0016
     SYNCHRONISATION = 0x001A
     WATCHDOG = 0x001B

@@ -348,7 +348,9 @@ class EmulatedSlave:
         acknowledged = control & reg.ACKNOWLEDGE or wanted == AlState.INIT
         if self.memory[reg.AL_STATUS] & reg.ERROR_FLAG and not acknowledged:
             return
-        if wanted not in tuple(AlState):
+        if wanted == reg.BOOTSTRAP:
+            self._set_state(present, StatusCode.NO_BOOTSTRAP if present is AlState.INIT else StatusCode.INVALID_CHANGE)
+        elif wanted not in tuple(AlState):
             self._set_state(present, StatusCode.UNKNOWN_STATE)
         elif wanted > 2 * present:
             self._set_state(present, StatusCode.INVALID_CHANGE)
