@@ -8,7 +8,7 @@ MAILBOX_ERROR, COE = 0, 3
 """Mailbox types (ETG.1000.4, mailbox header)."""
 
 EMERGENCY, SDO_REQUEST, SDO_RESPONSE, PDO_REQUEST, SDO_INFORMATION = 1, 2, 3, 7, 8
-"""CoE services (ETG.1000.6, CoE header), the last but one a remote request. An abort is a request, also from a slave."""
+"""CoE services (ETG.1000.6, CoE header). An abort is a request, also from a slave."""
 
 UPLOAD, DOWNLOAD, DOWNLOADED, ABORT = 0x40, 0x20, 0x60, 0x80
 COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
@@ -18,8 +18,8 @@ INFORMATION_ERROR = 7
 """Operation code of the answer that refuses a request for information on objects (ETG.1000.6, SDO information)."""
 
 UNSUPPORTED_PROTOCOL, UNSUPPORTED_SERVICE, INVALID_HEADER, TOO_SHORT = 0x0002, 0x0004, 0x0005, 0x0006
-"""Details of a mailbox error (ETG.1000.4, mailbox error codes): the type is not supported, its service is not, the header
-cannot be right, the message is shorter than its service."""
+"""Details of a mailbox error (ETG.1000.4, mailbox error codes): type or service not supported, wrong header, too short for
+its service."""
 
 _HEADER = Struct("<HHBB")
 _SDO = Struct("<HBHB")

@@ -70,7 +70,7 @@ def build_image(identity: Identity, areas: tuple[Area, ...]) -> bytes:
     """
     fixed = bytearray(FIRST_CATEGORY)
     fixed[0] = SPI if areas else 0
-    fixed[CHECKED] = checksum(fixed[:CHECKED])
+    fixed[CHECKED] = checksum(bytes(fixed[:CHECKED]))
     fixed[0x10:0x20] = pack("<IIII", identity.vendor, identity.product, identity.revision, identity.serial)
     if areas:
         incoming, outgoing = areas[:2]
