@@ -119,8 +119,8 @@ def encode(frame: Frame, received: bytes = b"") -> bytes:
 
     Args:
         frame: The frame.
-        received: What the frame was decoded from, if it is passed on: its length and all bytes outside the datagrams are
-            kept, as slave controllers do.
+        received: What the frame was decoded from, if it is passed on: its length, and all bytes that belong to no
+            datagram, remain, as with slave controllers.
     """
     parts = []
     for remaining, datagram in zip(range(len(frame.datagrams) - 1, -1, -1), frame.datagrams, strict=True):

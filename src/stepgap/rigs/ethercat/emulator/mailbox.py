@@ -18,8 +18,7 @@ INFORMATION_ERROR = 7
 """Operation code of the answer that refuses a request for information on objects (ETG.1000.6, SDO information)."""
 
 UNSUPPORTED_PROTOCOL, UNSUPPORTED_SERVICE, INVALID_HEADER, TOO_SHORT = 0x0002, 0x0004, 0x0005, 0x0006
-"""Details of a mailbox error (ETG.1000.4, mailbox error codes): type or service not supported, wrong header, too short for
-its service."""
+"""Details of a mailbox error: type or service not supported, wrong header, too short for its service (ETG.1000.4)."""
 
 _HEADER = Struct("<HHBB")
 _SDO = Struct("<HBHB")
