@@ -19,7 +19,16 @@ from stepgap.rigs.ethercat.emulator.faults import (
     Unplugged,
     WrongMapping,
 )
-from stepgap.rigs.ethercat.emulator.frame import BROADCAST, ETHERTYPE, Command, Datagram, Frame, decode, encode
+from stepgap.rigs.ethercat.emulator.frame import (
+    BROADCAST,
+    ETHERTYPE,
+    SHORTEST_FRAME,
+    Command,
+    Datagram,
+    Frame,
+    decode,
+    encode,
+)
 from stepgap.rigs.ethercat.emulator.registers import AlState, StatusCode
 from tests.rigs.ethercat.emulator.bench import (
     ANALOG,
@@ -486,9 +495,11 @@ ANYTHING = st.builds(a_datagram, COMMANDS, st.integers(0, 255), ADDRESSES, OFFSE
 
 
 @given(st.binary(max_size=200))
-def test_arbitrary_bytes_never_crash_the_ring(body):
-    BENCH.ring.pass_frame(body)
-    BENCH.ring.pass_frame(BROADCAST * 2 + ETHERTYPE.to_bytes(2, "big") + body)
+def test_arbitrary_bytes_never_crash_the_ring_nor_come_back_malformed(body):
+    for raw in (body, BROADCAST * 2 + ETHERTYPE.to_bytes(2, "big") + body):
+        for answer in BENCH.ring.pass_frame(raw):
+            assert len(answer) == max(len(raw), SHORTEST_FRAME)
+            assert len(decode(answer).datagrams) == len(decode(raw).datagrams)
 
 
 @given(st.lists(st.lists(ANYTHING, min_size=1, max_size=4), max_size=12))
