@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from pathlib import Path
 from select import select
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from stepgap.robots.hopper.sensors import HopperReading
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin_machine import TwinMachine, hopper_devices
+from tests.rigs.ethercat.recording import recording
 
 INTERFACE = f"sg{os.getpid()}"  # tests may run side by side
 
@@ -114,12 +116,17 @@ class LiveRing:
 
 
 @contextmanager
-def live_ring(*faults: Fault, make_machine: Callable[[], RecordingMachine] = Recorder) -> Iterator[LiveRing]:
-    """A ring in lock-step; skips the test where raw sockets are not allowed."""
+def live_ring(
+    *faults: Fault, make_machine: Callable[[], RecordingMachine] = Recorder, frames: Path | None = None
+) -> Iterator[LiveRing]:
+    """A ring in lock-step; skips the test where raw sockets are not allowed.
+
+    With `frames`, all frames that came and went are in that file after the block (pcap).
+    """
     context = get_context("forkserver")
     context.set_forkserver_preload([__name__])
     here, there = context.Pipe()
-    process = context.Process(target=_serve, args=(INTERFACE, there, faults, make_machine), daemon=True)
+    process = context.Process(target=_serve, args=(INTERFACE, there, faults, make_machine, frames), daemon=True)
     process.start()
     there.close()
     with here:
@@ -135,14 +142,18 @@ def live_ring(*faults: Fault, make_machine: Callable[[], RecordingMachine] = Rec
 
 
 def _serve(
-    interface: str, pipe: Connection, faults: tuple[Fault, ...], make_machine: Callable[[], RecordingMachine]
+    interface: str,
+    pipe: Connection,
+    faults: tuple[Fault, ...],
+    make_machine: Callable[[], RecordingMachine],
+    frames: Path | None,
 ) -> None:
     with suppress(PermissionError):  # pysoem waits 2 ms for some answers, less than a busy machine may take
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     machine = make_machine()
     ring = Ring(machine, RingSettings(inputs_after_tick=True, faults=faults))
     try:
-        with wire(interface) as raw:
+        with wire(interface) as raw, recording(frames) as record:
             pipe.send("")
             while True:
                 ready = select([raw, pipe], [], [])[0]
@@ -153,7 +164,10 @@ def _serve(
                     enabled, now = [drive.is_enabled for drive in drives], [drive.torque for drive in drives]
                     pipe.send(Behind(ring.cycles, machine.torques, enabled, now))
                 elif raw in ready:
-                    for answer in ring.pass_frame(raw.recv(LONGEST_FRAME)):
+                    frame = raw.recv(LONGEST_FRAME)
+                    record(frame)
+                    for answer in ring.pass_frame(frame):
+                        record(answer)
                         raw.send(answer)
     except NoNetwork as refused:
         pipe.send(str(refused))

@@ -49,6 +49,14 @@ def test_a_truncated_frame_is_refused(frame, data):
         decode(raw[: data.draw(st.integers(0, length - 1))])
 
 
+@given(FRAMES, st.binary(max_size=40), st.integers(0, 40))
+def test_what_is_not_of_the_datagrams_is_passed_on(frame, padding, claimed):
+    raw = encode(frame) + padding
+    longer = min(int.from_bytes(raw[14:16], "little") + claimed, 0x1000 | len(raw) - 16)
+    raw = raw[:14] + longer.to_bytes(2, "little") + raw[16:]  # more than the datagrams need
+    assert encode(decode(raw), raw) == raw
+
+
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_frame_or_refused(body):
     raw = BROADCAST * 2 + ETHERTYPE.to_bytes(2, "big") + body

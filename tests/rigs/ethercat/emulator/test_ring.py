@@ -19,9 +19,28 @@ from stepgap.rigs.ethercat.emulator.faults import (
     Unplugged,
     WrongMapping,
 )
-from stepgap.rigs.ethercat.emulator.frame import BROADCAST, ETHERTYPE, Command, Datagram, Frame, encode
+from stepgap.rigs.ethercat.emulator.frame import (
+    BROADCAST,
+    ETHERTYPE,
+    SHORTEST_FRAME,
+    Command,
+    Datagram,
+    Frame,
+    decode,
+    encode,
+)
 from stepgap.rigs.ethercat.emulator.registers import AlState, StatusCode
-from tests.rigs.ethercat.emulator.bench import ANALOG, DRIVES, ENCODERS, STATION, Bench, Flywheels, drive_input, inputs
+from tests.rigs.ethercat.emulator.bench import (
+    ANALOG,
+    DRIVES,
+    ENCODERS,
+    SOURCE,
+    STATION,
+    Bench,
+    Flywheels,
+    drive_input,
+    inputs,
+)
 
 COUNTER = 4 * 3 + 1
 """Working counter of a cycle: drives and encoders are read (+1) and written (+2), the analog input is read."""
@@ -69,6 +88,28 @@ def test_the_eeprom_contains_the_identity():
     bench = Bench()
     bench.ask(Command.APWR, 0, reg.EEPROM_CONTROL, pack("<HI", reg.EEPROM_READ, 0x08))
     assert bench.ask(Command.APRD, 0, reg.EEPROM_DATA, bytes(8)).data == pack("<II", 0x9A, 0x30924)
+
+
+def test_the_eeprom_contains_a_checksum_of_its_configuration():
+    bench = Bench()
+    bench.ask(Command.APWR, 0, reg.EEPROM_CONTROL, pack("<HI", reg.EEPROM_READ, 0))
+    bench.ask(Command.APWR, -1 & 0xFFFF, reg.EEPROM_CONTROL, pack("<HI", reg.EEPROM_READ, 4))
+    words = [bench.ask(Command.APRD, -slave & 0xFFFF, reg.EEPROM_DATA, bytes(8)).data for slave in (0, 1)]
+    assert words[0][0] == bench.ask(Command.APRD, 0, reg.PDI_CONTROL, bytes(1)).data[0] == 5
+    # the polynomial x⁸ + x² + x + 1 divides configuration and checksum, the first byte complemented
+    rest = int.from_bytes(b"".join(words)[:15], "big") ^ 0xFF << 14 * 8
+    while rest.bit_length() > 8:
+        rest ^= 0x107 << rest.bit_length() - 9
+    assert rest == 0
+
+
+def test_the_eeprom_refuses_to_be_written():
+    # bit 13: the command was refused (ETG.1000.4, SII control)
+    bench = Bench()
+    bench.ask(Command.APWR, 0, reg.EEPROM_CONTROL, pack("<HIHH", 0x0201, 0x08, 0, 7))
+    assert bench.ask(Command.APRD, 0, reg.EEPROM_CONTROL, bytes(2)).data == pack("<H", 0x2040)
+    bench.ask(Command.APWR, 0, reg.EEPROM_CONTROL, pack("<H", 0))
+    assert bench.ask(Command.APRD, 0, reg.EEPROM_CONTROL, bytes(2)).data == pack("<H", 0x0040)
 
 
 # ---- mailbox
@@ -119,6 +160,49 @@ def test_pdos_are_assigned_in_pre_operational_only():
     assert unpack("<I", bench.sdo(0, 0x2F, 0x1C12, 0)[4:]) == (0x08000022,)
 
 
+def sent(bench: Bench, kind: int, body: bytes, length: int | None = None) -> int:
+    """Working counter of a read of the mailbox after a message was sent; 0 if there is no answer."""
+    length = len(body) if length is None else length
+    bench.write(0, 0x1000, (pack("<HHBB", length, 0, 0, kind) + body).ljust(128, b"\0"))
+    return bench.ask(Command.FPRD, STATION, 0x1080, bytes(128)).counter
+
+
+def test_a_message_with_the_counter_of_the_last_one_is_not_served_again():
+    bench = Bench()
+    bench.pre_operational()
+    upload = pack("<HBHBI", 2 << 12, 0x40, 0x1018, 1, 0)
+    assert [sent(bench, counter << 4 | 3, upload) for counter in (1, 1, 2, 2, 0, 0, 2)] == [1, 0, 1, 0, 1, 1, 1]
+    bench.request(0, 1)  # a new master begins anew
+    bench.request(0, 2)
+    assert sent(bench, 2 << 4 | 3, upload) == 1
+
+
+def test_an_abort_of_the_master_is_not_answered():
+    bench = Bench()
+    bench.pre_operational()
+    assert sent(bench, 3, pack("<HBHBI", 2 << 12, 0x80, 0x1018, 1, 0x05040000)) == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "length", "detail"),
+    [
+        (3, b"", 0, 0x0005),  # no length
+        (0, bytes(4), 4, 0x0005),  # an error of the master
+        (2, bytes(4), 4, 0x0002),  # Ethernet over EtherCAT
+        (3, pack("<HB", 2 << 12, 0x40), 3, 0x0006),
+        (3, pack("<HBHBI", 4 << 12, 0, 0, 0, 0), 10, 0x0004),  # a PDO
+        (3, pack("<HBHBI", 9 << 12, 0, 0, 0, 0), 10, 0x0005),  # no such service
+    ],
+)
+def test_mailbox_errors(kind, body, length, detail):
+    # as Beckhoff's sample code for slaves and SOES answer
+    bench = Bench()
+    bench.pre_operational()
+    bench.write(0, 0x1000, (pack("<HHBB", length, 0, 0, kind) + body).ljust(128, b"\0"))
+    message = bench.read(0, 0x1080, 128)
+    assert (message[5] & 0x0F, message[:2], message[6:10]) == (0, b"\4\0", pack("<HH", 1, detail))
+
+
 def test_a_lost_answer_is_repeated():
     bench = Bench()
     bench.pre_operational()
@@ -145,6 +229,22 @@ def test_states_go_up_one_at_a_time():
     assert bench.request(0, 4) == (0x12, StatusCode.INVALID_CHANGE)  # not acknowledged
     assert bench.request(0, 0x12) == (2, 0)
     assert bench.request(0, 7) == (0x12, StatusCode.UNKNOWN_STATE)
+
+
+def test_there_is_no_bootstrap():
+    bench = Bench()
+    bench.pre_operational()
+    assert bench.request(0, 3) == (0x12, 0x11)
+    assert bench.request(0, 1) == (1, 0)
+    assert bench.request(0, 3) == (0x11, 0x13)
+
+
+def test_an_error_is_acknowledged_by_a_request_of_init():
+    bench = Bench()
+    bench.pre_operational()
+    assert bench.request(0, 8) == (0x12, 0x11)
+    assert bench.request(0, 2) == (0x12, 0x11)  # ignored until it is acknowledged
+    assert bench.request(0, 1) == (1, 0)
 
 
 @pytest.mark.parametrize(
@@ -395,9 +495,11 @@ ANYTHING = st.builds(a_datagram, COMMANDS, st.integers(0, 255), ADDRESSES, OFFSE
 
 
 @given(st.binary(max_size=200))
-def test_arbitrary_bytes_never_crash_the_ring(body):
-    BENCH.ring.pass_frame(body)
-    BENCH.ring.pass_frame(BROADCAST * 2 + ETHERTYPE.to_bytes(2, "big") + body)
+def test_arbitrary_bytes_never_crash_the_ring_nor_come_back_malformed(body):
+    for raw in (body, BROADCAST * 2 + ETHERTYPE.to_bytes(2, "big") + body):
+        for answer in BENCH.ring.pass_frame(raw):
+            assert len(answer) == max(len(raw), SHORTEST_FRAME)
+            assert len(decode(answer).datagrams) == len(decode(raw).datagrams)
 
 
 @given(st.lists(st.lists(ANYTHING, min_size=1, max_size=4), max_size=12))
@@ -414,5 +516,25 @@ def test_arbitrary_datagrams_never_crash_the_ring_nor_exceed_the_torque(frames):
 def test_arbitrary_mail_is_answered(message):
     bench = Bench()
     bench.pre_operational()
-    bench.write(0, 0x1000, message.ljust(128, b"\0"))
-    assert bench.ask(Command.FPRD, STATION, 0x1080, bytes(128)).counter == 1
+    message = message.ljust(128, b"\0")
+    bench.write(0, 0x1000, message)
+    (length,) = unpack_from("<H", message)
+    is_abort = length >= 8 and message[5] & 0x0F == 3 and message[7] >> 4 == 2 and message[8] >> 5 == 4
+    assert is_abort or bench.ask(Command.FPRD, STATION, 0x1080, bytes(128)).counter == 1
+
+
+@given(st.lists(ANYTHING, min_size=1, max_size=6), st.binary(max_size=30))
+@settings(max_examples=100)
+def test_what_comes_back_is_the_frame_changed_only_where_slaves_may(datagrams, padding):
+    raw = encode(Frame(BROADCAST, SOURCE, tuple(datagrams))) + padding
+    (back,) = BENCH.ring.pass_frame(raw)
+    assert (back[:6], back[6], back[7:16], len(back)) == (BROADCAST, SOURCE[0] | 2, raw[7:16], len(raw))
+    end = 16 + (raw[14] | raw[15] << 8) % 0x800
+    assert back[end:] == raw[end:]
+    for sent, received in zip(datagrams, decode(back).datagrams, strict=True):
+        same = ("command", "mark", "offset", "flags", "event")
+        assert [getattr(sent, name) for name in same] == [getattr(received, name) for name in same]
+        assert len(received.data) == len(sent.data)
+        assert 0 <= received.counter <= 6 * 3
+        passed = received.address - sent.address & 0xFFFF
+        assert passed == (6 if sent.command in {1, 2, 3, 7, 8, 9, 13} else 0)

@@ -24,26 +24,27 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin_machine import TwinMachine
-from tests.rigs.ethercat.emulator.bench import (
-    DRIVE_INPUT,
-    DRIVE_OUTPUT,
-    DRIVES,
-    ENCODER_INPUT,
-    ENCODERS,
-    LENGTHS,
-    Flywheels,
+from tests.rigs.ethercat.emulator.bench import DRIVE_INPUT, DRIVES, ENCODER_INPUT, ENCODERS, LENGTHS, Flywheels
+from tests.rigs.ethercat.emulator.soem_master import (
+    ERROR,
+    LONGEST_RUN,
+    OP,
+    PATIENCE,
+    PREOP,
+    SAFEOP,
+    TIMEOUT,
+    assign,
+    cycle,
+    enabled,
+    operational,
+    pysoem,
+    soem_master,
+    states,
+    statusword,
 )
 
 INTERFACE = f"sg{os.getpid() % 10**7}"
 ANALOG_INPUT = Struct("<Hh")
-PREOP, SAFEOP, OP, ERROR = 2, 4, 8, 0x10
-LONGEST_RUN = 100_000
-TIMEOUT = 50_000
-"""Longest wait for a frame [µs]; a lost one costs it."""
-PATIENCE = 5_000_000
-"""The same where each frame must make one tick, also on a busy computer."""
-
-pysoem: Any = pytest.importorskip("pysoem", reason="the master of these tests is missing: pip install pysoem")
 
 
 def make_twin() -> Machine:
@@ -61,61 +62,9 @@ def _network() -> None:
 
 @contextmanager
 def master(settings: RingSettings) -> Iterator[Any]:
-    """SOEM on an emulated ring, its slaves found, the drives' PDOs assigned."""
-    with emulated(INTERFACE, make_twin, settings):
-        bus = pysoem.Master()
-        bus.open(INTERFACE)
-        try:
-            assert bus.config_init() == len(LENGTHS)
-            bus.emergencies = []
-            for slave in bus.slaves:
-                slave.add_emergency_callback(lambda message: bus.emergencies.append(message.error_code))
-            for drive in DRIVES:
-                assign(bus.slaves[drive], 0x1C12, 0x1602, 0x160B)
-                assign(bus.slaves[drive], 0x1C13, 0x1A02, 0x1A11)
-            yield bus
-        finally:
-            bus.close()
-
-
-def assign(slave: Any, index: int, *pdos: int) -> None:
-    slave.sdo_write(index, 0, b"\0")
-    for number, pdo in enumerate(pdos, 1):
-        slave.sdo_write(index, number, pack("<H", pdo))
-    slave.sdo_write(index, 0, bytes([len(pdos)]))
-
-
-def operational(bus: Any) -> Any:
-    bus.config_map()
-    assert bus.state_check(SAFEOP, TIMEOUT) == SAFEOP
-    bus.config_dc()
-    assert cycle(bus, control=0) == bus.expected_wkc
-    bus.state = OP
-    bus.write_state()
-    assert bus.state_check(OP, TIMEOUT) == OP
-    return bus
-
-
-def cycle(bus: Any, torque_1: int = 0, torque_2: int = 0, control: int = 0x0F, timeout: int = TIMEOUT) -> int:
-    """Working counter of one cycle; -1 for a lost frame."""
-    for drive, torque in zip(DRIVES, (torque_1, torque_2), strict=True):
-        bus.slaves[drive].output = DRIVE_OUTPUT.pack(torque, control, 10)
-    bus.send_processdata()
-    return bus.receive_processdata(timeout)
-
-
-def enabled(bus: Any) -> Any:
-    operational(bus)
-    for control, state in ((0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)):
-        for _ in range(LONGEST_RUN):  # a drive acts on the controlword once a tick
-            cycle(bus, control=control, timeout=PATIENCE)
-            if [statusword(bus, drive) & 0x6F for drive in DRIVES] == [state] * 2:
-                break
-    return bus
-
-
-def statusword(bus: Any, drive: int) -> int:
-    return DRIVE_INPUT.unpack(bus.slaves[drive].input)[2]
+    """SOEM on an emulated ring in front of the twin."""
+    with emulated(INTERFACE, make_twin, settings), soem_master(INTERFACE) as bus:
+        yield bus
 
 
 def counts(bus: Any) -> list[int]:
@@ -123,11 +72,6 @@ def counts(bus: Any) -> list[int]:
     motors = [DRIVE_INPUT.unpack(bus.slaves[drive].input)[0] for drive in DRIVES]
     boom = [ENCODER_INPUT.unpack(bus.slaves[encoder].input)[1] for encoder in ENCODERS]
     return [*motors, *boom, ANALOG_INPUT.unpack(bus.slaves[5].input)[1]]
-
-
-def states(bus: Any) -> list[tuple[int, int]]:
-    bus.read_state()
-    return [(slave.state, slave.al_status) for slave in bus.slaves]
 
 
 def test_soem_brings_the_ring_up():

@@ -16,6 +16,7 @@ _ETHERNET = Struct("!6s6sH")
 _ETHERCAT = Struct("<H")
 _DATAGRAM = Struct("<BBHHHH")
 _COUNTER = Struct("<H")
+_BEGIN = _ETHERNET.size + _ETHERCAT.size
 _LENGTH_MASK, _MORE_FOLLOW, _DATAGRAMS = 0x07FF, 0x8000, 0x1000
 
 
@@ -86,7 +87,7 @@ def decode(raw: bytes) -> Frame:
     Raises:
         FrameError: It is not EtherCAT, or it is truncated.
     """
-    start = _ETHERNET.size + _ETHERCAT.size
+    start = _BEGIN
     if len(raw) < start:
         raise FrameError(f"{len(raw)} bytes are too few for a frame")
     destination, source, kind = _ETHERNET.unpack_from(raw)
@@ -113,8 +114,14 @@ def decode(raw: bytes) -> Frame:
     return Frame(destination, source, tuple(datagrams))
 
 
-def encode(frame: Frame) -> bytes:
-    """Encodes an Ethernet frame, padded to the least length."""
+def encode(frame: Frame, received: bytes = b"") -> bytes:
+    """Encodes an Ethernet frame, padded to the least length.
+
+    Args:
+        frame: The frame.
+        received: What the frame was decoded from, if it is passed on: its length, and all bytes that belong to no
+            datagram, remain, as with slave controllers.
+    """
     parts = []
     for remaining, datagram in zip(range(len(frame.datagrams) - 1, -1, -1), frame.datagrams, strict=True):
         command, mark, address, offset, data, counter, flags, event = datagram
@@ -122,4 +129,5 @@ def encode(frame: Frame) -> bytes:
         parts += _DATAGRAM.pack(command, mark, address, offset, length, event), data, _COUNTER.pack(counter & 0xFFFF)
     body = b"".join(parts)
     ethernet = _ETHERNET.pack(frame.destination, frame.source, ETHERTYPE)
-    return (ethernet + _ETHERCAT.pack(len(body) | _DATAGRAMS) + body).ljust(SHORTEST_FRAME, b"\0")
+    header = received[_ETHERNET.size : _BEGIN] or _ETHERCAT.pack(len(body) | _DATAGRAMS)
+    return (ethernet + header + body + received[_BEGIN + len(body) :]).ljust(SHORTEST_FRAME, b"\0")

@@ -1,32 +1,31 @@
 """CANopen over EtherCAT in a slave's mailbox: answers to SDO requests, and emergencies (ETG.1000.6 §5.6)."""
 
-from struct import Struct, error, pack
+from struct import Struct, pack
 
 from stepgap.rigs.ethercat.emulator.dictionary import Abort, Dictionary
 
 MAILBOX_ERROR, COE = 0, 3
 """Mailbox types (ETG.1000.4, mailbox header)."""
 
-EMERGENCY, SDO_REQUEST, SDO_RESPONSE, SDO_INFORMATION = 1, 2, 3, 8
+EMERGENCY, SDO_REQUEST, SDO_RESPONSE, PDO_REQUEST, SDO_INFORMATION = 1, 2, 3, 7, 8
 """CoE services (ETG.1000.6, CoE header). An abort is a request, also from a slave."""
 
-UPLOAD, DOWNLOAD = 0x40, 0x20
-ABORT = 0x80
+UPLOAD, DOWNLOAD, DOWNLOADED, ABORT = 0x40, 0x20, 0x60, 0x80
 COMMAND_MASK, EXPEDITED, SIZE_GIVEN, COMPLETE = 0xE0, 0x02, 0x01, 0x10
 """Command and flags in the SDO command byte (ETG.1000.6, SDO services)."""
 
 INFORMATION_ERROR = 7
 """Operation code of the answer that refuses a request for information on objects (ETG.1000.6, SDO information)."""
 
-UNSUPPORTED_PROTOCOL = 0x0002
-"""Detail of a mailbox error: this mailbox type is not supported."""
+UNSUPPORTED_PROTOCOL, UNSUPPORTED_SERVICE, INVALID_HEADER, TOO_SHORT = 0x0002, 0x0004, 0x0005, 0x0006
+"""Details of a mailbox error: type or service not supported, wrong header, too short for its service (ETG.1000.4)."""
 
 _HEADER = Struct("<HHBB")
 _SDO = Struct("<HBHB")
 _INFORMATION_ERROR = Struct("<HBBHI")
 
 
-def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) -> bytes:
+def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) -> bytes | None:
     """Answers a mailbox message.
 
     Args:
@@ -34,32 +33,46 @@ def answer(dictionary: Dictionary, request: bytes, may_assign: bool, room: int) 
         request: Mailbox message of a master; it may contain arbitrary bytes.
         may_assign: Whether PDOs may be assigned in the present state.
         room: Longest answer [bytes]; longer objects are refused, since segments are not supported.
+
+    Returns:
+        The answer; None to an abort, which is not confirmed (CiA 301).
     """
+    length, _, _, kind = _HEADER.unpack_from(request.ljust(_HEADER.size, b"\0"))
+    if not length or kind & 0x0F == MAILBOX_ERROR:
+        return _error(INVALID_HEADER)
+    if kind & 0x0F != COE:
+        return _error(UNSUPPORTED_PROTOCOL)
+    body = request[_HEADER.size : _HEADER.size + length]
+    if len(body) < _SDO.size:
+        return _error(TOO_SHORT)
+    coe, command, index, subindex = _SDO.unpack_from(body)
+    service = coe >> 12
+    if service == SDO_INFORMATION:
+        refusal = SDO_INFORMATION << 12, INFORMATION_ERROR, 0, 0, Abort.UNKNOWN_COMMAND
+        return _message(COE, _INFORMATION_ERROR.pack(*refusal))
+    if service != SDO_REQUEST:
+        return _error(UNSUPPORTED_SERVICE if EMERGENCY <= service <= PDO_REQUEST else INVALID_HEADER)
+    if command & COMMAND_MASK == ABORT:
+        return None
     try:
-        length, _, _, kind = _HEADER.unpack_from(request)
-        if kind & 0x0F != COE:
-            return _message(MAILBOX_ERROR, pack("<HH", 1, UNSUPPORTED_PROTOCOL))
-        coe, command, index, subindex = _SDO.unpack_from(request, _HEADER.size)
-        data = request[_HEADER.size + _SDO.size : _HEADER.size + length]
-    except error:
-        return _message(MAILBOX_ERROR, pack("<HH", 1, UNSUPPORTED_PROTOCOL))
-    if coe >> 12 == SDO_INFORMATION:
-        return _message(
-            COE, _INFORMATION_ERROR.pack(SDO_INFORMATION << 12, INFORMATION_ERROR, 0, 0, Abort.UNKNOWN_COMMAND)
-        )
-    try:
-        if coe >> 12 != SDO_REQUEST:
-            raise Abort(Abort.UNKNOWN_COMMAND)
-        if command & COMPLETE and command & COMMAND_MASK in (UPLOAD, DOWNLOAD):
-            raise Abort(Abort.UNSUPPORTED_ACCESS)
-        if command & COMMAND_MASK == UPLOAD:
-            return _sdo(SDO_RESPONSE, index, subindex, *_uploaded(dictionary.read(index, subindex), room))
-        if command & COMMAND_MASK == DOWNLOAD:
-            dictionary.write(index, subindex, _downloaded(command, data), may_assign)
-            return _sdo(SDO_RESPONSE, index, subindex, 0x60, bytes(4))
-        raise Abort(Abort.UNKNOWN_COMMAND)
+        answered, value = _served(dictionary, command, index, subindex, body[_SDO.size :], may_assign, room)
+        return _sdo(SDO_RESPONSE, index, subindex, answered, value)
     except Abort as abort:
         return _sdo(SDO_REQUEST, index, subindex, ABORT, pack("<I", abort.code))
+
+
+def _served(
+    dictionary: Dictionary, command: int, index: int, subindex: int, data: bytes, may_assign: bool, room: int
+) -> tuple[int, bytes]:
+    """Command and data of the answer to an SDO request."""
+    if command & COMPLETE and command & COMMAND_MASK in (UPLOAD, DOWNLOAD):
+        raise Abort(Abort.UNSUPPORTED_ACCESS)
+    if command & COMMAND_MASK == UPLOAD:
+        return _uploaded(dictionary.read(index, subindex), room)
+    if command & COMMAND_MASK == DOWNLOAD:
+        dictionary.write(index, subindex, _downloaded(command, data), may_assign)
+        return DOWNLOADED, bytes(4)
+    raise Abort(Abort.UNKNOWN_COMMAND)
 
 
 def emergency(code: int, register: int, detail: bytes = b"") -> bytes:
@@ -90,6 +103,11 @@ def _downloaded(command: int, data: bytes) -> bytes:
     if size != len(data) - 4:
         raise Abort(Abort.TOO_LONG)
     return data[4:]
+
+
+def _error(detail: int) -> bytes:
+    """Encodes a mailbox error."""
+    return _message(MAILBOX_ERROR, pack("<HH", 1, detail))
 
 
 def _sdo(service: int, index: int, subindex: int, command: int, data: bytes) -> bytes:

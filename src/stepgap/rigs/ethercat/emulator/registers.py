@@ -28,7 +28,8 @@ PDI_WATCHDOG_TIME = 0x0410
 EEPROM_CONFIGURATION, EEPROM_CONTROL, EEPROM_ADDRESS, EEPROM_DATA = 0x0500, 0x0502, 0x0504, 0x0508
 """Slave information interface (§6.4): write address and command, read the data."""
 
-EEPROM_READ, EEPROM_COMMANDS, EEPROM_ERRORS, EEPROM_READS_8_BYTES = 0x0100, 0x0700, 0x7800, 0x0040
+EEPROM_READ, EEPROM_COMMANDS, EEPROM_COMMAND_ERROR, EEPROM_READS_8_BYTES = 0x0100, 0x0700, 0x2000, 0x0040
+"""The command that reads, all commands; bits of the state: the command was refused, a read gives 8 bytes."""
 
 FMMU, FMMU_SIZE, FMMU_SLOTS = 0x0600, 16, 4
 """Fieldbus memory management units (§6.6): logical address → memory."""
@@ -78,6 +79,9 @@ class AlState(IntEnum):
     OP = 8
 
 
+BOOTSTRAP = 3
+"""State in which firmware is loaded; none of the slaves has it."""
+
 ERROR_FLAG = ACKNOWLEDGE = 0x10
 """Bit of AL_STATUS: the last change was refused or a state was lost; bit of AL_CONTROL: the master acknowledges it."""
 
@@ -88,6 +92,7 @@ class StatusCode(IntEnum):
     NONE = 0x0000
     INVALID_CHANGE = 0x0011
     UNKNOWN_STATE = 0x0012
+    NO_BOOTSTRAP = 0x0013
     INVALID_MAILBOX = 0x0016
     SYNCHRONISATION = 0x001A
     WATCHDOG = 0x001B

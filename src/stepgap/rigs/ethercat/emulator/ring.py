@@ -92,8 +92,8 @@ class Ring:
             return []
         self._time.now = self._now()
         if not any(datagram.command in _OUTPUTS for datagram in frame.datagrams):
-            return self._answers(frame)
-        return self._pass_cycle(frame)
+            return self._answers(frame, raw)
+        return self._pass_cycle(frame, raw)
 
     def advance(self) -> None:
         """Advances by one tick: the slaves act on their outputs, the machine moves, the slaves sense."""
@@ -116,7 +116,7 @@ class Ring:
         for slave in self.slaves:
             slave.device.sense(self._reading)
 
-    def _pass_cycle(self, frame: Frame) -> list[bytes]:
+    def _pass_cycle(self, frame: Frame, raw: bytes) -> list[bytes]:
         """Passes a frame with outputs, with its scripted faults; in lock-step a tick follows."""
         cycle, settings = self.cycles, self._settings
         self.cycles += 1
@@ -126,7 +126,7 @@ class Ring:
             lost = any(isinstance(fault, LostFrames) and _lasts(fault, cycle) for fault in settings.faults)
             copies += DuplicatedFrame(cycle) in settings.faults
             late = LateFrame(cycle) in settings.faults
-        answers = [] if lost else self._answers(frame)
+        answers = [] if lost else self._answers(frame, raw)
         if settings.lock_step:
             self.advance()
             if settings.inputs_after_tick:
@@ -136,7 +136,7 @@ class Ring:
             answers, self._late = [], answers
         return answers
 
-    def _answers(self, frame: Frame) -> list[bytes]:
+    def _answers(self, frame: Frame, raw: bytes) -> list[bytes]:
         """The frame after it has passed all connected slaves; nothing if the first one is not connected."""
         if self._reached == 0:
             return []
@@ -144,7 +144,7 @@ class Ring:
             self._start()
         datagrams = tuple(self._pass(datagram) for datagram in frame.datagrams)
         source = bytes([frame.source[0] | _SEEN]) + frame.source[1:]
-        return [encode(Frame(frame.destination, source, datagrams))]
+        return [encode(Frame(frame.destination, source, datagrams), raw)]
 
     def _pass(self, datagram: Datagram) -> Datagram:
         command, _, address, offset, sent, counter, _, _ = datagram
@@ -164,7 +164,7 @@ class Ring:
                 for slave in self.slaves[: self._reached]:
                     slave.exchange(Command.LRD, datagram.address, datagram.offset, data)
             datagrams.append(datagram._replace(data=bytes(data)))
-        return encode(frame._replace(datagrams=tuple(datagrams)))
+        return encode(frame._replace(datagrams=tuple(datagrams)), raw)
 
     def _reach(self, count: int) -> None:
         """Connects the first `count` slaves: frames turn back after them, and their ports are set accordingly."""

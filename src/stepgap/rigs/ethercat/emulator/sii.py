@@ -12,8 +12,11 @@ CANOPEN = 0x04
 SDO, PDO_ASSIGN = 0x01, 0x04
 """Bits of GENERAL's CoE details: SDOs are supported, 0x1C12 and 0x1C13 may be written."""
 
-FIRST_CATEGORY = 0x80
-"""Byte address of the first category."""
+SPI = 0x05
+"""Interface of the slave controller to its device, in the lowest byte: SPI; 0 is none."""
+
+CHECKED, FIRST_CATEGORY = 14, 0x80
+"""Length of the configuration that a checksum follows; byte address of the first category."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,8 @@ def build_image(identity: Identity, areas: tuple[Area, ...]) -> bytes:
         areas: Its sync managers, empty for a slave without mailbox and process data.
     """
     fixed = bytearray(FIRST_CATEGORY)
+    fixed[0] = SPI if areas else 0
+    fixed[CHECKED] = checksum(bytes(fixed[:CHECKED]))
     fixed[0x10:0x20] = pack("<IIII", identity.vendor, identity.product, identity.revision, identity.serial)
     if areas:
         incoming, outgoing = areas[:2]
@@ -84,6 +89,16 @@ def build_image(identity: Identity, areas: tuple[Area, ...]) -> bytes:
         + (_category(FMMU_USE, bytes([1, 2])) + _category(SYNC_MANAGERS, managers) if areas else b"")
         + pack("<H", END)
     )
+
+
+def checksum(configuration: bytes) -> int:
+    """CRC-8 of the configuration: polynomial x⁸ + x² + x + 1, initial value 0xFF (IEC 61158-6-12 §5.4)."""
+    rest = 0xFF
+    for byte in configuration:
+        rest ^= byte
+        for _ in range(8):
+            rest = rest << 1 ^ (0x107 if rest & 0x80 else 0)
+    return rest
 
 
 def _category(kind: int, content: bytes) -> bytes:

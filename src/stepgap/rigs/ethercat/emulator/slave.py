@@ -90,14 +90,14 @@ class EmulatedSlave:
         self.memory[reg.TYPE] = 0x11
         self.memory[reg.FMMU_COUNT : reg.ESC_FEATURES] = bytes([reg.FMMU_SLOTS, reg.SYNC_MANAGER_SLOTS, 4, 0x0F])
         pack_into("<H", self.memory, reg.ESC_FEATURES, 0x000C)  # distributed clocks, 64 bit
-        self.memory[reg.PDI_CONTROL] = 0x05 if self._areas else 0x00
+        self.memory[reg.PDI_CONTROL] = self._eeprom[0]
         pack_into("<H", self.memory, reg.WATCHDOG_DIVIDER, 2498)
         pack_into("<H", self.memory, reg.WATCHDOG_TIME, 1000)  # 100 ms
         pack_into("<H", self.memory, reg.PDI_WATCHDOG_TIME, 1000)
         self.memory[reg.WATCHDOG_STATUS] = 1
         self._fmmus: list[_Fmmu] = []
         self._mail: deque[bytes] = deque()
-        self._sent, self._mail_counter = b"", 0
+        self._sent, self._mail_counter, self._request_counter = b"", 0, 0
         self._time = self._written = 0
         self._outputs, self._inputs, self._outputs_at, self._inputs_at = NO_IMAGE, NO_IMAGE, 0, 0
         self._set_state(AlState.INIT)
@@ -269,9 +269,14 @@ class EmulatedSlave:
         first, length, _ = self._mailbox(0)
         if self.device.dictionary and start < first + length <= end and self.state is not AlState.INIT:
             request = bytes(self.memory[first : first + length])
-            room = self._mailbox(1)[1]
-            self._mail.append(answer(self.device.dictionary, request, self.state is AlState.PREOP, room))
-            self._load_mail()
+            counter = request[5] >> 4 & 7 if length > 5 else 0
+            if counter and counter == self._request_counter:
+                return  # a master that repeats a message repeats its counter (ETG.1000.4, mailbox header)
+            self._request_counter = counter
+            reply = answer(self.device.dictionary, request, self.state is AlState.PREOP, self._mailbox(1)[1])
+            if reply is not None:
+                self._mail.append(reply)
+                self._load_mail()
 
     def _read_fmmu(self, slot: int) -> _Fmmu | None:
         """Reads the mapping of a slot; None if it is not active or not within memory."""
@@ -316,12 +321,15 @@ class EmulatedSlave:
     # ---- EEPROM
 
     def _serve_eeprom(self) -> None:
-        """Reads eight bytes at a word address (ETG.1000.4 §6.4); writing is not supported and changes nothing."""
-        if self._word(reg.EEPROM_CONTROL) & reg.EEPROM_COMMANDS == reg.EEPROM_READ:
+        """Reads eight bytes at a word address (ETG.1000.4 §6.4); other commands but none are answered with an error."""
+        command, status = self._word(reg.EEPROM_CONTROL) & reg.EEPROM_COMMANDS, reg.EEPROM_READS_8_BYTES
+        if command not in (0, reg.EEPROM_READ):
+            status |= reg.EEPROM_COMMAND_ERROR
+        elif command:
             address = 2 * unpack_from("<I", self.memory, reg.EEPROM_ADDRESS)[0]
             content = self._eeprom[address : address + 8].ljust(8, b"\xff")
             self.memory[reg.EEPROM_DATA : reg.EEPROM_DATA + 8] = content
-        pack_into("<H", self.memory, reg.EEPROM_CONTROL, reg.EEPROM_READS_8_BYTES)
+        pack_into("<H", self.memory, reg.EEPROM_CONTROL, status)
 
     # ---- states
 
@@ -332,11 +340,17 @@ class EmulatedSlave:
         pack_into("<H", self.memory, reg.AL_STATUS_CODE, code)
 
     def _request_state(self, control: int) -> None:
-        """Handles a state request (ETG.1000.6 §6.4.1): up one state, down to any, after errors are acknowledged."""
-        if self.memory[reg.AL_STATUS] & reg.ERROR_FLAG and not control & reg.ACKNOWLEDGE:
-            return
+        """Handles a state request (ETG.1000.6 §6.4.1): up one state, down to any, after errors are acknowledged.
+
+        A request of INIT acknowledges them, too.
+        """
         wanted, present = control & 0x0F, self.state
-        if wanted not in tuple(AlState):
+        acknowledged = control & reg.ACKNOWLEDGE or wanted == AlState.INIT
+        if self.memory[reg.AL_STATUS] & reg.ERROR_FLAG and not acknowledged:
+            return
+        if wanted == reg.BOOTSTRAP:
+            self._set_state(present, StatusCode.NO_BOOTSTRAP if present is AlState.INIT else StatusCode.INVALID_CHANGE)
+        elif wanted not in tuple(AlState):
             self._set_state(present, StatusCode.UNKNOWN_STATE)
         elif wanted > 2 * present:
             self._set_state(present, StatusCode.INVALID_CHANGE)
@@ -348,6 +362,7 @@ class EmulatedSlave:
         """Changes the state; returns the state reached and the reason if it is not the wanted one."""
         if wanted is AlState.INIT:
             self._mail.clear()
+            self._request_counter = 0
             return wanted, StatusCode.NONE
         if wanted is AlState.PREOP and present is AlState.INIT and not self._managers_agree(0, 1):
             return present, StatusCode.INVALID_MAILBOX
