@@ -28,7 +28,7 @@ _LARGEST_OFFSET = 0.01
 """Offset that counts at most [cycles], so that a late tick hardly shifts the ticks after it."""
 
 _LARGEST_RATE = 1e-3
-"""Largest change of the interval [cycles]; clocks differ by less than 1e-4."""
+"""Largest change of the interval between two frames [cycles]; clocks differ by less than 1e-4."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,13 +113,14 @@ class Steering:
         outside = abs(self.offset) > self._settings.window * self._cycle
         self._outside, self._inside = (self._outside + 1, 0) if outside else (0, self._inside + 1)
 
-    def correction(self, slip: float = 0.0) -> float:
+    def correction(self, slip: float = 0.0, frames: int = 1) -> float:
         """Time by which the next frame and all later ones shall be sent later [s], given the last offset.
 
         The first time, or after `restart`, it is the time from now until a frame would pass in phase.
 
         Args:
             slip: Time by which a late frame has shifted all later ones, which is completed to whole cycles [s].
+            frames: Number of frames between two corrections, in which the clocks drift.
         """
         if not self._aligned:
             self._aligned = isfinite(self.offset)
@@ -129,10 +130,10 @@ class Steering:
             most = _LARGEST_OFFSET * self._cycle
             counted = min(max(self.offset, -most), most)
             limit = _LARGEST_RATE * self._cycle
-            self._rate = min(max(self._rate - _RATE_GAIN * counted, -limit), limit)
-            self.shift = self._rate - _PHASE_GAIN * counted
+            self._rate = min(max(self._rate - _RATE_GAIN * counted / frames, -limit), limit)
+            self.shift = frames * self._rate - _PHASE_GAIN * counted
         else:
-            self.shift = self._rate
+            self.shift = frames * self._rate
         self._fresh = False
         self.shift += -slip % self._cycle
         return self.shift

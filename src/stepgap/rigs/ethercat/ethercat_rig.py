@@ -135,7 +135,8 @@ class EthercatRig(Rig):
 
     def clock_correction(self, slip: float = 0.0) -> float:
         """Time by which the ticks shall be later, so that frames follow the reference clock [s]; 0 without clocks."""
-        return self._bus.steering.correction(slip) if self._bus.steering else 0.0
+        steering = self._bus.steering
+        return steering.correction(slip, self._settings.frames_per_tick) if steering else 0.0
 
     @property
     def remarks(self) -> tuple[str, ...]:
