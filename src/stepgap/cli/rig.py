@@ -51,7 +51,8 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
     else:
         mark, make_rig = fingerprint(rig_file), partial(load_rig, plant or ETHERCAT, rig_file, robot)
         found, setup = make_rig(), limp_setup(make_rig, control, frames)
-        result = measure(setup, frames, found.sensor_model.tick, found.limits or limits, seconds)
+        tick, clocks = found.sensor_model.tick, found.clock_limits
+        result = measure(setup, frames, tick, found.limits or limits, seconds, clocks)
         result = with_watchdog(result, make_rig)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))

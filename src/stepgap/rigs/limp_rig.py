@@ -7,7 +7,7 @@ from multiprocessing import RawValue
 from typing import Any
 
 from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import Health, Reading, Rig, SensorModel, Torques
+from stepgap.rigs.rig import ClockLimits, Health, Reading, Rig, SensorModel, Torques
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,11 @@ class LimpRig(Rig):
     def diagnostics(self) -> tuple[float, ...]:
         """Those of the rig."""
         return self._rig.diagnostics
+
+    @property
+    def clock_limits(self) -> ClockLimits | None:
+        """Those of the rig."""
+        return self._rig.clock_limits
 
     @property
     def remarks(self) -> tuple[str, ...]:

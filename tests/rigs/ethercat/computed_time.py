@@ -119,7 +119,7 @@ class TimedRig:
         self.rig.write((0.0, 0.0))
         while self.time.ring_time.reads == reads:  # no time passes before the frame is at the ring
             sleep(0)
-        return self.rig.diagnostics[-2]
+        return self.rig._bus.steering.offset
 
     def register(self, slave: int, address: int, size: int) -> int:
         """Reads a register of a slave controller; a busy computer may answer too late."""

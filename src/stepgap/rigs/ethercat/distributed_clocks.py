@@ -11,6 +11,7 @@ from math import isfinite, nan
 from time import perf_counter, sleep
 
 from stepgap.base.ranges import require
+from stepgap.rigs.rig import ClockLimits
 
 SYNC0_ONLY, SYNC0_AND_SYNC1 = 0x0300, 0x0700
 """Values of *AssignActivate* of an ESI file: which signals a slave needs."""
@@ -38,14 +39,25 @@ class DcSettings:
     Attributes:
         window: Largest distance of a frame from its time [cycles]; it must be less than the shifts of SYNC0.
         outside: Largest number of consecutive frames outside of it.
+        usual: Largest distance of 99.9 % of the frames in a check [windows].
+        difference: Largest difference of a slave's clock from the reference clock in a check [s].
     """
 
     window: float = 0.25
     outside: int = 20
+    usual: float = 0.5
+    difference: float = 1e-6
 
     def __post_init__(self) -> None:
         require(0.01 <= self.window < 0.5, "window", self.window, "lie between 0.01 and 0.5")
         require(1 <= self.outside <= 1000, "outside", self.outside, "lie between 1 and 1000")
+        require(0 < self.usual <= 1, "usual", self.usual, "be positive and at most 1")
+        require(1e-8 <= self.difference <= 1e-4, "difference", self.difference, "lie between 1e-8 and 1e-4")
+
+    def limits(self, cycle: float) -> ClockLimits:
+        """Limits for a time between two frames [s]."""
+        window = self.window * cycle
+        return ClockLimits(self.usual * window, window, self.outside, self.difference)
 
 
 @dataclass(frozen=True)
@@ -83,8 +95,13 @@ class Steering:
         self._cycle, self._settings, self.host = cycle, settings, host
         self._sent_at, self._due, self._rate, self._aligned = host.now(), host.now(), 0.0, False
         self._fresh, self._outside, self._inside = False, 0, 0
+        self._tick_ends, self._tick_begins = False, True
         self.offset = nan
         """Time by which the last good frame passed the reference clock too late [s]."""
+        self.farthest = nan
+        """The offset that is farthest from zero, of the good frames since those of the last tick [s]."""
+        self.outside = 0
+        """Largest number of frames in a row outside of the window that these frames have reached."""
         self.shift = 0.0
         """Last correction of the interval between frames [s]."""
 
@@ -112,6 +129,9 @@ class Steering:
         self.offset, self._fresh = 1e-9 * offset_from_grid(time, round(1e9 * self._cycle)), True
         outside = abs(self.offset) > self._settings.window * self._cycle
         self._outside, self._inside = (self._outside + 1, 0) if outside else (0, self._inside + 1)
+        farthest, most = (0.0, 0) if self._tick_begins else (self.farthest, self.outside)
+        self.farthest, self.outside = max(farthest, self.offset, key=abs), max(most, self._outside)
+        self._tick_begins, self._tick_ends = self._tick_ends, False
 
     def correction(self, slip: float = 0.0, frames: int = 1) -> float:
         """Time by which the next frame and all later ones shall be sent later [s], given the last offset.
@@ -122,6 +142,7 @@ class Steering:
             slip: Time by which a late frame has shifted all later ones, which is completed to whole cycles [s].
             frames: Number of frames between two corrections, in which the clocks drift.
         """
+        self._tick_ends = True  # with the next frame that returns
         if not self._aligned:
             self._aligned = isfinite(self.offset)
             self.shift = self._time_to_grid() if self._aligned else 0.0

@@ -1,6 +1,7 @@
 """A robot on an EtherCAT bus as a `Rig`: drives in cyclic synchronous torque, encoders, force sensors."""
 
 from collections.abc import Callable, Mapping
+from itertools import cycle
 from math import isfinite, nan
 from struct import Struct
 from time import monotonic, sleep
@@ -24,9 +25,12 @@ from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionT
 from stepgap.rigs.ethercat.startup import StartupObject, write_startup
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
+    CLOCK_DIFFERENCE,
     CLOCK_OFFSET,
+    CLOCK_OUTSIDE,
     HEALTHY,
     LOST,
+    ClockLimits,
     DoubtfulSensor,
     Health,
     Reading,
@@ -44,11 +48,11 @@ _U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
 DIAGNOSTICS = {"statusword": STATUSWORD_UNIT, "velocity": "drive counts/s", "torque": "rated torque / 1000"}
 """Inputs of a drive that are logged, with their units."""
 
-CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s"}
+CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s", CLOCK_OUTSIDE: "frames"}
 """Values of the synchronisation with the reference clock that are logged, with their units."""
 
 STATES_EVERY = 50
-"""Number of good frames between two checks of the slaves' states."""
+"""Number of good frames between two checks of the slaves' states, and between two readings of a slave's clock."""
 
 
 WATCHDOG_PATIENCE = 0.1
@@ -99,6 +103,8 @@ class EthercatRig(Rig):
             if value in self._values[settings.position(device.slave)]
         ]
         self._diagnostics = (nan,) * len(self._diagnosed)
+        synchronised = [number for number, slave in enumerate(settings.slaves) if slave.assign_activate]
+        self._differences, self._next_clock = dict.fromkeys(synchronised, nan), cycle(synchronised)
         self._connected, self._fault, self._remarks = False, "", list[str]()
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
         self._reading = settings.reading((0.0,) * len(self._sensors))
@@ -122,16 +128,28 @@ class EthercatRig(Rig):
     def diagnostic_units(self) -> Mapping[str, str]:
         """Status word of every drive, and its velocity and torque if it sends them, in its own units.
 
-        With distributed clocks also how much too late the frame passed the reference clock, and the last correction.
+        With distributed clocks also how much too late a frame passed the reference clock, the last correction, and how
+        far the clocks of the slaves with SYNC0, numbered from 1, are ahead of it.
         """
-        drives = {f"{motor}_{name}": unit for motor, name, unit, _ in self._diagnosed}
-        return {**drives, **(CLOCK_DIAGNOSTICS if self._bus.steering else {})}
+        units = {f"{motor}_{name}": unit for motor, name, unit, _ in self._diagnosed}
+        if self._bus.steering:
+            units |= CLOCK_DIAGNOSTICS
+            units |= {f"slave_{number + 1}_{CLOCK_DIFFERENCE}": "s" for number in self._differences}
+        return units
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """Those values in the last good frame."""
         steering = self._bus.steering
-        return (*self._diagnostics, steering.offset, steering.shift) if steering else self._diagnostics
+        if not steering:
+            return self._diagnostics
+        clocks = (steering.farthest, steering.shift, steering.outside)
+        return (*self._diagnostics, *clocks, *self._differences.values())
+
+    @property
+    def clock_limits(self) -> ClockLimits | None:
+        """Limits of frames and clocks in a check; None without distributed clocks."""
+        return self._settings.dc.limits(self._settings.cycle) if self._bus.steering else None
 
     def clock_correction(self, slip: float = 0.0) -> float:
         """Time by which the ticks shall be later, so that frames follow the reference clock [s]; 0 without clocks."""
@@ -209,6 +227,7 @@ class EthercatRig(Rig):
         self._bus.send()
         self._frame_pending = True
         self._check_al_states()  # after the frame, which it would delay otherwise
+        self._read_clock()
         return tuple(sent)
 
     def watchdog_times(self) -> WatchdogTimes:
@@ -318,6 +337,13 @@ class EthercatRig(Rig):
         else:
             return
         raise RigFault(f"{fault}: {self._bus.state_report()}")
+
+    def _read_clock(self) -> None:
+        """Reads how far the clock of one slave is ahead, each in turn, between two checks of the states."""
+        if self._differences and not self._lost and self._good_frames % STATES_EVERY == STATES_EVERY // 2:
+            number = next(self._next_clock)
+            found = self._bus.clock_difference(number)
+            self._differences[number] = self._differences[number] if found is None else found
 
     def _command(self, drive: int, units: int, controlword: int) -> None:
         self._bus.set_outputs(drive, {"target_torque": units, "controlword": controlword, "mode": CYCLIC_TORQUE})
