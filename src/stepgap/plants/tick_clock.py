@@ -2,7 +2,7 @@
 
 
 _DELAY_SHARE = 0.02
-"""Weight of the last tick in the mean delay of frames."""
+"""Weight of the last tick in the mean delay of frames; more in the first ticks, whose plain mean it is."""
 
 
 class TickClock:
@@ -19,6 +19,7 @@ class TickClock:
 
     def __init__(self, interval: float):
         self.time, self.due, self.slip, self._interval, self._delay = 0.0, 0.0, 0.0, interval, 0.0
+        self._share = 1.0
 
     def begin(self, late: float = 0.0) -> float:
         """Begins a tick that is late [s] and returns its time; a delay above an interval shifts all later ticks."""
@@ -42,5 +43,6 @@ class TickClock:
         """
         begun, distance = self.due - self._interval, self._interval / frames
         delay = min(max(worked - begun, 0.0), distance / 2)
-        self._delay += _DELAY_SHARE * (delay - self._delay)
+        self._delay += self._share * (delay - self._delay)
+        self._share = max(self._share / (1 + self._share), _DELAY_SHARE)
         return [begun + self._delay + number * distance for number in range(1, frames)]

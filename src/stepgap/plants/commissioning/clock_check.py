@@ -1,7 +1,7 @@
 """Check of distributed clocks: frames at their times on the reference clock, and slaves' clocks that follow it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from stepgap.step import Array
 
 USUAL = 0.999
 """Fraction of the ticks whose frames must be within the usual distance."""
+
+SETTLING = 500
+"""Number of ticks at the beginning in which frames and clocks approach their times; at most half of all."""
 
 _LATE = (
     "frames are late if ticks are, or if the work of a tick varies: use a quieter machine; or choose a larger `tick` or "
@@ -26,7 +29,8 @@ _APART = (
 class ClockCheck:
     """Distances of frames from their times on the reference clock of a bus, and of the slaves' clocks from it.
 
-    Of several frames per tick, the one that is farthest from its time counts.
+    Of several frames per tick, the one that is farthest from its time counts. The first `SETTLING` ticks count for
+    `outside` only.
 
     Attributes:
         limits: What is allowed.
@@ -36,8 +40,7 @@ class ClockCheck:
         worst: Largest distance [s].
         jitter: 99.9 % quantile of the change of the distance from tick to tick [s].
         outside: Largest number of consecutive frames outside of the window.
-        differences: Largest difference of each slave's clock in the second half of the measurement [s], by the name of
-            the slave; None if it was never read.
+        differences: Largest difference of each slave's clock [s], by the name of the slave; None if it was never read.
     """
 
     limits: ClockLimits
@@ -97,7 +100,8 @@ def clock_check(ticks: Ticks, limits: ClockLimits | None) -> ClockCheck | None:
     """
     if limits is None or CLOCK_OFFSET not in ticks.names:
         return None
-    offsets = ticks.column(CLOCK_OFFSET)
+    settled = replace(ticks, rows=ticks.rows[min(SETTLING, len(ticks.rows) // 2) :])
+    offsets = settled.column(CLOCK_OFFSET)
     offsets = offsets[np.isfinite(offsets)]
     if not len(offsets):
         return ClockCheck(limits)
@@ -110,9 +114,9 @@ def clock_check(ticks: Ticks, limits: ClockLimits | None) -> ClockCheck | None:
         p99_9=p99_9,
         worst=float(distances.max()),
         jitter=float(np.quantile(changes, USUAL)) if len(changes) else 0.0,
-        outside=int(np.nanmax(ticks.column(CLOCK_OUTSIDE))),
+        outside=int(np.nanmax(ticks.column(CLOCK_OUTSIDE))),  # also at the beginning
         differences={
-            name.removesuffix(f"_{CLOCK_DIFFERENCE}").replace("_", " "): _largest(ticks.column(name))
+            name.removesuffix(f"_{CLOCK_DIFFERENCE}").replace("_", " "): _largest(settled.column(name))
             for name in ticks.names
             if name.endswith(CLOCK_DIFFERENCE)
         },
@@ -120,9 +124,8 @@ def clock_check(ticks: Ticks, limits: ClockLimits | None) -> ClockCheck | None:
 
 
 def _largest(differences: Array) -> float | None:
-    """Largest absolute difference in the second half; before, the clocks may still approach each other."""
-    half = np.abs(differences[len(differences) // 2 :])
-    known = half[np.isfinite(half)]
+    """Largest absolute difference; None if none is known."""
+    known = np.abs(differences[np.isfinite(differences)])
     return float(known.max()) if len(known) else None
 
 

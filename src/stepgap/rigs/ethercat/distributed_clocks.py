@@ -28,6 +28,9 @@ _RATE_GAIN = _PHASE_GAIN**2 / 4
 _LARGEST_OFFSET = 0.01
 """Offset that counts at most [cycles], so that a late tick hardly shifts the ticks after it."""
 
+_SETTLING, _LARGEST_FIRST_OFFSET = 100, 0.1
+"""Number of corrections after the first one in which more counts: frames come later than there by the work of a tick."""
+
 _LARGEST_RATE = 1e-3
 """Largest change of the interval between two frames [cycles]; clocks differ by less than 1e-4."""
 
@@ -94,6 +97,7 @@ class Steering:
     def __init__(self, cycle: float, settings: DcSettings, host: HostTime = COMPUTER):
         self._cycle, self._settings, self.host = cycle, settings, host
         self._sent_at, self._due, self._rate, self._aligned = host.now(), host.now(), 0.0, False
+        self._settling = _SETTLING
         self._fresh, self._outside, self._inside = False, 0, 0
         self._tick_ends, self._tick_begins = False, True
         self.offset = nan
@@ -148,7 +152,8 @@ class Steering:
             self.shift = self._time_to_grid() if self._aligned else 0.0
             return self.shift
         if self._fresh:
-            most = _LARGEST_OFFSET * self._cycle
+            self._settling -= self._settling > 0
+            most = (_LARGEST_FIRST_OFFSET if self._settling else _LARGEST_OFFSET) * self._cycle
             counted = min(max(self.offset, -most), most)
             limit = _LARGEST_RATE * self._cycle
             self._rate = min(max(self._rate - _RATE_GAIN * counted / frames, -limit), limit)
@@ -162,7 +167,7 @@ class Steering:
     def restart(self) -> None:
         """Begins a new sequence of frames, whose first one is not yet in phase; the rate remains."""
         self._aligned = self._fresh = False
-        self._due = self.host.now()
+        self._due, self._settling = self.host.now(), _SETTLING
 
     def wait(self) -> None:
         """Waits until the next frame is due, outside of a control loop."""
