@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from stepgap.plants.tick_clock import TickClock
-from stepgap.rigs.ethercat.distributed_clocks import HostTime
 from stepgap.rigs.ethercat.emulator.clock import ClockError, ComputedTime
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.emulator import emulated
@@ -18,6 +17,7 @@ from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.ring_settings import RingClocks, RingSettings
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.host_time import HostTime
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.ethercat import RigSettings, hopper_on_ethercat
 from stepgap.robots.hopper.parameters import RobotParameters

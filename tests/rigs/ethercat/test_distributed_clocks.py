@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from stepgap.plants.commissioning.clock_check import ClockCheck, clock_check
 from stepgap.plants.commissioning.limp import Ticks
 from stepgap.rigs.ethercat import bus
-from stepgap.rigs.ethercat.distributed_clocks import DcSettings, HostTime, Steering, offset_from_grid
+from stepgap.rigs.ethercat.distributed_clocks import DcSettings, Steering, offset_from_grid
 from stepgap.rigs.ethercat.emulator.clock import ClockError
 from stepgap.rigs.ethercat.emulator.faults import Fault, LostFrames
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
+from stepgap.rigs.host_time import HostTime
 from stepgap.rigs.rig import RigFault
 from tests.rigs.ethercat.computed_time import TICK, TimedRig, drifting_clocks, settings_with_sync0, timed_rig
 

@@ -10,10 +10,11 @@ from time import monotonic, perf_counter, sleep
 from typing import Any
 
 from stepgap.rigs.ethercat.clock_start import clock_difference, start_clocks, synchronise
-from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime, Steering
+from stepgap.rigs.ethercat.distributed_clocks import Steering
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.pdo_mapping import configure_pdos
 from stepgap.rigs.ethercat.rig_settings import BusSettings
+from stepgap.rigs.host_time import COMPUTER, HostTime
 from stepgap.rigs.rig import MissingObject, RigFault
 
 _ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13

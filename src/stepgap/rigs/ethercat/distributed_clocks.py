@@ -5,12 +5,11 @@ others, which SOEM arranges with a second datagram (FRMW), and brings it to the 
 whole multiples of the cycle of its system time; SYNC0 of a slave follows later by its shift.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite, nan
-from time import perf_counter, sleep
 
 from stepgap.base.ranges import require
+from stepgap.rigs.host_time import COMPUTER, HostTime
 from stepgap.rigs.rig import ClockLimits
 
 SYNC0_ONLY, SYNC0_AND_SYNC1 = 0x0300, 0x0700
@@ -61,23 +60,6 @@ class DcSettings:
         """Limits for a time between two frames [s]."""
         window = self.window * cycle
         return ClockLimits(self.usual * window, window, self.outside, self.difference)
-
-
-@dataclass(frozen=True)
-class HostTime:
-    """The computer's clock.
-
-    Attributes:
-        now: Returns the time [s].
-        pause: Waits for a duration [s].
-    """
-
-    now: Callable[[], float] = perf_counter
-    pause: Callable[[float], None] = sleep
-
-
-COMPUTER = HostTime()
-"""The clock of this computer."""
 
 
 def offset_from_grid(time: int, cycle: int) -> int:

@@ -17,12 +17,12 @@ from stepgap.rigs.ethercat.cia402 import (
     next_controlword,
     state_of,
 )
-from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.reactions import secure_reactions
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
 from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
 from stepgap.rigs.ethercat.startup import StartupObject, write_startup
+from stepgap.rigs.host_time import COMPUTER, HostTime
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
     CLOCK_DIFFERENCE,
