@@ -1,6 +1,5 @@
 """The times of ticks: at a fixed interval, which a tick that is late by more than an interval shifts."""
 
-
 _DELAY_SHARE = 0.02
 """Weight of the last tick in the mean delay of frames; more in the first ticks, whose plain mean it is."""
 
@@ -34,8 +33,8 @@ class TickClock:
     def frame_times(self, frames: int, worked: float) -> list[float]:
         """Times of the frames between the present tick and the next one [s]; shape (frames − 1,).
 
-        The frame of a tick is sent when its work is done. The others have the mean of this delay, too, so that all frames
-        have equal distances.
+        The frame of a tick is sent when its work is done. The others have the mean of this delay, too, so that all
+        frames have equal distances.
 
         Args:
             frames: Frames per tick, including that of the tick itself.

@@ -203,8 +203,8 @@ def test_a_check_that_was_not_passed_is_refused(tmp_path: Path) -> None:
 
 def test_a_clock_out_of_its_limits_fails_the_check(tmp_path: Path) -> None:
     limits = ClockLimits(1.25e-4, 2.5e-4, 20, 1e-6)
-    good = replace(GOOD, clock=ClockCheck(limits, ticks=5000, p99_9=1e-4, worst=2e-4, differences={"slave 1": 2e-8}))
-    bad = replace(GOOD, clock=replace(good.clock, p99_9=2e-4))
+    clock = ClockCheck(limits, ticks=5000, p99_9=1e-4, worst=2e-4, differences={"slave 1": 2e-8})
+    good, bad = replace(GOOD, clock=clock), replace(GOOD, clock=replace(clock, p99_9=2e-4))
     assert not good.failures()
     assert "frames within 125 µs (99.9 %), clocks within 1 µs" in describe(good, bus=True)
     assert "no distributed clocks" in describe(GOOD, bus=True)

@@ -1,5 +1,7 @@
 """What a check says about frames and clocks, given the ticks of a rig."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -30,7 +32,7 @@ def test_numbers_are_those_of_the_ticks(offsets: list[float]) -> None:
         return
     assert found.worst == max(map(abs, known))
     assert found.p50 <= found.p99_9 <= found.worst
-    changes = [abs(after - before) for before, after in zip(known, known[1:], strict=False)]
+    changes = [abs(after - before) for before, after in pairwise(known)]
     assert found.jitter <= max(changes, default=0.0)
     assert found.jitter >= np.median(changes or [0.0])
     assert bool(found.failures()) == (found.p99_9 > LIMITS.usual)
@@ -40,7 +42,10 @@ def test_numbers_are_those_of_the_ticks(offsets: list[float]) -> None:
     ("rows", "expected"),
     [
         (ticks([2e-4] * 500 + [1e-5] * 5000 + [4e-4]), ""),
-        (ticks([2e-4] * 501 + [1e-5] * 5000 + [-2e-4] * 10), "99.9 % of the frames were within 200.0 µs of their times"),
+        (
+            ticks([2e-4] * 501 + [1e-5] * 5000 + [-2e-4] * 10),
+            "99.9 % of the frames were within 200.0 µs of their times",
+        ),
         (ticks([1e-5] * 999, outside=20), ""),
         (ticks([1e-5] * 999, outside=21), "21 frames in a row were outside of the window of 250.0 µs, at most 20"),
         (ticks([1e-5] * 999, third=-2e-6), "the clock of slave 3 differed by 2.0 µs from the reference clock, at most"),

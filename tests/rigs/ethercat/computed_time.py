@@ -119,6 +119,7 @@ class TimedRig:
         self.rig.write((0.0, 0.0))
         while self.time.ring_time.reads == reads:  # no time passes before the frame is at the ring
             sleep(0)
+        assert self.rig._bus.steering
         return self.rig._bus.steering.offset
 
     def register(self, slave: int, address: int, size: int) -> int:

@@ -1,9 +1,9 @@
 """Two moteus controllers on python-can's virtual bus, in lock-step with a machine behind them.
 
 Frames are taken apart and made here by the published format of the protocol, not by the library that the rig uses. The
-watchdog is that of the firmware (fw/moteus_controller.cc, fw/bldc_servo_control.h): only a write of the mode restarts it,
-with the time in that command (NaN for none) or, if it is 0, with the configured one; in position mode, its end leads to the
-mode *timeout* until a stop command. What the motor does then is configured (`servo.timeout_mode`), as 12 by default.
+watchdog is that of the firmware (fw/moteus_controller.cc, fw/bldc_servo_control.h): only a write of the mode restarts
+it, with the time in that command (NaN for none) or, if it is 0, with the configured one. In position mode, its end
+leads to the mode *timeout* until a stop command. What the motor does then is configured (`servo.timeout_mode`).
 """
 
 from collections.abc import Callable, Iterator
@@ -137,8 +137,8 @@ class Controllers(Thread):
     """Both controllers and the machine; a tick passes when each has received a command in position mode.
 
     `mute[n]` are the numbers of the controllers that do not answer after n ticks, `breaks[n]` is the fault then;
-    `overrides` replace registers, and the frames of `noise`, each with a sender, precede every answer. `now` is the time by
-    which their watchdogs run [s].
+    `overrides` replace registers, and the frames of `noise`, each with a sender, precede every answer. `now` is the time
+    by which their watchdogs run [s].
     """
 
     def __init__(self, settings: MoteusSettings, machine: Machine, now: Callable[[], float]):

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.moteus.can_bus import registers_of, stream_of
+from stepgap.rigs.moteus.can_bus import registers_of
 from stepgap.rigs.moteus.joint import JointCommand, Scale
 from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
 from stepgap.rigs.moteus.moteus_settings import AuxEncoder, Controller

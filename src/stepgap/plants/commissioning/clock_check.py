@@ -12,16 +12,16 @@ from stepgap.step import Array
 USUAL = 0.999
 """Fraction of the ticks whose frames must be within the usual distance."""
 
-SETTLING = 500
+UNSETTLED = 500
 """Number of ticks at the beginning in which frames and clocks approach their times; at most half of all."""
 
 _LATE = (
-    "frames are late if ticks are, or if the work of a tick varies: use a quieter machine; or choose a larger `tick` or "
-    "fewer `frames_per_tick`, since the window is a share of the cycle"
+    "frames are late if ticks are, or if the work of a tick varies: use a quieter machine; or choose a larger `tick` "
+    "or fewer `frames_per_tick`, since the window is a share of the cycle"
 )
 _APART = (
-    "a slave in which the clock does not follow may have no distributed clock of its own, or a wrong `assign_activate`; "
-    "check its ESI file, and cables and connectors, since lost frames disturb the clocks"
+    "its `assign_activate` may be wrong, so read its ESI file; lost frames disturb clocks, too, so check cables and "
+    "connectors"
 )
 
 
@@ -29,7 +29,7 @@ _APART = (
 class ClockCheck:
     """Distances of frames from their times on the reference clock of a bus, and of the slaves' clocks from it.
 
-    Of several frames per tick, the one that is farthest from its time counts. The first `SETTLING` ticks count for
+    Of several frames per tick, the one that is farthest from its time counts. The first `UNSETTLED` ticks count for
     `outside` only.
 
     Attributes:
@@ -87,7 +87,8 @@ class ClockCheck:
         apart = f"within {_micro(max(known))}" if known else "unknown"
         return (
             f"frames within {_micro(self.p99_9)} of their times (99.9 %), {_micro(self.worst)} at most, at most "
-            f"{self.outside} in a row outside of the window; jitter {_micro(self.jitter)} (99.9 %); slaves' clocks {apart}"
+            f"{self.outside} in a row outside of the window; jitter {_micro(self.jitter)} (99.9 %); "
+            f"slaves' clocks {apart}"
         )
 
 
@@ -100,7 +101,7 @@ def clock_check(ticks: Ticks, limits: ClockLimits | None) -> ClockCheck | None:
     """
     if limits is None or CLOCK_OFFSET not in ticks.names:
         return None
-    settled = replace(ticks, rows=ticks.rows[min(SETTLING, len(ticks.rows) // 2) :])
+    settled = replace(ticks, rows=ticks.rows[min(UNSETTLED, len(ticks.rows) // 2) :])
     offsets = settled.column(CLOCK_OFFSET)
     offsets = offsets[np.isfinite(offsets)]
     if not len(offsets):

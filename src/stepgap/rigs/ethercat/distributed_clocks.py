@@ -28,7 +28,7 @@ _LARGEST_OFFSET = 0.01
 """Offset that counts at most [cycles], so that a late tick hardly shifts the ticks after it."""
 
 _SETTLING, _LARGEST_FIRST_OFFSET = 100, 0.1
-"""Number of corrections after the first one in which more counts: frames come later than there by the work of a tick."""
+"""Number of corrections after the first one in which more counts: by the work of a tick, frames are later than then."""
 
 _LARGEST_RATE = 1e-3
 """Largest change of the interval between two frames [cycles]; clocks differ by less than 1e-4."""

@@ -27,7 +27,7 @@ PADDING = b"\x50"
 Registers = Mapping[int, float]
 """Values of a controller by register."""
 
-Answer = TypeVar("Answer")
+_Answer = TypeVar("_Answer")
 """What a frame of a controller contains."""
 
 
@@ -95,8 +95,8 @@ class CanBus:
             raise RigFault(f"the CAN bus {self._name} does not accept frames: {error}") from None
 
     def receive(
-        self, wanted: Collection[int], timeout: float, decode: Callable[[bytes], Answer | None]
-    ) -> dict[int, Answer]:
+        self, wanted: Collection[int], timeout: float, decode: Callable[[bytes], _Answer | None]
+    ) -> dict[int, _Answer]:
         """Receives the replies of the controllers `wanted` that arrive within `timeout` [s], decoded."""
         missing, replies, until = set(wanted), {}, monotonic() + timeout
         while missing:

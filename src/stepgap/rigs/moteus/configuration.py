@@ -37,21 +37,19 @@ def check_timeout(bus: CanBus, controller: moteus.Controller, timeout: float = C
     mode = int(_read(bus, controller, _TIMEOUT_MODE, timeout, int))
     if mode != 0:
         raise RigFault(
-            f"controller {number}: {_TIMEOUT_MODE} is {mode} ({TIMEOUT_MODES.get(mode, 'unknown')}), so its motor has torque "
-            f"after its watchdog; in `tview`, type `conf set {_TIMEOUT_MODE} 0` and `conf write`"
+            f"controller {number}: {_TIMEOUT_MODE} is {mode} ({TIMEOUT_MODES.get(mode, 'unknown')}), so its motor has "
+            f"torque after its watchdog; in `tview`, type `conf set {_TIMEOUT_MODE} 0` and `conf write`"
         )
     default = _read(bus, controller, _DEFAULT_TIMEOUT, timeout, float)
     if isfinite(default) and default <= LONGEST_TIMEOUT:
         return []
     return [
-        f"controller {number}: {_DEFAULT_TIMEOUT} is {default:g}: commands of other programs, which may have no watchdog of "
-        "their own, keep their torque for as long"
+        f"controller {number}: {_DEFAULT_TIMEOUT} is {default:g}: commands of other programs, which may have no "
+        "watchdog of their own, keep their torque for as long"
     ]
 
 
-def _read(
-    bus: CanBus, controller: moteus.Controller, name: str, timeout: float, kind: Callable[[str], float]
-) -> float:
+def _read(bus: CanBus, controller: moteus.Controller, name: str, timeout: float, kind: Callable[[str], float]) -> float:
     """Reads one value.
 
     Raises:
@@ -77,7 +75,9 @@ def _asked(bus: CanBus, controller: moteus.Controller, name: str, until: float) 
     """
     while _poll(bus, controller, until):
         if monotonic() > until:
-            raise RigFault(f"controller {controller.id} sends text without end: stop its telemetry (`tel stop` in tview)")
+            raise RigFault(
+                f"controller {controller.id} sends text without end: stop its telemetry (`tel stop` in tview)"
+            )
     bus.send({controller.id: controller.make_diagnostic_write(f"conf get {name}\n".encode("ascii"))})
     text = b""
     while not text.endswith(b"\n") and len(text) < _LARGEST_LINE and monotonic() < until:

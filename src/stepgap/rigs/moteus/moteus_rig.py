@@ -144,8 +144,7 @@ class MoteusRig(Rig):
         self._bus = CanBus(self._settings.interface, self._settings.channel)
         try:
             self._check_controllers(self._bus)
-            timeouts = [check_timeout(self._bus, each) for each in self._controllers.values()]
-            self._remarks = sum(timeouts, [])
+            self._remarks = [text for each in self._controllers.values() for text in check_timeout(self._bus, each)]
             self._get_ready(self._bus)
         except RigFault:
             self.close()
