@@ -138,7 +138,7 @@ class Controllers(Thread):
 
     `mute[n]` are the numbers of the controllers that do not answer after n ticks, `breaks[n]` is the fault then;
     `overrides` replace registers, and the frames of `noise`, each with a sender, precede every answer. `now` is the time
-    by which their watchdogs run [s].
+    by which watchdogs run [s].
     """
 
     def __init__(self, settings: MoteusSettings, machine: Machine, now: Callable[[], float]):
