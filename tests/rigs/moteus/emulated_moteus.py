@@ -137,8 +137,8 @@ class Controllers(Thread):
     """Both controllers and the machine; a tick passes when each has received a command in position mode.
 
     `mute[n]` are the numbers of the controllers that do not answer after n ticks, `breaks[n]` is the fault then;
-    `overrides` replace registers, and the frames of `noise`, each with a sender, precede every answer. `now` is the time
-    by which watchdogs run [s].
+    `overrides` replace registers, and the frames of `noise`, each with a sender, precede every answer. `now` is the
+    time by which watchdogs run [s].
     """
 
     def __init__(self, settings: MoteusSettings, machine: Machine, now: Callable[[], float]):

@@ -2,8 +2,8 @@
 
 In the firmware of moteus (`fw/moteus_controller.cc`, `fw/bldc_servo_control.h`), only a frame that writes the mode
 restarts the watchdog, and one that only reads registers does not. The watchdog counts down the time in the last
-command; at zero the mode becomes *timeout* until a stop command. With `servo.timeout_mode` = 0, the reported torque is exactly
-zero from then on, and after `servo.cooldown_cycles` (256 periods with a current of zero, 9 ms at 30 kHz) the motor
+command; at zero the mode becomes *timeout* until a stop command. With `servo.timeout_mode` = 0, the reported torque is
+exactly zero from then on. After `servo.cooldown_cycles` (256 periods with a current of zero, 9 ms at 30 kHz) the motor
 driver is off.
 """
 
