@@ -3,7 +3,8 @@
     ./go python -m benchmarks.distributed_clocks --ticks 1000000
 
 The ring runs in lock-step over a veth pair, with SOEM as its master. Its time is computed, not measured: a tick begins
-after a delay with an exponential distribution, and a rare one much later.
+after a delay with an exponential distribution, and a rare one much later. `--frames 4` sends four frames per tick, and
+`--tick 0.00025` controls at 4 kHz.
 """
 
 import os
@@ -14,7 +15,7 @@ import numpy as np
 
 from stepgap.rigs.ethercat.emulator.faults import LostFrames
 from stepgap.rigs.rig import RigFault
-from tests.rigs.ethercat.computed_time import TimedRig, drifting_clocks, timed_rig
+from tests.rigs.ethercat.computed_time import TICK, TimedRig, drifting_clocks, settings_with_sync0, timed_rig
 
 COMPARED_EVERY = 100
 """Number of ticks between two comparisons of the drives' clocks."""
@@ -34,7 +35,7 @@ def drive(timed: TimedRig, late: list[float]) -> tuple[list[float], list[int], s
     offsets, apart = [], []
     try:
         for tick, delay in enumerate(late):
-            offsets.append(timed.tick(delay))
+            offsets += timed.tick(delay)
             if tick % COMPARED_EVERY == COMPARED_EVERY - 1:
                 apart.append(timed.apart())
     except RigFault as fault:
@@ -42,18 +43,33 @@ def drive(timed: TimedRig, late: list[float]) -> tuple[list[float], list[int], s
     return offsets, apart, ""
 
 
-def run(ticks: int, seed: int, jitter: float, outlier: float, outliers: float, lost: int) -> None:
+def run(
+    ticks: int,
+    seed: int,
+    jitter: float,
+    outlier: float,
+    outliers: float,
+    lost: int,
+    tick: float,
+    frames: int,
+) -> None:
     """Runs the benchmark and prints its result."""
     rng = np.random.default_rng(seed)
     clocks, late = drifting_clocks(rng), delays(rng, ticks, jitter, outlier, outliers)
-    faults = tuple(LostFrames(int(cycle), 2) for cycle in np.linspace(2000, ticks, lost, endpoint=False))
+    cycles = np.linspace(2000, ticks * frames, lost, endpoint=False)
+    faults, interface = tuple(LostFrames(int(cycle), 2) for cycle in cycles), f"dc{os.getpid()}"
     began = perf_counter()
-    with timed_rig(f"dc{os.getpid()}", clocks, faults) as timed:
+    with timed_rig(interface, clocks, faults, settings_with_sync0(interface, tick, frames)) as timed:
         offsets, apart, fault = drive(timed, late)
-    print(f"{len(offsets)} ticks in {perf_counter() - began:.0f} s, {lost} times two frames lost")
+    print(f"{len(offsets)} frames in {perf_counter() - began:.0f} s, {lost} times two frames lost")
     print(f"fault: {fault or 'none'}")
-    for name, values in (("frame from its time", 1e6 * np.abs(offsets)), ("clocks apart", 1e-3 * np.abs(apart))):
-        settled = values[SETTLED if len(values) == len(offsets) else SETTLED // COMPARED_EVERY :]
+    first = SETTLED * frames
+    for name, values, skipped in (
+        ("frame from its time", 1e6 * np.abs(offsets), first),
+        ("jitter, from frame to frame", 1e6 * np.abs(np.diff(offsets)), first),
+        ("clocks apart", 1e-3 * np.abs(apart), SETTLED // COMPARED_EVERY),
+    ):
+        settled = values[skipped:]
         quantiles = ", ".join(f"{100 * q:g} % {np.quantile(settled, q):.2f} µs" for q in (0.5, 0.99, 0.999))
         print(f"{name}: {quantiles}, worst {settled.max():.2f} µs; in the first {SETTLED} ticks {values.max():.2f} µs")
 
@@ -66,4 +82,6 @@ if __name__ == "__main__":
     parser.add_argument("--outlier", type=float, default=2e-4, help="largest additional delay of a rare tick [s]")
     parser.add_argument("--outliers", type=float, default=1e-3, help="share of such ticks")
     parser.add_argument("--lost", type=int, default=0, help="number of times two frames are lost")
+    parser.add_argument("--tick", type=float, default=TICK, help="time between two ticks [s]")
+    parser.add_argument("--frames", type=int, default=1, help="frames per tick")
     run(**vars(parser.parse_args()))

@@ -58,7 +58,8 @@ def check(rig_file: Path | None = None, /, *, plant: Name | None = None, seconds
         found, setup = make_rig(), limp_setup(make_rig, control, frames)
         findings = found.findings()
         _refuse_contradictions(rig_file, mark, findings)
-        result = measure(setup, frames, found.sensor_model.tick, found.limits or limits, seconds)
+        tick, clocks = found.sensor_model.tick, found.clock_limits
+        result = measure(setup, frames, tick, found.limits or limits, seconds, clocks)
         result = with_watchdog(with_findings(result, findings), make_rig)
         file = write_check(rig_file, mark, result)
         print(describe(result, bus=True))

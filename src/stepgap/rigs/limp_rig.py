@@ -7,7 +7,7 @@ from multiprocessing import RawValue
 from typing import Any
 
 from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.rig import Finding, Health, Reading, Rig, SensorModel, Torques
+from stepgap.rigs.rig import ClockLimits, Finding, Health, Reading, Rig, SensorModel, Torques
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,11 @@ class LimpRig(Rig):
     def warning(self) -> str:
         """That of the rig, after which a limp robot is switched off."""
         return self._rig.warning
+
+    @property
+    def clock_limits(self) -> ClockLimits | None:
+        """Those of the rig."""
+        return self._rig.clock_limits
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -15,8 +15,15 @@ Torques = tuple[float, ...]
 """One torque per motor [N·m], in an order that the robot defines."""
 
 
-CLOCK_OFFSET = "clock_offset"
-"""Diagnostic of a rig whose devices have a clock of their own: how late the last message was on that clock [s]."""
+CLOCK_OFFSET, CLOCK_OUTSIDE = "clock_offset", "clock_outside"
+"""Diagnostics of a rig whose devices have a clock of their own.
+
+Of the messages of the last tick, the largest distance from their times on that clock, late ones positive [s]; and the
+largest number of them in a row, with those before, outside of the window of `ClockLimits`.
+"""
+
+CLOCK_DIFFERENCE = "clock_difference"
+"""End of the names of diagnostics that are the last known difference of a device's clock from that clock [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +62,23 @@ HEALTHY = Health()
 
 LOST = Health(frame_lost=True, stale=True)
 """A tick whose frame was lost, so that the reading is that of the tick before."""
+
+
+@dataclass(frozen=True)
+class ClockLimits:
+    """What a check demands of a rig whose devices have a clock of their own.
+
+    Attributes:
+        usual: Largest distance of 99.9 % of the messages from their times on that clock [s].
+        window: Distance within which a message is in time [s].
+        outside: Largest number of consecutive messages outside of this window.
+        difference: Largest difference of a device's clock from that clock [s].
+    """
+
+    usual: float
+    window: float
+    outside: int
+    difference: float
 
 
 @dataclass(frozen=True)
@@ -109,6 +133,11 @@ class Rig(ABC):
     @property
     def limits(self) -> RigLimits | None:
         """Limits of its motors, joints and ticks; None where only the robot's torque limit is known."""
+        return None
+
+    @property
+    def clock_limits(self) -> ClockLimits | None:
+        """Limits of the clock of its devices; None if they have none of their own."""
         return None
 
     @property

@@ -17,20 +17,18 @@ from hypothesis import strategies as st
 from stepgap.base.errors import InputError
 from stepgap.plants.commissioning.check import (
     Check,
-    ClockOffsets,
     Timing,
     checked,
-    clock_offsets,
     describe,
     timing_of,
     with_findings,
     with_watchdog,
     write_check,
 )
-from stepgap.plants.commissioning.limp import Ticks
+from stepgap.plants.commissioning.clock_check import ClockCheck
 from stepgap.plants.commissioning.proof import fingerprint, proof_file
 from stepgap.plants.realtime.pace import NO_LOCKED_MEMORY, NO_PRIORITY
-from stepgap.rigs.rig import Finding, RigFault, SensorModel, WatchdogTimes
+from stepgap.rigs.rig import ClockLimits, Finding, RigFault, SensorModel, WatchdogTimes
 from stepgap.rigs.still_rig import StillRig
 
 TICK = 1e-3
@@ -223,13 +221,16 @@ def test_a_check_that_was_not_passed_is_refused(tmp_path: Path) -> None:
         checked(rig_file)
 
 
-def test_the_offsets_on_a_reference_clock_are_reported() -> None:
-    offsets = np.concatenate([[np.nan], np.linspace(-2e-6, 1e-6, 1001)])
-    found = clock_offsets(Ticks(("time", "clock_offset"), np.column_stack([offsets, offsets]), "", ""))
-    assert found is not None
-    assert found.worst == 2e-6
-    assert found.p99_9 == pytest.approx(np.quantile(np.abs(offsets[1:]), 0.999))
-    assert clock_offsets(Ticks(("time",), np.zeros((3, 1)), "", "")) is None
-    text = describe(replace(GOOD, clock=ClockOffsets(3e-6, 4e-5)), bus=True)
-    assert "frames within 3.0 µs of their times (99.9 %), 40.0 µs at most" in text
+def test_a_clock_out_of_its_limits_fails_the_check(tmp_path: Path) -> None:
+    limits = ClockLimits(1.25e-4, 2.5e-4, 20, 1e-6)
+    clock = ClockCheck(limits, ticks=5000, p99_9=1e-4, worst=2e-4, differences={"slave 1": 2e-8})
+    good, bad = replace(GOOD, clock=clock), replace(GOOD, clock=replace(clock, p99_9=2e-4))
+    assert not good.failures()
+    assert "frames within 125 µs (99.9 %), clocks within 1 µs" in describe(good, bus=True)
     assert "no distributed clocks" in describe(GOOD, bus=True)
+    assert "must be within 125.0 µs (dc.usual)" in describe(bad, bus=True)
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text("")
+    for check, passed in ((good, True), (bad, False)):
+        content = json.loads(write_check(rig_file, fingerprint(rig_file), check).read_text("utf-8"))
+        assert (content["passed"], content["clock"]["limits"]["usual"]) == (passed, 1.25e-4)

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from time import sleep
 
 import numpy as np
 import pytest
 
 from stepgap.plants.tick_clock import TickClock
-from stepgap.rigs.ethercat.distributed_clocks import HostTime
 from stepgap.rigs.ethercat.emulator.clock import ClockError, ComputedTime
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.emulator import emulated
@@ -16,6 +17,7 @@ from stepgap.rigs.ethercat.emulator.faults import Fault
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.ring_settings import RingClocks, RingSettings
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
+from stepgap.rigs.host_time import HostTime
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.ethercat import RigSettings, hopper_on_ethercat
 from stepgap.robots.hopper.parameters import RobotParameters
@@ -35,15 +37,18 @@ HOP = 500
 """Time of a frame from one slave to the next [ns]."""
 
 
+@dataclass(frozen=True)
 class StillMachine(Machine):
-    """Counts that never change."""
+    """Counts that never change; `cycle` is the time between two frames [s]."""
+
+    cycle: float = TICK
 
     @property
     def period(self) -> float:
-        return TICK
+        return self.cycle
 
     def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
-        return hopper_devices(settings, TICK)
+        return hopper_devices(settings, self.cycle)
 
     def start(self) -> HopperReading:
         return HopperReading(0, 0, 0, 0, 0.0)
@@ -74,10 +79,11 @@ def drifting_clocks(rng: np.random.Generator) -> tuple[ClockError, ...]:
     return tuple(ClockError(rate, rng.uniform(5, 20), rng.uniform(30, 120)) for rate in rates)
 
 
-def settings_with_sync0(interface: str) -> RigSettings:
+def settings_with_sync0(interface: str, tick: float = TICK, frames: int = 1) -> RigSettings:
     """Settings of a ring in which SYNC0 is activated for both drives."""
     ring = RingSettings(clocks=RingClocks(need_sync0=DRIVES))
-    return emulated_settings(hopper_sensors(still_hopper(TICK).sensor_model), RobotParameters(), ring, interface)
+    sensors = hopper_sensors(still_hopper(tick).sensor_model)
+    return replace(emulated_settings(sensors, RobotParameters(), ring, interface), frames_per_tick=frames)
 
 
 class TimedRig:
@@ -85,21 +91,36 @@ class TimedRig:
 
     def __init__(self, rig: EthercatRig, time: SimulatedTime):
         self.rig, self.time = rig, time
-        self._clock, self._start = TickClock(TICK), time.now
+        self._frames = rig.sensor_model.frames_per_tick
+        self._clock, self._start = TickClock(rig.sensor_model.tick), time.now
 
-    def tick(self, late: float = 0.0, follow: bool = True) -> float:
-        """Runs a tick that begins late [s]; returns how late the frame before was at the reference clock [s]."""
+    def tick(self, late: float = 0.0, follow: bool = True) -> list[float]:
+        """Runs a tick that begins late, and the frames between it and the next one.
+
+        Args:
+            late: Its delay [s].
+            follow: Whether ticks follow the reference clock.
+
+        Returns:
+            How late each frame before these frames was at the reference clock [s]; shape (frames per tick,).
+        """
         correction = self.rig.clock_correction(self._clock.slip)
         self._clock.shift(correction if follow else 0.0)
-        begun = self._clock.begin(late)
-        self.time.pause(self._start + begun - self.time.now)
+        first = self._exchange(self._clock.begin(late), WORK)
+        worked = self.time.now - self._start
+        return [first, *map(self._exchange, self._clock.frame_times(self._frames, worked))]
+
+    def _exchange(self, due: float, work: float = 0.0) -> float:
+        """Exchanges a frame at a time or, if it is over, at once; returns how late the one before was [s]."""
+        self.time.pause(max(0.0, self._start + due - self.time.now))
         self.rig.read()
-        self.time.pause(WORK)
+        self.time.pause(work)
         reads = self.time.ring_time.reads
         self.rig.write((0.0, 0.0))
         while self.time.ring_time.reads == reads:  # no time passes before the frame is at the ring
             sleep(0)
-        return self.rig.diagnostics[-2]
+        assert self.rig._bus.steering
+        return self.rig._bus.steering.offset
 
     def register(self, slave: int, address: int, size: int) -> int:
         """Reads a register of a slave controller; a busy computer may answer too late."""
@@ -124,7 +145,7 @@ def timed_rig(
     ring = RingSettings(clocks=RingClocks(clocks, HOP, DRIVES), faults=faults)
     time = SimulatedTime()
     found = settings or settings_with_sync0(interface)
-    with emulated(interface, StillMachine, ring, time.ring_time):
+    with emulated(interface, partial(StillMachine, found.cycle), ring, time.ring_time):
         rig = EthercatRig(found, hopper_on_ethercat(found, RobotParameters()).sensor_model, time.host)
         with rig:
             yield TimedRig(rig, time)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.rigs.moteus.can_bus import _registers
+from stepgap.rigs.moteus.can_bus import registers_of
 from stepgap.rigs.moteus.joint import JointCommand, Scale
 from stepgap.rigs.moteus.moteus_rig import POSITION_COUNTS, MoteusRig
 from stepgap.rigs.moteus.moteus_settings import AuxEncoder, Controller
@@ -272,7 +272,7 @@ def test_a_torque_that_is_not_finite_never_reaches_a_motor(bench: tuple[Controll
 @settings(deadline=None)
 @given(st.binary(max_size=64), st.sampled_from([b"", bytes([0x2F, 0x01]), bytes([0x21, 0x00, 0x0A])]))
 def test_any_frame_is_decoded_or_ignored(data: bytes, head: bytes) -> None:
-    registers = _registers(head + data)
+    registers = registers_of(head + data)
     assert registers is None or all(isinstance(value, (int, float)) for value in registers.values())
 
 
@@ -287,7 +287,7 @@ def test_any_frame_is_decoded_or_ignored(data: bytes, head: bytes) -> None:
     ],
 )
 def test_frames_that_are_not_answers_are_ignored(data: bytes) -> None:
-    assert _registers(data) is None
+    assert registers_of(data) is None
 
 
 # Joints

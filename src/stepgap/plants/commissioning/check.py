@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.plants.commissioning.limp import Ticks, describe_devices, ticks_of
+from stepgap.plants.commissioning.clock_check import ClockCheck, clock_check
+from stepgap.plants.commissioning.limp import describe_devices, ticks_of
 from stepgap.plants.commissioning.proof import proof_file, proven, write_proof
 from stepgap.plants.realtime.pace import NEEDED_FOR_TORQUE
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.limp_rig import FrameCount
-from stepgap.rigs.rig import CLOCK_OFFSET, Finding, Rig, RigFault, WatchdogTimes
+from stepgap.rigs.rig import ClockLimits, Finding, Rig, RigFault, WatchdogTimes
 from stepgap.step import Array
 
 CHECK = "check"
@@ -68,19 +69,6 @@ class Timing:
 
 
 @dataclass(frozen=True)
-class ClockOffsets:
-    """Distances of frames from their times on the reference clock of a bus with distributed clocks.
-
-    Attributes:
-        p99_9: 99.9 % quantile [s].
-        worst: Largest distance [s].
-    """
-
-    p99_9: float
-    worst: float
-
-
-@dataclass(frozen=True)
 class Check:
     """Result of a check.
 
@@ -95,9 +83,9 @@ class Check:
         watchdog: When the motors gave up their torque without messages; None if it was not measured.
         watchdog_fault: Why the watchdog is not proven; empty if it is, or if it was not measured.
         remarks: What a person should know about the rig, although it is no fault.
-        clock: Distances of frames from their times; None without distributed clocks.
         contradictions: What documents of the devices say against the settings; empty if they agree.
         drives: Temperatures, bus voltages and states of STO and enable inputs at the end, by name.
+        clock: Frames and clocks on the reference clock; None without distributed clocks.
     """
 
     tick: float
@@ -110,9 +98,9 @@ class Check:
     watchdog: WatchdogTimes | None = None
     watchdog_fault: str = ""
     remarks: tuple[str, ...] = ()
-    clock: ClockOffsets | None = None
     contradictions: tuple[str, ...] = ()
     drives: Mapping[str, str] = field(default_factory=dict)
+    clock: ClockCheck | None = None
 
     def failures(self) -> list[str]:
         """Describes what is not within the limits; empty if the check is passed."""
@@ -126,6 +114,8 @@ class Check:
             )
         if self.fault:
             found.append(self.fault)
+        if self.clock:
+            found += self.clock.failures()
         if not self.simulated:
             found += [refusal for refusal in NEEDED_FOR_TORQUE if refusal in self.refused]
             found += [self.watchdog_fault] if self.watchdog_fault else _slow_watchdogs(self.watchdog)
@@ -173,7 +163,14 @@ def _longest(missed: Sequence[int]) -> int:
     return most
 
 
-def measure(setup: RealtimeSetup, frames: FrameCount, tick: float, limits: RigLimits, seconds: float) -> Check:
+def measure(
+    setup: RealtimeSetup,
+    frames: FrameCount,
+    tick: float,
+    limits: RigLimits,
+    seconds: float,
+    clock_limits: ClockLimits | None = None,
+) -> Check:
     """Measures a rig without torque.
 
     Args:
@@ -182,26 +179,18 @@ def measure(setup: RealtimeSetup, frames: FrameCount, tick: float, limits: RigLi
         tick: Its tick [s].
         limits: Its limits.
         seconds: Duration, rounded to ticks [s].
+        clock_limits: Those of its reference clock; None without one.
 
     Raises:
         RigFault: There was no tick at all.
     """
     ticks = ticks_of(setup, round(seconds / tick))
     timing = timing_of(ticks.column("late"), tick)
-    lost, clock = frames.lost, clock_offsets(ticks)
+    lost, clock = frames.lost, clock_check(ticks, clock_limits)
     drives = describe_devices(setup.make_rig(), dict(zip(ticks.names, ticks.rows[-1].tolist(), strict=True)))
     return Check(
         tick, limits.late_ticks, limits.simulated, timing, lost, ticks.refused, ticks.fault, clock=clock, drives=drives
     )
-
-
-def clock_offsets(ticks: Ticks) -> ClockOffsets | None:
-    """Computes how far frames were from their times on the reference clock; None without distributed clocks."""
-    if CLOCK_OFFSET not in ticks.names:
-        return None
-    offsets = np.abs(ticks.column(CLOCK_OFFSET))
-    measured = offsets[np.isfinite(offsets)]
-    return ClockOffsets(float(np.quantile(measured, 0.999)), float(measured.max())) if len(measured) else None
 
 
 def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
@@ -252,6 +241,9 @@ def describe(check: Check, bus: bool) -> str:
         rule += "; for a simulated robot (limits.simulated) neither privileges nor watchdog"
     else:
         rule += "; SCHED_FIFO and locked memory; watchdogs in time"
+    if check.clock:
+        limits = check.clock.limits
+        rule += f"; frames within {1e6 * limits.usual:g} µs (99.9 %), clocks within {1e6 * limits.difference:g} µs"
     rows = {
         "ticks": f"  {timing.ticks}, one every {1e6 * check.tick:g} µs",
         "late by   50 %": f"≤ {1e6 * timing.p50:.1f} µs",
@@ -260,7 +252,7 @@ def describe(check: Check, bus: bool) -> str:
         "          at most": f"  {1e6 * timing.worst:.1f} µs",
         "within half a tick": f"  {100 * timing.punctual:.3f} %",
         "ticks missed": f"  {timing.missed}, at most {timing.missed_in_a_row} in a row",
-        "reference clock": f"  {_describe_clock(check.clock)}",
+        "reference clock": f"  {check.clock.describe() if check.clock else 'no distributed clocks'}",
         "frames lost": f"  {check.lost_frames if bus else 'no bus was measured'}",
         "the kernel refused": f"  {check.refused or 'nothing'}",
         "watchdog": f"  {_describe_watchdog(check)}",
@@ -275,12 +267,6 @@ def describe(check: Check, bus: bool) -> str:
     if failures and bus and (check.fault or check.lost_frames):
         lines.append(BUS_ADVICE)
     return "\n".join(lines)
-
-
-def _describe_clock(clock: ClockOffsets | None) -> str:
-    if clock is None:
-        return "no distributed clocks"
-    return f"frames within {1e6 * clock.p99_9:.1f} µs of their times (99.9 %), {1e6 * clock.worst:.1f} µs at most"
 
 
 def _describe_watchdog(check: Check) -> str:

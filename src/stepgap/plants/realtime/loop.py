@@ -103,10 +103,10 @@ class ControlLoop:
         try:
             late = self._wait(pace)
             while self.tick(late):
-                began, due = self._clock.time, self._clock.due
-                self._took = pace(0.0) - began
-                for remaining in range(frames - 1, 0, -1):
-                    if not self._repeat(pace(due - self._tick_time * remaining / frames)):
+                worked = pace(0.0)
+                self._took = worked - self._clock.time
+                for due in self._clock.frame_times(frames, worked):
+                    if not self._repeat(pace(due)):
                         return
                 late = self._wait(pace)
         finally:

@@ -9,11 +9,12 @@ from struct import Struct
 from time import monotonic, perf_counter, sleep
 from typing import Any
 
-from stepgap.rigs.ethercat.clock_start import start_clocks, synchronise
-from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime, Steering
+from stepgap.rigs.ethercat.clock_start import clock_difference, start_clocks, synchronise
+from stepgap.rigs.ethercat.distributed_clocks import Steering
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.pdo_mapping import configure_pdos
 from stepgap.rigs.ethercat.rig_settings import BusSettings
+from stepgap.rigs.host_time import COMPUTER, HostTime
 from stepgap.rigs.rig import MissingObject, RigFault
 
 _ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13
@@ -193,6 +194,10 @@ class Bus:
         """
         state = self._master.read_state()
         return state == self._soem.OP_STATE if state else None
+
+    def clock_difference(self, number: int) -> float | None:
+        """Difference of a slave's clock from the reference clock [s], None without an answer; costs one more frame."""
+        return clock_difference(self._master.slaves[number], self._timeout)
 
     def out_of_operation(self) -> list[int]:
         """Numbers of the slaves that report another state than OP; costs frames without process data."""

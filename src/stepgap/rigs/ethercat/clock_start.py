@@ -87,6 +87,19 @@ def _activate(device: Any, slave: Slave, cycle: float) -> bool:
     return False
 
 
+def clock_difference(device: Any, timeout: int | None = None) -> float | None:
+    """Mean difference of a slave's clock from the reference clock [s], positive if ahead; None without an answer.
+
+    Args:
+        device: The slave, of pysoem.
+        timeout: Timeout of the answer [µs]; None for that of pysoem, 2 ms.
+    """
+    word = _register(device, _DIFFERENCE, _U32.size, timeout)
+    if word is None:
+        return None
+    return 1e-9 * (-_amount(word) if word >> 31 else _amount(word))
+
+
 def _deviating(master: Any, settings: BusSettings, label: Callable[[int], str]) -> list[str]:
     """Describes the slaves whose clocks differ from the reference clock."""
     found = {
@@ -106,10 +119,11 @@ def _amount(word: int) -> int:
     return word & 0x7FFFFFFF
 
 
-def _register(device: Any, address: int, size: int) -> int | None:
-    """Reads a register of a slave controller, or returns None if the reply is late."""
+def _register(device: Any, address: int, size: int, timeout: int | None = None) -> int | None:
+    """Reads a register of a slave controller, or returns None if the reply is late; the timeout is in µs."""
+    limit = () if timeout is None else (timeout,)
     try:
-        return int.from_bytes(device._fprd(address, size), "little")  # pysoem has no other name for it
+        return int.from_bytes(device._fprd(address, size, *limit), "little")  # pysoem has no other name for it
     except Exception as error:  # WkcError; pysoem is imported only where a bus is used
         if type(error).__name__ != "WkcError":
             raise

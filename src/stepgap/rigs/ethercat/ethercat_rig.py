@@ -1,7 +1,8 @@
 """A robot on an EtherCAT bus as a `Rig`: drives in cyclic synchronous torque, encoders, force sensors."""
 
 from collections.abc import Callable, Mapping
-from math import isfinite
+from itertools import cycle
+from math import isfinite, nan
 from pathlib import Path
 from struct import Struct
 from time import monotonic, sleep
@@ -16,7 +17,6 @@ from stepgap.rigs.ethercat.cia402 import (
     next_controlword,
     state_of,
 )
-from stepgap.rigs.ethercat.distributed_clocks import COMPUTER, HostTime
 from stepgap.rigs.ethercat.esi.comparison import compare_with_esi, labelled
 from stepgap.rigs.ethercat.esi.reader import read_esi
 from stepgap.rigs.ethercat.pdo import Packing
@@ -25,11 +25,15 @@ from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor
 from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
 from stepgap.rigs.ethercat.startup import StartupObject, write_startup
 from stepgap.rigs.ethercat.watched_drives import WatchedDrives
+from stepgap.rigs.host_time import COMPUTER, HostTime
 from stepgap.rigs.limits import RigLimits
 from stepgap.rigs.rig import (
+    CLOCK_DIFFERENCE,
     CLOCK_OFFSET,
+    CLOCK_OUTSIDE,
     HEALTHY,
     LOST,
+    ClockLimits,
     DoubtfulSensor,
     Finding,
     Health,
@@ -45,11 +49,11 @@ _ERROR_CODE, _STATUSWORD, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6041, 0x607
 _MODE, _MODE_DISPLAY = 0x6060, 0x6061
 _U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
 
-CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s"}
+CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s", CLOCK_OUTSIDE: "frames"}
 """Values of the synchronisation with the reference clock that are logged, with their units."""
 
 STATES_EVERY = 50
-"""Number of good frames between two checks of the slaves' states."""
+"""Number of good frames between two checks of the slaves' states, and between two readings of a slave's clock."""
 
 
 WATCHDOG_PATIENCE = 0.1
@@ -100,6 +104,8 @@ class EthercatRig(Rig):
             for pdos in [settings.pdo_set(settings.slaves[drive])]
         }
         self._watched = WatchedDrives(settings, self._bus.label, self._bus.inputs)
+        synchronised = [number for number, slave in enumerate(settings.slaves) if slave.assign_activate]
+        self._differences, self._next_clock = dict.fromkeys(synchronised, nan), cycle(synchronised)
         self._connected, self._fault, self._remarks = False, "", list[str]()
         self._lost, self._frame_pending, self._good_frames, self._unanswered = 0, False, 0, 0
         self._reading = settings.reading((0.0,) * len(self._sensors))
@@ -123,10 +129,14 @@ class EthercatRig(Rig):
     def diagnostic_units(self) -> Mapping[str, str]:
         """Status word of every drive, its velocity and torque in its own units, and what `DriveLimits` limit.
 
-        Each only if the drive sends it. With distributed clocks also how much too late the frame passed the reference
-        clock, and the last correction.
+        Each only if the drive sends it. With distributed clocks also how much too late a frame passed the reference
+        clock, the last correction, and how far the clocks of the slaves with SYNC0, numbered from 1, are ahead of it.
         """
-        return {**self._watched.units, **(CLOCK_DIAGNOSTICS if self._bus.steering else {})}
+        units = self._watched.units
+        if self._bus.steering:
+            units |= CLOCK_DIAGNOSTICS
+            units |= {f"slave_{number + 1}_{CLOCK_DIFFERENCE}": "s" for number in self._differences}
+        return units
 
     @property
     def diagnostic_ranges(self) -> Mapping[str, tuple[float, float]]:
@@ -143,11 +153,19 @@ class EthercatRig(Rig):
         """Those values in the last good frame."""
         steering = self._bus.steering
         values = self._watched.values
-        return (*values, steering.offset, steering.shift) if steering else values
+        if not steering:
+            return values
+        return (*values, steering.farthest, steering.shift, steering.outside, *self._differences.values())
+
+    @property
+    def clock_limits(self) -> ClockLimits | None:
+        """Limits of frames and clocks in a check; None without distributed clocks."""
+        return self._settings.dc.limits(self._settings.cycle) if self._bus.steering else None
 
     def clock_correction(self, slip: float = 0.0) -> float:
         """Time by which the ticks shall be later, so that frames follow the reference clock [s]; 0 without clocks."""
-        return self._bus.steering.correction(slip) if self._bus.steering else 0.0
+        steering = self._bus.steering
+        return steering.correction(slip, self._settings.frames_per_tick) if steering else 0.0
 
     @property
     def warning(self) -> str:
@@ -250,6 +268,7 @@ class EthercatRig(Rig):
         self._bus.send()
         self._frame_pending = True
         self._check_al_states()  # after the frame, which it would delay otherwise
+        self._read_clock()
         return tuple(sent)
 
     def watchdog_times(self) -> WatchdogTimes:
@@ -367,6 +386,13 @@ class EthercatRig(Rig):
         else:
             return
         raise RigFault(f"{fault}: {self._bus.state_report()}")
+
+    def _read_clock(self) -> None:
+        """Reads how far the clock of one slave is ahead, each in turn, between two checks of the states."""
+        if self._differences and not self._lost and self._good_frames % STATES_EVERY == STATES_EVERY // 2:
+            number = next(self._next_clock)
+            found = self._bus.clock_difference(number)
+            self._differences[number] = self._differences[number] if found is None else found
 
     def _command(self, drive: int, units: int, controlword: int) -> None:
         self._bus.set_outputs(drive, {"target_torque": units, "controlword": controlword, "mode": CYCLIC_TORQUE})

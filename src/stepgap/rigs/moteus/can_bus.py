@@ -4,10 +4,11 @@ The moteus library encodes the frames and decodes the replies; python-can transp
 needs asyncio and took 1.7 times as long for the same frames on the virtual bus, so it is not used.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from struct import error as StructError
 from time import monotonic
+from typing import TypeVar
 
 import can
 import moteus
@@ -25,6 +26,35 @@ PADDING = b"\x50"
 
 Registers = Mapping[int, float]
 """Values of a controller by register."""
+
+_Answer = TypeVar("_Answer")
+"""What a frame of a controller contains."""
+
+
+def registers_of(data: bytes) -> Registers | None:
+    """Decodes the registers of a frame; None if it is not a reply."""
+    found = {}
+    try:
+        for part in moteus.parse_frame(data):
+            if isinstance(part, moteus.RegisterSubframe):
+                if part.type != moteus.SubframeType.RESPONSE:
+                    return None
+                found[part.register] = moteus.scale_register(part.register, part.resolution, part.value)
+    except (StructError, RuntimeError, ValueError):
+        return None
+    return found or None
+
+
+def stream_of(data: bytes) -> bytes | None:
+    """Text of the diagnostic channel in a frame, empty if there is none now; None if it is not a reply."""
+    found = None
+    try:
+        for part in moteus.parse_frame(data):
+            if isinstance(part, moteus.StreamSubframe) and part.type == moteus.SubframeType.STREAM_SERVER_TO_CLIENT:
+                found = (found or b"") + bytes(part.data)
+    except (StructError, RuntimeError, ValueError):
+        return None
+    return found
 
 
 class CanBus:
@@ -64,18 +94,20 @@ class CanBus:
         except (can.CanError, OSError) as error:
             raise RigFault(f"the CAN bus {self._name} does not accept frames: {error}") from None
 
-    def receive(self, wanted: Collection[int], timeout: float) -> dict[int, Registers]:
-        """Receives the replies of the controllers `wanted` that arrive within `timeout` [s]."""
+    def receive(
+        self, wanted: Collection[int], timeout: float, decode: Callable[[bytes], _Answer | None]
+    ) -> dict[int, _Answer]:
+        """Receives the replies of the controllers `wanted` that arrive within `timeout` [s], decoded."""
         missing, replies, until = set(wanted), {}, monotonic() + timeout
         while missing:
             remaining = until - monotonic()
             frame = self._receive(max(remaining, 0.0))
             if frame:
                 sender, addressed = frame.arbitration_id >> 8, frame.arbitration_id & 0xFF
-                registers = _registers(bytes(frame.data)) if addressed == 0 and sender in missing else None
-                if registers:
+                answer = decode(bytes(frame.data)) if addressed == 0 and sender in missing else None
+                if answer is not None:
                     missing.discard(sender)
-                    replies[sender] = registers
+                    replies[sender] = answer
             if remaining <= 0:
                 break
         return replies
@@ -104,17 +136,3 @@ def _message(number: int, command: moteus.Command) -> can.Message:
         bitrate_switch=True,
         data=data.ljust(can.util.dlc2len(can.util.len2dlc(len(data))), PADDING),
     )
-
-
-def _registers(data: bytes) -> Registers | None:
-    """Decodes the registers of a frame; None if it is not a reply."""
-    found = {}
-    try:
-        for part in moteus.parse_frame(data):
-            if isinstance(part, moteus.RegisterSubframe):
-                if part.type != moteus.SubframeType.RESPONSE:
-                    return None
-                found[part.register] = moteus.scale_register(part.register, part.resolution, part.value)
-    except (StructError, RuntimeError, ValueError):
-        return None
-    return found or None

@@ -2,17 +2,20 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from math import isfinite
-from time import monotonic, sleep
+from math import isfinite, nan
+from time import monotonic
 
 import moteus
 from moteus import Mode, Register
 
+from stepgap.rigs.host_time import COMPUTER, HostTime
 from stepgap.rigs.limits import RigLimits
-from stepgap.rigs.moteus.can_bus import CanBus, Registers
+from stepgap.rigs.moteus.can_bus import CanBus, Registers, registers_of
+from stepgap.rigs.moteus.configuration import check_timeout
 from stepgap.rigs.moteus.joint import JointCommand, JointState
 from stepgap.rigs.moteus.moteus_settings import AuxEncoder, AuxForce, CanDevice, CanSettings, Controller
-from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques
+from stepgap.rigs.moteus.watchdog import measure_watchdogs, watchdog_query
+from stepgap.rigs.rig import HEALTHY, LOST, Health, Reading, Rig, RigFault, SensorModel, Torques, WatchdogTimes
 
 POSITION_COUNTS = 2**16
 """Counts per turn in which moteus stores the position of its output."""
@@ -59,6 +62,9 @@ ENCODER_VALID = {1: 0x04, 2: 0x10}
 ANALOG_INPUTS = {1: Register.AUX1_ANALOG_IN1, 2: Register.AUX2_ANALOG_IN1}
 """Register of the first pin by auxiliary port."""
 
+SUPPLY = {"bus_voltage": (Register.VOLTAGE, "V"), "temperature": (Register.TEMPERATURE, "°C")}
+"""Values of a controller that are logged, with their registers and units; the temperature is that of its board."""
+
 LIMP = JointCommand(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -73,10 +79,11 @@ class MoteusRig(Rig):
     Args:
         settings: The robot's bus, with its limit of lost frames.
         sensor_model: Timing of the sensors and conversion of their counts.
+        host: The computer's clock, with which watchdogs are measured.
     """
 
-    def __init__(self, settings: CanSettings, sensor_model: SensorModel):
-        self._settings, self._sensor_model = settings, sensor_model
+    def __init__(self, settings: CanSettings, sensor_model: SensorModel, host: HostTime = COMPUTER):
+        self._settings, self._sensor_model, self._host = settings, sensor_model, host
         self._motors = settings.motors
         self._controllers = {motor.id: self._controller(motor.id) for motor in self._motors}
         self._sensors = tuple(_sensor(device) for device in settings.devices.values())
@@ -84,6 +91,7 @@ class MoteusRig(Rig):
         self._fault, self._lost, self._written = "", 0, False
         self._reading = settings.reading((0.0,) * len(self._sensors))
         self._joints = (JointState(0, 0, 0),) * len(self._motors)
+        self._supplies, self._remarks = (nan,) * (len(SUPPLY) * len(self._motors)), list[str]()
 
     @property
     def sensor_model(self) -> SensorModel:
@@ -105,14 +113,30 @@ class MoteusRig(Rig):
         """States of the top links from the controllers, at the last good reading; for logs."""
         return self._joints
 
+    @property
+    def diagnostic_units(self) -> Mapping[str, str]:
+        """Bus voltage (in steps of 0.5 V) and temperature of the board of every controller."""
+        motors = [name for name, device in self._settings.devices.items() if isinstance(device, Controller)]
+        return {f"{motor}_{value}": unit for motor in motors for value, (_, unit) in SUPPLY.items()}
+
+    @property
+    def diagnostics(self) -> tuple[float, ...]:
+        """Those values at the last good reading."""
+        return self._supplies
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Timeouts in the configuration of the controllers that other programs should know."""
+        return tuple(self._remarks)
+
     def connect(self) -> None:
         """Opens the bus, checks the controllers, and prepares them without torque.
 
         The first `write` must follow within the watchdog's time.
 
         Raises:
-            RigFault: There is no such bus, a controller does not answer, has another firmware or does not become ready,
-                an encoder does not work, or the rig had a fault before.
+            RigFault: There is no such bus, a controller does not answer, has another firmware, would have torque after
+                a timeout or does not become ready, an encoder does not work, or the rig had a fault before.
         """
         if self._fault:
             raise RigFault(f"the rig had a fault: {self._fault}; remove its cause, then start again")
@@ -120,6 +144,7 @@ class MoteusRig(Rig):
         self._bus = CanBus(self._settings.interface, self._settings.channel)
         try:
             self._check_controllers(self._bus)
+            self._remarks = [text for each in self._controllers.values() for text in check_timeout(self._bus, each)]
             self._get_ready(self._bus)
         except RigFault:
             self.close()
@@ -162,6 +187,18 @@ class MoteusRig(Rig):
         self._command(bus, [LIMP._replace(tau=torque) for torque in sent])
         self._written = True
         return sent
+
+    def watchdog_times(self) -> WatchdogTimes:
+        """Sends a last command, without torque, and measures when the controllers report a timeout and no torque.
+
+        Raises:
+            RigFault: A controller still accepts torque after twice the time of its watchdog, or has another one.
+        """
+        bus = self._up()
+        self.write((0.0,) * len(self._motors))
+        self._written, query = False, watchdog_query()
+        setting, pause = self._settings.watchdog, self._settings.tick
+        return measure_watchdogs(lambda: self._ask(bus, query), self._controllers, setting, pause, self._host)
 
     def close(self) -> None:
         """Stops the controllers and releases the bus; may be called twice."""
@@ -206,12 +243,12 @@ class MoteusRig(Rig):
             if monotonic() > until:
                 states = [_state(number, registers) for number, registers in replies.items()]
                 raise RigFault(f"the controllers do not become ready: {'; '.join(states) or 'no answers'}")
-            sleep(self._settings.tick)
+            self._host.pause(self._settings.tick)
 
     def _ask(self, bus: CanBus, query: moteus.QueryResolution | None = None) -> dict[int, Registers]:
         """Queries the controllers; returns the answers that arrive in time."""
         self._send(bus, {number: each.make_query(query) for number, each in self._controllers.items()})
-        return bus.receive(self._controllers, self._settings.reply_timeout)
+        return bus.receive(self._controllers, self._settings.reply_timeout, registers_of)
 
     def _command(self, bus: CanBus, commands: Sequence[JointCommand]) -> None:
         """Sends a command to each controller, without a reply."""
@@ -238,6 +275,7 @@ class MoteusRig(Rig):
                 if registers[Register.MODE] != Mode.POSITION or registers[Register.FAULT] not in (0, *LIMITING):
                     raise self._trip(f"{_state(number, registers)}: it no longer accepts torque commands")
             self._joints = tuple(self._joint(replies, motor) for motor in self._motors)
+            self._supplies = tuple(replies[motor.id][key] for motor in self._motors for key, _ in SUPPLY.values())
             values = [sensor(replies) for sensor in self._sensors]
         except KeyError as missing:
             raise self._trip(f"a controller does not report register 0x{missing.args[0]:03X}") from None
@@ -298,9 +336,11 @@ class _Turns:
 
 
 def _query(more: dict[int, int]) -> moteus.QueryResolution:
-    """Creates a query of mode, position, velocity, torque, fault, and more registers at the given resolutions."""
+    """Creates a query of mode, position, velocity, torque, voltage, temperature, fault, and more registers.
+
+    Voltage and temperature are one byte each, next to the fault, which does not change the length of a frame.
+    """
     query = moteus.QueryResolution()
-    query.voltage = query.temperature = moteus.IGNORE
     query._extra = more
     return query
 
