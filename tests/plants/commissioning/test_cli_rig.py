@@ -19,23 +19,19 @@ from stepgap.base.settings_file import to_table
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import read_ticks
-from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.emulator import emulated
-from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
-from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.ethercat import RigSettings, read_rig_settings
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.ring_rig import emulated_settings
-from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
-from stepgap.robots.hopper.twin_machine import hopper_devices
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from tests.cli.command_line import Command, CommandResult, refused
+from tests.robots.hopper.jigged_machine import POSE, JiggedMachine
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 INTERFACE = f"sg{os.getpid() % 10**7}"
-POSE = HopperReading(2100, -2050, 77, 330, 1.0)
 TICK = 0.01
 """A period so long that a busy machine seldom misses the 50 ticks in a row that stop a rig."""
 LAYOUT = HopperSensorModel(
@@ -50,30 +46,11 @@ LAYOUT = HopperSensorModel(
 )
 
 
-class JiggedMachine(Machine):
-    """A robot in a jig, which does not move."""
-
-    @property
-    def period(self) -> float:
-        return TICK
-
-    def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
-        return hopper_devices(settings, self.period)
-
-    def start(self) -> HopperReading:
-        return POSE
-
-    def tick(self, torques: Torques) -> HopperReading:
-        if any(torques):
-            raise AssertionError("these verbs give no torque")
-        return POSE
-
-
 @pytest.fixture(scope="module")
 def ring() -> Iterator[RigSettings]:
     """A ring in lock-step, and its rig.toml."""
     settings = RingSettings()
-    running = emulated(INTERFACE, JiggedMachine, settings)
+    running = emulated(INTERFACE, partial(JiggedMachine, TICK), settings)
     try:
         running.__enter__()
     except NoNetwork as refusal:
