@@ -262,16 +262,21 @@ main()
 """
 
 
-def test_without_root_the_command_runs_in_a_separate_network(tmp_path: Path) -> None:
-    start = [sys.executable, "-c", OTHER_USER, "rig", "emulate", "--interface", f"{INTERFACE}u"]
+def test_without_root_the_command_runs_in_a_separate_network(
+    stepgap: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ["rig", "emulate", "--interface", f"{INTERFACE}u"]
+    with monkeypatch.context() as other_user:
+        other_user.setattr(os, "geteuid", lambda: 1000)
+        other_user.setattr(sys, "argv", ["stepgap", *arguments])
+        alone = stepgap(*arguments)
+    assert (alone.code, alone.out) == (1, "")
+    assert alone.err.startswith("stepgap: only root can make a network interface")
+    assert f"rig emulate --interface {INTERFACE}u -- stepgap rig check emulated.toml`" in alone.err
     outside = {name: value for name, value in os.environ.items() if name != "INSIDE"}
-    run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=outside)
-    alone = run(start)
-    assert alone.returncode == 1
-    assert alone.stderr.startswith("stepgap: only root can make a network interface")
-    assert f"rig emulate --interface {INTERFACE}u -- stepgap rig check emulated.toml`" in alone.stderr
     code = "import socket, sys; print([name for _, name in socket.if_nameindex()]); sys.exit(5)"
-    result = run([*start, "--", sys.executable, "-c", code])
+    command = [sys.executable, "-c", OTHER_USER, *arguments, "--", sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=outside)
     if "unshare" in result.stderr:
         pytest.skip(result.stderr)
     assert (result.returncode, result.stderr) == (5, "")
