@@ -2,7 +2,6 @@
 
 import platform
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 
 RECORDED_PACKAGES = ("stepgap", "numpy", "scipy", "numba", "mujoco")
@@ -20,4 +19,6 @@ def versions_here() -> dict[str, str]:
 @cache
 def _version(package: str) -> str:
     """Version of an installed package; to read its metadata takes milliseconds."""
+    from importlib.metadata import version  # a process that records no version starts without this import
+
     return version(package)

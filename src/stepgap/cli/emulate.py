@@ -51,11 +51,12 @@ def emulate_ring(
         InputError: No twin behind a ring can be made with the settings, or the settings file exists already.
         NoNetwork: No ring can run on this computer; the message gives the remedy.
     """
+    if os.geteuid() != 0:
+        _leave_for_namespace(settings_file, program)
     make_machine = partial(_make_machine, hopper, seed, hold)
     sensors = _sensors_behind_ring(hopper, hold)
     text = tomli_w.dumps(to_table(emulated_settings(sensors, hopper.parameters, ring, interface)))
-    if os.geteuid() != 0:
-        _leave_for_namespace(settings_file, program)
+    _has_settings(settings_file, text)  # a file that describes another rig is refused before the ring starts
 
     def started(line: str) -> None:
         _write_settings(settings_file, text)
@@ -112,17 +113,29 @@ def _sensors_behind_ring(hopper: Hopper, hold: float) -> HopperSensorModel:
         raise InputError(f"no twin can be made with the settings [parameters] and [gap]: {error}") from None
 
 
+def _has_settings(file: Path, text: str) -> bool:
+    """Whether a file exists, with this content; InputError if it has another."""
+    try:
+        if not file.is_file():
+            return False
+        if file.read_text("utf-8") == text:
+            return True
+    except UnicodeDecodeError:
+        raise InputError(f"{file}: exists and is not a text file; choose another --settings") from None
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror}; choose another --settings") from None
+    raise InputError(f"{file}: exists and describes another rig; choose another --settings")
+
+
 def _write_settings(file: Path, text: str) -> None:
     """Writes rig.toml and prints its path, unless the file exists with the same content."""
+    if _has_settings(file, text):
+        return
     try:
-        if file.is_file() and file.read_text("utf-8") == text:
-            return
         with file.open("x", encoding="utf-8") as stream:
             stream.write(text)
     except FileExistsError:
         raise InputError(f"{file}: exists and describes another rig; choose another --settings") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{file}: exists and is not a text file; choose another --settings") from None
     except OSError as error:
         raise InputError(f"{file}: cannot be written: {error.strerror}; choose another --settings") from None
     print(file, flush=True)

@@ -19,23 +19,19 @@ from stepgap.base.settings_file import to_table
 from stepgap.plants.commissioning.check import checked
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import read_ticks
-from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.emulator import emulated
-from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork
 from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
-from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.ethercat import RigSettings, read_rig_settings
 from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.ring_rig import emulated_settings
-from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
-from stepgap.robots.hopper.twin_machine import hopper_devices
+from stepgap.robots.hopper.sensors import HopperSensorModel
 from tests.cli.command_line import Command, CommandResult, refused
+from tests.robots.hopper.jigged_machine import POSE, JiggedMachine
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 INTERFACE = f"sg{os.getpid() % 10**7}"
-POSE = HopperReading(2100, -2050, 77, 330, 1.0)
 TICK = 0.01
 """A period so long that a busy machine seldom misses the 50 ticks in a row that stop a rig."""
 LAYOUT = HopperSensorModel(
@@ -50,30 +46,11 @@ LAYOUT = HopperSensorModel(
 )
 
 
-class JiggedMachine(Machine):
-    """A robot in a jig, which does not move."""
-
-    @property
-    def period(self) -> float:
-        return TICK
-
-    def devices(self, settings: RingSettings) -> list[EmulatedDevice]:
-        return hopper_devices(settings, self.period)
-
-    def start(self) -> HopperReading:
-        return POSE
-
-    def tick(self, torques: Torques) -> HopperReading:
-        if any(torques):
-            raise AssertionError("these verbs give no torque")
-        return POSE
-
-
 @pytest.fixture(scope="module")
 def ring() -> Iterator[RigSettings]:
     """A ring in lock-step, and its rig.toml."""
     settings = RingSettings()
-    running = emulated(INTERFACE, JiggedMachine, settings)
+    running = emulated(INTERFACE, partial(JiggedMachine, TICK), settings)
     try:
         running.__enter__()
     except NoNetwork as refusal:
@@ -285,16 +262,21 @@ main()
 """
 
 
-def test_without_root_the_command_runs_in_a_separate_network(tmp_path: Path) -> None:
-    start = [sys.executable, "-c", OTHER_USER, "rig", "emulate", "--interface", f"{INTERFACE}u"]
+def test_without_root_the_command_runs_in_a_separate_network(
+    stepgap: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ["rig", "emulate", "--interface", f"{INTERFACE}u"]
+    with monkeypatch.context() as other_user:
+        other_user.setattr(os, "geteuid", lambda: 1000)
+        other_user.setattr(sys, "argv", ["stepgap", *arguments])
+        alone = stepgap(*arguments)
+    assert (alone.code, alone.out) == (1, "")
+    assert alone.err.startswith("stepgap: only root can make a network interface")
+    assert f"rig emulate --interface {INTERFACE}u -- stepgap rig check emulated.toml`" in alone.err
     outside = {name: value for name, value in os.environ.items() if name != "INSIDE"}
-    run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=outside)
-    alone = run(start)
-    assert alone.returncode == 1
-    assert alone.stderr.startswith("stepgap: only root can make a network interface")
-    assert f"rig emulate --interface {INTERFACE}u -- stepgap rig check emulated.toml`" in alone.stderr
     code = "import socket, sys; print([name for _, name in socket.if_nameindex()]); sys.exit(5)"
-    result = run([*start, "--", sys.executable, "-c", code])
+    command = [sys.executable, "-c", OTHER_USER, *arguments, "--", sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=outside)
     if "unshare" in result.stderr:
         pytest.skip(result.stderr)
     assert (result.returncode, result.stderr) == (5, "")

@@ -57,7 +57,7 @@ SETTINGS = replace(
 RIG_UNITS = hopper_on_ethercat(SETTINGS, ROBOT).diagnostic_units
 COLUMN = {name: index for index, name in enumerate({**TICK_UNITS, **RIG_UNITS, **LOOP_UNITS})}
 COMMAND = (-4.0, -3.0)
-HOPPING = 1600
+HOPPING = 1050
 """Approximate number of ticks before the robot's first thrust."""
 
 
@@ -67,9 +67,8 @@ class Deployment:
     def __init__(self, rig):
         self.rig, self.board, self.rows, self.ticks = rig, Board.create(), [], 0
         control = HopControl(rig.sensor_model, ROBOT, GAINS, rig.limits)
-        self.loop = ControlLoop(
-            rig, control, BOUNDS.space(), self.board, self.rows.append, LoopSettings(release_time=inf)
-        )
+        times = LoopSettings(calibrate_time=0.05, release_time=inf)
+        self.loop = ControlLoop(rig, control, BOUNDS.space(), self.board, self.rows.append, times)
         self.board.request = Request.HOP
         self.hops = []
 

@@ -18,50 +18,9 @@ from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLogError
 from stepgap.plants.ticks.tick_ring import TickRing
 from stepgap.rigs.rig import RigFault
-from stepgap.rigs.still_rig import StillRig
-from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
-from tests.rig_ticks import LOG_UNITS
+from tests.plants.realtime.still_robot import SETUP, Sink, StillRobot, still_rig
 
 SHARED = Path("/dev/shm")
-SENSORS = HopperSensorModel(
-    tick=0.01,
-    boom_length=1.85,
-    pivot_height=0.4,
-    motor_counts=16384,
-    boom_counts_horizontal=5000,
-    boom_counts_vertical=16384,
-    touchdown_force=5.0,
-    takeoff_length=0.273,
-)
-
-
-def still_rig():
-    return StillRig(SENSORS, HopperReading(2048, -2048, 0, 400, 0.0))
-
-
-SETUP = RealtimeSetup(still_rig, HopperControl(RobotParameters(), Gains(), CommandBounds()))
-
-
-class Sink:
-    """Stores ticks, or fails with a given error."""
-
-    def __init__(self, error=None):
-        self.rows, self.events, self.closed, self._error = [], [], 0, error
-
-    def append(self, rows):
-        self.rows += rows.tolist()
-        if self._error and self.rows:
-            raise self._error
-
-    def note(self, event):
-        self.events.append(event)
-
-    def flush(self): ...
-
-    def close(self):
-        self.closed += 1
 
 
 @pytest.fixture
@@ -93,9 +52,7 @@ def test_resources_are_released_after_a_failed_start(stage, monkeypatch, made):
 
     setup, sink = SETUP, Sink()
     if stage == "process":
-        setup = RealtimeSetup(
-            lambda: still_rig(), HopperControl(RobotParameters(), Gains(), CommandBounds())
-        )  # cannot be pickled
+        setup = RealtimeSetup(lambda: still_rig(), StillRobot())  # cannot be pickled
     else:
         monkeypatch.setattr(*((Board, "create") if stage == "board" else (TickRing, "create")), full)
     with pytest.raises(
@@ -160,7 +117,7 @@ def test_ctrl_c_during_the_landing_switches_torque_off_and_keeps_every_tick(made
     assert "emergency stop" in session.message()
     assert sink.closed
     rows = np.array(sink.rows)
-    assert rows[-1, list(LOG_UNITS).index("state")] in (RigState.READY, RigState.FAULT)
+    assert rows[-1, list(SETUP.units).index("state")] in (RigState.READY, RigState.FAULT)
     assert len(made) == 2
     assert not any(path.exists() for path in made)
 
@@ -170,7 +127,7 @@ def test_the_death_of_the_parent_before_the_start_is_detected():
 
     It frees the memory, so that this process may not do so a second time.
     """
-    board, ring = Board.create(), TickRing.create(len(LOG_UNITS), 10)
+    board, ring = Board.create(), TickRing.create(len(SETUP.units), 10)
     process = get_context("spawn").Process(target=run_realtime, args=(SETUP, board.name, ring.name, 2**22))
     try:
         process.start()

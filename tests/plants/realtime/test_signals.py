@@ -25,7 +25,7 @@ from stepgap.plants.realtime.board import Request
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.session import Session
 from stepgap.plants.ticks.rig_state import RigState
-from tests.plants.realtime.test_session import SETUP, Sink
+from tests.plants.realtime.still_robot import SETUP, Sink
 
 sink = Sink()
 times = LoopSettings(calibrate_time=0.02, stand_time=0.02, landing_time=0.2, release_time=float("inf"))

@@ -84,7 +84,7 @@ class WatchedControl(HopControl):
 
     def tick(self, time, reading, order, applied, health=HEALTHY, age=0.0):
         computed = super().tick(time, reading, order, applied, health, age)
-        motion = self.state.motion
+        motion = self.motion
         self.sensed.append((time, motion.rate_1, motion.rate_2))
         return computed
 

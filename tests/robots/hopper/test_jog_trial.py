@@ -37,11 +37,11 @@ class Hanging(RecordedTwin):
 
 
 class Inverted(Hanging):
-    """Motor 2 is wired the wrong way round."""
+    """Motor 1 is wired the wrong way round."""
 
     def tick(self, torques):
         torque_1, torque_2 = torques
-        return super().tick((torque_1, -torque_2))
+        return super().tick((-torque_1, torque_2))
 
 
 class Person(StringIO):
@@ -89,9 +89,11 @@ def test_both_motors_pass_one_after_the_other(monkeypatch, capsys) -> None:
 def test_the_first_motor_that_fails_ends_the_trial(monkeypatch, capsys) -> None:
     found, torques = tried(monkeypatch, Inverted)
     assert not found["passed"]
-    assert found["failures"][0].startswith("motor 2: its link moves against the torque")
+    assert [motor["motor"] for motor in found["motors"]] == [1]
+    assert found["failures"][0].startswith("motor 1: its link moves against the torque")
     assert np.abs(torques).max() <= 1.0
-    assert "motor 2  not passed: motor 2: its link moves against" in capsys.readouterr().out
+    assert not torques[:, 1].any(), "motor 2 is not tried"
+    assert "motor 1  not passed: motor 1: its link moves against" in capsys.readouterr().out
 
 
 def test_a_link_that_nobody_turns_gets_no_torque(monkeypatch) -> None:

@@ -134,11 +134,11 @@ def test_other_rigs_do_not_know_it() -> None:
 
 
 def measured_minus_true(gap: RealityGap) -> np.ndarray:
-    """Errors of speed and height at the apexes of 40 hops near 0.2 m/s and 0.58 m; shape (40, 2)."""
+    """Errors of speed and height at the apexes of 20 hops near 0.2 m/s and 0.58 m; shape (20, 2)."""
     rng, errors = np.random.default_rng(0), list[np.ndarray]()
     with RigPlant(new_twin(gap), CONTROL) as plant:
         state = plant.start()
-        for _ in range(40):
+        for _ in range(20):
             record = plant.take_step(COMMAND - [40, 200] * (state - [0.2, 0.58]) + rng.uniform(-2, 2, 2))
             errors.append(record.next_state - record.true_next_state)
             state = record.next_state

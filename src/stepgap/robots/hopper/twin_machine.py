@@ -1,6 +1,7 @@
 """The twin behind the drives of an emulated ring, and the devices of that ring."""
 
 from operator import attrgetter
+from typing import TYPE_CHECKING
 
 from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.drive import Drive, DriveSettings
@@ -9,7 +10,9 @@ from stepgap.rigs.ethercat.emulator.ring_settings import RingSettings
 from stepgap.rigs.ethercat.emulator.terminals import AnalogInput, Coupler, EncoderTerminal
 from stepgap.rigs.rig import Torques
 from stepgap.robots.hopper.sensors import HopperReading
-from stepgap.robots.hopper.twin.twin import Twin
+
+if TYPE_CHECKING:  # the devices alone need no simulator, whose import is slow
+    from stepgap.robots.hopper.twin.twin import Twin
 
 
 def hopper_devices(settings: RingSettings, period: float, motor_counts: float = 16384.0) -> list[EmulatedDevice]:
@@ -41,7 +44,7 @@ class TwinMachine(Machine):
         twin: Twin whose sensors must be quantised, since a ring carries integer counts; exact values are rounded.
     """
 
-    def __init__(self, twin: Twin):
+    def __init__(self, twin: "Twin"):
         self._twin = twin
 
     @property

@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from struct import Struct, pack
@@ -61,9 +61,9 @@ def _network() -> None:
 
 
 @contextmanager
-def master(settings: RingSettings) -> Iterator[Any]:
-    """SOEM on an emulated ring in front of the twin."""
-    with emulated(INTERFACE, make_twin, settings), soem_master(INTERFACE) as bus:
+def master(settings: RingSettings, make_machine: Callable[[], Machine] = Flywheels) -> Iterator[Any]:
+    """SOEM on an emulated ring, its slaves found, the drives' PDOs assigned."""
+    with emulated(INTERFACE, make_machine, settings), soem_master(INTERFACE) as bus:
         yield bus
 
 
@@ -99,7 +99,7 @@ def test_the_ring_moves_the_twin_as_direct_calls_do():
     rng = np.random.default_rng(1)
     torques = rng.integers(-300, 300, size=(400, 2)).tolist()
     twin = make_twin()
-    with master(RingSettings(inputs_after_tick=True)) as bus:
+    with master(RingSettings(inputs_after_tick=True), make_twin) as bus:
         enabled(bus)
         twin.start()
         twin.tick((0, 0))  # as when the drives were enabled
