@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -114,7 +115,8 @@ def test_system_types_of_one_program_do_not_break_another(package, tmp_path) -> 
 
     What is cached already, for the types of this project, need not be compiled once more.
     """
-    cache, cached = str(tmp_path / "cache"), Path(axpy.stats.cache_path)
+    function: Any = axpy
+    cache, cached = str(tmp_path / "cache"), Path(function.stats.cache_path)
     if cached.is_dir():
         shutil.copytree(cached, Path(cache, cached.parent.name, cached.name))
     code = "from {}.motion import duration; print(duration())"
