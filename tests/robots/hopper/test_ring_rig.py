@@ -21,7 +21,7 @@ pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 RING = RingSettings(inputs_after_tick=True)
-HOPS = 4
+HOPS = 2
 
 
 def twin() -> Twin:

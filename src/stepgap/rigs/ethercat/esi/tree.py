@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from xml.parsers import expat
 
-from stepgap.base.errors import InputError
+from stepgap.base.errors import InputError, StepGapError
 
 LARGEST_ESI_FILE = 2**26
 """Largest file that is read [bytes]; those of large terminal families have some 20 MB."""
@@ -140,7 +140,7 @@ def parse_tree(content: bytes) -> Element:
     return builder.root()
 
 
-class _RefusedTree(ValueError):
+class _RefusedTree(StepGapError, ValueError):
     """The file is beyond a limit, or has what no ESI file needs."""
 
 
