@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from stepgap.base.compiled import cache_folder
 from stepgap.cli.app import main
+from stepgap.hybrid.motion import axpy
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
@@ -61,12 +62,18 @@ def pytest_configure() -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Of several processes the first compiles what most tests need; the others wait, and find it in the cache."""
+    """Of several processes the first compiles what most tests need; the others wait, and find it in the cache.
+
+    The name of the folder of compiled functions is the digest of their sources.
+    """
     folder = cache_folder()
     if hasattr(session.config, "workerinput") and folder is not None:
+        compiled = Path(axpy.stats.cache_path).parent / "compiled-for-tests"
         with (folder / "tests.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            compile_hops()
+            if not compiled.exists():
+                compile_hops()
+                compiled.touch()
 
 
 def pytest_collection_finish() -> None:

@@ -125,7 +125,16 @@ def test_a_log_is_enough(stepgap: Command) -> None:
     first = tomllib.loads(Path("first/experiment.toml").read_text())
     assert settings["quantities"] == first["quantities"], "names, units and ranges are those of the run"
     result = stepgap(
-        "run", "second/experiment.toml", "--out", "out", "--quiet", "--", sys.executable, "second/robot.py"
+        "run",
+        "second/experiment.toml",
+        "--iterations",
+        "1",
+        "--out",
+        "out",
+        "--quiet",
+        "--",
+        sys.executable,
+        "second/robot.py",
     )
     assert result.code == 0, result.err
 
