@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,7 +69,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """
     folder = cache_folder()
     if hasattr(session.config, "workerinput") and folder is not None:
-        compiled = Path(axpy.stats.cache_path).parent / "compiled-for-tests"
+        function: Any = axpy
+        compiled = Path(function.stats.cache_path).parent / "compiled-for-tests"
         with (folder / "tests.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not compiled.exists():
