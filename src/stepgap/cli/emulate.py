@@ -97,7 +97,13 @@ def run_program(program: Sequence[str]) -> int:
 
 
 def _make_machine(hopper: Hopper, seed: int, hold: float) -> TwinMachine:
-    return TwinMachine(Twin(hopper.parameters, hopper.gap, np.random.default_rng(seed), hold=hold))
+    """The twin behind the ring; its code is compiled, which takes seconds once, before a frame waits for an answer."""
+    machine, other = (
+        TwinMachine(Twin(hopper.parameters, hopper.gap, np.random.default_rng(seed), hold=hold)) for _ in range(2)
+    )
+    other.start()
+    other.tick((0.0, 0.0))
+    return machine
 
 
 def _sensors_behind_ring(hopper: Hopper, hold: float) -> HopperSensorModel:

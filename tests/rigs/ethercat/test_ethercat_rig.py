@@ -149,6 +149,18 @@ def test_a_drive_whose_error_cannot_be_read_does_not_hide_the_fault(monkeypatch:
     assert "slave 2 'drive_2' is in state fault, mode 10, its error is unknown" in message
 
 
+def test_an_error_that_soem_stored_for_another_slave_is_no_answer() -> None:
+    def read(_: object) -> bytes:
+        raise AssertionError  # as pysoem does
+
+    with (
+        live_ring(),
+        rig_of() as rig,
+        pytest.raises(RigFault, match="0x603F:00 is refused: no answer"),
+    ):
+        rig._bus._transfer(0, 0x603F, 0, read)
+
+
 def changed(name: str, **changes: object) -> RigSettings:
     slaves = tuple(replace(slave, **changes) if slave.name == name else slave for slave in SETTINGS.slaves)
     return replace(SETTINGS, slaves=slaves)

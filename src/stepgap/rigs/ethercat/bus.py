@@ -352,6 +352,8 @@ class Bus:
             kind = MissingObject if error.abort_code == _NO_OBJECT else RigFault
         except (soem.MailboxError, soem.PacketError, soem.WkcError) as error:
             reason, kind = f"no answer ({type(error).__name__})", RigFault
+        except AssertionError:  # pysoem asserts that the error in SOEM's list is of this slave
+            reason, kind = "no answer, after an error of another slave", RigFault
         raise kind(f"{self.label(number)}: object 0x{index:04X}:{subindex:02X} is refused: {reason}")
 
     def _block(self, blocking: bool) -> None:
