@@ -39,8 +39,8 @@ settings.load_profile("no deadline")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# A shell that starts tests in the background has them ignore Ctrl-C and SIGQUIT, and `nohup` the end of the terminal; so
-# would every process that they start.
+# A shell that starts tests in the background has them ignore Ctrl-C and SIGQUIT, and `nohup` the end of the terminal;
+# so would every process that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
