@@ -240,8 +240,7 @@ class DriveWatch:
         for index, reported in enumerate(self._reported):
             raw = values[reported.name]
             self._tracks[index] = track = with_value(reported, self._tracks[index], reported.value(raw))
-            if track.beyond >= BEYOND:
-                excess = excess_of(reported, track)
+            excess = excess_of(reported, track) or excess
             numbers.append(raw * reported.scale)
         opened = [float(each.is_open(values[DIGITAL_INPUTS])) for each in self._inputs]
         self.values = (*numbers, *opened)

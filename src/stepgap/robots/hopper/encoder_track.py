@@ -121,7 +121,7 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
 
 @as_written
 def may_rest(track):
-    """`EncoderTrack` of a link that may stand still, so that the time of standing still begins anew."""
+    """`EncoderTrack` of a link that may stand still, so that the time of standing still begins again at zero."""
     return EncoderTrack(
         track.readings, track.time, track.angle, track.took, track.moved, track.took_before, track.moved_before,
         track.torque, track.restless, track.restless_before, track.anchor, 0.0,
