@@ -1,6 +1,6 @@
 """The 3-D scene of a robot and of its ground."""
 
-from math import sqrt
+from math import atan2, cos, hypot, sin
 
 import numpy as np
 from viser import CylinderHandle, IcosphereHandle, SceneApi
@@ -133,9 +133,9 @@ def _straight() -> Array:
 
 def turned_to(direction: Array) -> Array:
     """Quaternion (w, x, y, z) of the shortest rotation from +z to a direction; shape (4,)."""
-    length = np.linalg.norm(direction)
-    x, y, z = direction / length if length > 0 else (0.0, 0.0, 1.0)
-    if z < -1 + 1e-12:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    scale = sqrt(2 * (1 + z))
-    return np.array([scale / 2, -y / scale, x / scale, 0.0])
+    x, y, z = direction
+    across = hypot(x, y)
+    if across == 0:
+        return np.array([1.0, 0.0, 0.0, 0.0]) if z >= 0 else np.array([0.0, 1.0, 0.0, 0.0])
+    half_angle = atan2(across, z) / 2  # accurate for all directions; the square root of (1 + z) / 2 is not near -z
+    return np.array([cos(half_angle), -y / across * sin(half_angle), x / across * sin(half_angle), 0.0])
