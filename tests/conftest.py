@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
@@ -16,13 +15,8 @@ from threadpoolctl import threadpool_limits
 from stepgap.base.compiled import cache_folder
 from stepgap.cli.app import main
 from stepgap.hybrid.motion import axpy
-from stepgap.plants.rig_plant import RigPlant
-from stepgap.robots.hopper.apex_map import ApexMap
-from stepgap.robots.hopper.hop_control import HopperControl
-from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.twin.reality_gap import RealityGap
-from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult
+from tests.compiled_hops import compile_hops
 from tests.quick_runs import (
     compute_in_a_thread,
     leave_out_drawing,
@@ -31,6 +25,7 @@ from tests.quick_runs import (
     leave_out_report,
 )
 from tests.robots.plug_in import install
+from tests.warm_process import start_processes_from_a_warm_server
 
 settings.register_profile("no deadline", deadline=None)  # no test depends on how busy the machine is
 settings.load_profile("no deadline")
@@ -61,6 +56,10 @@ def pytest_configure() -> None:
     """Matrices of tests are small, and tests fill the cores already: further threads of BLAS would only wait."""
     threadpool_limits(limits=1, user_api="blas")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start
+    os.environ.setdefault(
+        "MUJOCO_GL", "disable"
+    )  # MuJoCo would start a process to look for OpenGL
+    start_processes_from_a_warm_server()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -82,17 +81,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 def pytest_collection_finish() -> None:
     """What was imported stays until the end; the garbage collector need not look at it again and again."""
     gc.freeze()
-
-
-def compile_hops() -> None:
-    """A hop of the map with its Jacobian, and one of the twin."""
-    robot, bounds, step_map = RobotParameters(), CommandBounds(), ApexMap()
-    centre = bounds.space().state_centre, bounds.space().command_centre
-    step_map.evaluate(*centre)
-    step_map.jacobian(*centre)
-    twin = Twin(robot, RealityGap(), np.random.default_rng(0))
-    with RigPlant(twin, HopperControl(robot, Gains(), bounds)) as plant:
-        plant.start()
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
 from stepgap.base.errors import InputError, StepGapError, message_of
 from stepgap.base.random_streams import random_stream
+from stepgap.base.start_method import process_context
 from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, Experiment
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.affine_map import AffineMap
@@ -126,7 +126,7 @@ def _on_all_cores(robot: Robot, kind: str, nominal: StepMap) -> Iterator[MapFunc
     if _seconds_per_step(nominal) < WORTH_PROCESSES:
         yield map
         return
-    with ProcessPoolExecutor(initializer=_keep_map, initargs=(robot, kind), mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(initializer=_keep_map, initargs=(robot, kind), mp_context=process_context()) as pool:
         yield lambda _, states, commands: pool.map(_evaluate, states, commands)
 
 

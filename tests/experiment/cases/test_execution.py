@@ -9,6 +9,7 @@ from time import sleep
 
 import pytest
 
+from stepgap.base import start_method
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.execution import execute
 from stepgap.experiment.cases.plan import LONGEST_REASON, CaseResult, Compute, computed
@@ -91,7 +92,8 @@ def test_shutdown_without_waiting_ends_calls_at_once(tmp_path: Path) -> None:
         os.kill(int(mark.read_text()), 0)
 
 
-def test_no_process_outlives_the_one_that_started_it(tmp_path: Path) -> None:
+def test_no_process_outlives_the_one_that_started_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start_method, "START_METHOD", "spawn")
     pid = os.fork()
     if pid == 0:  # as a client that is killed during a case
         try:

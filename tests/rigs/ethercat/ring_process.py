@@ -124,7 +124,6 @@ def live_ring(
     With `frames`, all frames that came and went are in that file after the block (pcap).
     """
     context = get_context("forkserver")
-    context.set_forkserver_preload([__name__, "tests.rigs.ethercat.warm_twin"])
     here, there = context.Pipe()
     process = context.Process(target=_serve, args=(INTERFACE, there, faults, make_machine, frames), daemon=True)
     process.start()

@@ -5,13 +5,14 @@ import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import suppress
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import connection, parent_process
 from queue import SimpleQueue
 from threading import Event, Thread
 from time import sleep
 from typing import Any, final
 
 from stepgap.base.errors import StepGapError
+from stepgap.base.start_method import process_context
 
 ATTEMPTS = 3
 """Number of processes that may end during one call before the call fails."""
@@ -103,7 +104,7 @@ class _Process:
         return value
 
     def _start(self) -> None:
-        context = get_context("spawn")
+        context = process_context()
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs,), daemon=True)
         try:

@@ -86,6 +86,7 @@ class Session:
             except OSError as error:
                 raise RigFault(f"no shared memory for the ticks: {error.strerror}; free space in /dev/shm") from None
             arguments = setup, self.board.name, self._ring.name, os.getpid()
+            # a child of this process and of no fork server, whose death it would have to notice instead
             self._process: BaseProcess = get_context("spawn").Process(target=run_realtime, args=arguments, daemon=True)
             self._process.start()
             self._drain.start()

@@ -7,11 +7,11 @@ import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from time import monotonic_ns
 
 from stepgap.base.signals import LOST_TERMINAL, terminated_as_interrupted
+from stepgap.base.start_method import process_context
 from stepgap.rigs.ethercat.emulator.arrival import ArrivalTimes
 from stepgap.rigs.ethercat.emulator.machine import Machine
 from stepgap.rigs.ethercat.emulator.network import NoNetwork, wire
@@ -79,7 +79,7 @@ def emulated(
     Raises:
         NoNetwork: The ring cannot be started; the message contains the remedy.
     """
-    context = get_context("spawn")
+    context = process_context()
     here, there = context.Pipe()
     process = context.Process(target=_run_in_process, args=(interface, make_machine, settings, there, now), daemon=True)
     process.start()

@@ -1,0 +1,16 @@
+"""Imported by the fork server of tests: what it has imported and computed, its copies need not."""
+
+import gc
+
+import stepgap.bench.learning
+import stepgap.experiment.sweep.sweep_case  # noqa: F401
+from tests.compiled_hops import compile_hops
+from tests.rigs.ethercat.ring_process import RecordedTwin
+from tests.warm_process import start_processes_from_a_warm_server
+
+start_processes_from_a_warm_server()  # in copies, too
+compile_hops()
+twin = RecordedTwin()
+twin.start()
+twin.tick((0.1, 0.0))
+gc.freeze()
