@@ -4,11 +4,13 @@ A new interpreter computes for most of a second until it has done so, and tests 
 """
 
 from multiprocessing import get_context
+from typing import Any
 
 from stepgap.base import start_method
 
 
 def start_processes_from_a_warm_server() -> None:
     """The package starts its processes so from now on, except for real-time processes."""
-    get_context("forkserver").set_forkserver_preload(["tests.warm_server"])
-    start_method.START_METHOD = "forkserver"
+    forked: Any = get_context("forkserver")
+    forked.set_forkserver_preload(["tests.warm_server"])
+    start_method.CONTEXT = forked

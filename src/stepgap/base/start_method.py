@@ -1,13 +1,12 @@
 """How the package starts its own processes."""
 
 from multiprocessing import get_context
-from multiprocessing.context import ForkServerContext, SpawnContext
-from typing import Literal
+from multiprocessing.context import SpawnContext
 
-START_METHOD: Literal["spawn", "forkserver"] = "spawn"
-"""A new interpreter each time: a copy of this process (`fork`) would have its locks, but not the threads that hold them."""
+CONTEXT: SpawnContext = get_context("spawn")
+"""Each is a new interpreter; a copy of this process (`fork`) would have locks whose threads were not copied."""
 
 
-def process_context() -> SpawnContext | ForkServerContext:
+def process_context() -> SpawnContext:
     """Context of `multiprocessing` for processes that this one waits for; ask for it when one is started."""
-    return get_context(START_METHOD)
+    return CONTEXT

@@ -4,6 +4,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from time import sleep
 
@@ -93,7 +94,7 @@ def test_shutdown_without_waiting_ends_calls_at_once(tmp_path: Path) -> None:
 
 
 def test_no_process_outlives_the_one_that_started_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(start_method, "START_METHOD", "spawn")
+    monkeypatch.setattr(start_method, "CONTEXT", get_context("spawn"))
     pid = os.fork()
     if pid == 0:  # as a client that is killed during a case
         try:
