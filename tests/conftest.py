@@ -56,9 +56,7 @@ def pytest_configure() -> None:
     """Matrices of tests are small, and tests fill the cores already: further threads of BLAS would only wait."""
     threadpool_limits(limits=1, user_api="blas")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start
-    os.environ.setdefault(
-        "MUJOCO_GL", "disable"
-    )  # MuJoCo would start a process to look for OpenGL
+    os.environ.setdefault("MUJOCO_GL", "disable")  # MuJoCo would start a process to look for OpenGL
     start_processes_from_a_warm_server()
 
 

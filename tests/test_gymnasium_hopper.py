@@ -56,19 +56,18 @@ def test_a_placed_robot_is_in_that_state(robot: Any) -> None:
 
 def test_it_hops_thirty_times_from_a_random_state_with_random_commands(robot: Any) -> None:
     space = robot.space
-    for seed in (11, 12):
-        rng = np.random.default_rng(seed)
-        stepper = MjcfStepper(robot, MjcfGap(), rng)
-        stepper.place(space.state_centre + space.state_scale * rng.uniform(-1, 1, len(space.state)))
-        for _ in range(30):
-            assert stepper.step(space.command_at(rng.uniform(-1, 1, len(space.command)))) == StepStatus.OK
+    rng = np.random.default_rng(11)
+    stepper = MjcfStepper(robot, MjcfGap(), rng)
+    stepper.place(space.state_centre + space.state_scale * rng.uniform(-1, 1, len(space.state)))
+    for _ in range(30):
+        assert stepper.step(space.command_at(rng.uniform(-1, 1, len(space.command)))) == StepStatus.OK
 
 
 def test_it_learns_in_a_few_steps(robot: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     for limit in ("FIRST_SAMPLES", "MOST_SAMPLES"):
-        monkeypatch.setattr(f"stepgap.robots.nominal_maps.surrogate_map.{limit}", 64)
+        monkeypatch.setattr(f"stepgap.robots.nominal_maps.surrogate_map.{limit}", 32)
     nominal = fit_surrogate(robot.nominal_maps()["simulator"](), np.random.default_rng(0))
-    reference, log, errors = stairs(robot.space, steps=3), StepLog(robot.space), []
+    reference, log, errors = stairs(robot.space, steps=2), StepLog(robot.space), []
     for iteration in range(2):
         learner = Learner.start(nominal, log, LearningSettings(), iteration)
         steps = list(deploy(learner, MjcfPlant(robot, np.random.default_rng(iteration)), reference, iteration))

@@ -1,9 +1,11 @@
 """The disk cache: it detects changes, works without a folder, and can be read by every program."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,25 +58,61 @@ def duration():
 """
 
 
-def run(code: str, folder: Path, **environment: str | None) -> str:
-    """Output of a fresh interpreter that finds packages in `folder`; a variable that is None is unset."""
-    changed = {
-        "PYTHONPATH": os.pathsep.join([str(SOURCE), str(folder)]),
-        "NUMBA_CACHE_DIR": str(folder / "cache"),
-        "PYTHONDONTWRITEBYTECODE": "1",  # of a file that changes twice within a second, it would remain the old one
-        **environment,
-    }
-    everything = {name: value for name, value in {**os.environ, **changed}.items() if value is not None}
-    outcome = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        env=everything,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert outcome.returncode == 0, outcome.stderr
-    return outcome.stdout.strip()
+WARM = """
+import json, os, sys, tempfile, traceback
+import numba
+numba.njit(lambda x: x)(1.0)
+for line in sys.stdin:
+    code, folder, environment, output = json.loads(line)
+    child = os.fork()
+    if child == 0:
+        os.dup2(os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
+        os.dup2(1, 2)
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(environment)
+        sys.path[:0] = environment["PYTHONPATH"].split(os.pathsep)
+        sys.dont_write_bytecode, tempfile.tempdir = True, None
+        try:
+            exec(code, {})
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+        sys.stdout.flush()
+        os._exit(0)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+"""A program that runs code in a copy of itself, which has imported Numba but nothing of ours.
+
+A new interpreter would import Numba and prepare the compiler anew, which takes longer than what is tested.
+Bytecode is not written because that of a file that changes twice within a second would remain the old one.
+"""
+
+Run = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def run() -> Iterator[Run]:
+    """Output of code in a process of its own that finds packages in a folder; a variable that is None is unset."""
+    command = [sys.executable, "-W", "error", "-c", WARM]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as warm:
+        assert warm.stdin
+        assert warm.stdout
+        requests, answers = warm.stdin, warm.stdout
+
+        def run_code(code: str, folder: Path, **environment: str | None) -> str:
+            changed = {
+                "PYTHONPATH": os.pathsep.join([str(SOURCE), str(folder)]),
+                "NUMBA_CACHE_DIR": str(folder / "cache"),
+                **environment,
+            }
+            everything = {name: value for name, value in {**os.environ, **changed}.items() if value is not None}
+            output = folder / "output.txt"
+            print(json.dumps([code, str(folder), everything, str(output)]), file=requests, flush=True)
+            assert answers.readline() == "0\n", output.read_text()
+            return output.read_text().strip()
+
+        yield run_code
 
 
 @pytest.fixture
@@ -100,7 +138,9 @@ print(sum(doubled.stats.cache_hits.values()))
 """
 
 
-def test_a_process_compiles_only_after_a_change_in_a_called_file_or_of_a_constant_and_reports_it(package) -> None:
+def test_a_process_compiles_only_after_a_change_in_a_called_file_or_of_a_constant_and_reports_it(
+    run: Run, package
+) -> None:
     """The file of the constant has no compiled functions."""
     assert run(REPORTED, package.parent) == "compiling\n4.0 6.0\n0"
     assert run(REPORTED, package.parent) == "4.0 6.0\n2"
@@ -110,7 +150,7 @@ def test_a_process_compiles_only_after_a_change_in_a_called_file_or_of_a_constan
     assert run(REPORTED, package.parent) == "compiling\n9.0 12.0\n0"
 
 
-def test_system_types_of_one_program_do_not_break_another(package, tmp_path) -> None:
+def test_system_types_of_one_program_do_not_break_another(run: Run, package, tmp_path) -> None:
     """The integrator's cache must not name a type that the next program cannot import.
 
     What is cached already, for the types of this project, need not be compiled once more.
@@ -128,23 +168,23 @@ def test_system_types_of_one_program_do_not_break_another(package, tmp_path) -> 
 
 
 @pytest.mark.parametrize("chosen", ["/dev/null/no", "robot/__init__.py"])
-def test_a_chosen_folder_that_cannot_be_written_breaks_nothing(package, chosen) -> None:
+def test_a_chosen_folder_that_cannot_be_written_breaks_nothing(run: Run, package, chosen) -> None:
     assert run(CALL, package.parent, NUMBA_CACHE_DIR=chosen) == "4.0 0"
 
 
-def test_without_a_writable_home_the_temporary_folder_is_used(package) -> None:
+def test_without_a_writable_home_the_temporary_folder_is_used(run: Run, package) -> None:
     folders = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": "/dev/null/no", "TMPDIR": str(package.parent)}
     assert run(CALL, package.parent, **folders) == "4.0 0"
     assert any((package.parent / "stepgap-cache").iterdir())
 
 
-def test_without_a_home_it_works(package) -> None:
+def test_without_a_home_it_works(run: Run, package) -> None:
     """A user without an entry in the password file, as in a container."""
     nobody = "import pathlib\ndef home(*_): raise RuntimeError('no home')\npathlib.Path.home = home\n"
     folders = {"NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": None, "TMPDIR": str(package.parent)}
     assert run(nobody + CALL, package.parent, **folders) == "4.0 0"
 
 
-def test_a_function_without_a_file_is_compiled_without_cache(tmp_path) -> None:
+def test_a_function_without_a_file_is_compiled_without_cache(run: Run, tmp_path) -> None:
     code = "from stepgap.base.compiled import compiled\n@compiled\ndef twice(x):\n    return 2 * x\nprint(twice(2.0))"
     assert run(code, tmp_path) == "4.0"

@@ -31,6 +31,13 @@ TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 SHORT = 'seed = 5\nreference = "targets.csv"\n[learning]\niterations = 1\n'
 
 
+def measure_briefly(patch: pytest.MonkeyPatch) -> None:
+    """The noise floor is measured at two yaw angles of one target that has hardly been reached."""
+    repeat_less(patch)
+    patch.setattr("stepgap.experiment.noise_floor.REPEATED_TARGETS", 1)
+    patch.setattr("stepgap.experiment.noise_floor.SETTLING", 1)
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `short.toml` and its run in `run`."""
@@ -38,7 +45,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "targets.csv").write_text(TARGETS)
     (folder / "short.toml").write_text(SHORT)
     with pytest.MonkeyPatch.context() as patch:
-        repeat_less(patch)
+        measure_briefly(patch)
         leave_out_drawing(patch)
         main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
     return folder
@@ -46,7 +53,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def fewer_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    repeat_less(monkeypatch)
+    measure_briefly(monkeypatch)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

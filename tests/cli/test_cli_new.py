@@ -116,26 +116,18 @@ def test_a_program_runs_without_installation(stepgap: Command) -> None:
 
 @pytest.mark.usefixtures("no_report")
 def test_a_log_is_enough(stepgap: Command) -> None:
+    Path("targets.csv").write_text("speed,height\n" + 10 * "0.2,0.58\n")
+    short = ["--reference", "targets.csv", "--learning.residual", "linear", "--quiet"]
     assert stepgap("new", "first", "--process").code == 0
-    run = ["run", "first/experiment.toml", "--iterations", "0", "--explore", "30", "--out", "recorded", "--quiet"]
+    run = ["run", "first/experiment.toml", "--iterations", "0", "--explore", "30", "--out", "recorded", *short]
     assert stepgap(*run, "--", sys.executable, "first/robot.py").code == 0
     assert stepgap("new", "second", "--from", "recorded").code == 0
     settings = tomllib.loads(Path("second/experiment.toml").read_text())
     assert settings["nominal"] == {"kind": "log", "file": "steps.csv"}
     first = tomllib.loads(Path("first/experiment.toml").read_text())
     assert settings["quantities"] == first["quantities"], "names, units and ranges are those of the run"
-    result = stepgap(
-        "run",
-        "second/experiment.toml",
-        "--iterations",
-        "1",
-        "--out",
-        "out",
-        "--quiet",
-        "--",
-        sys.executable,
-        "second/robot.py",
-    )
+    run = ["run", "second/experiment.toml", "--iterations", "1", "--out", "out", *short]
+    result = stepgap(*run, "--", sys.executable, "second/robot.py")
     assert result.code == 0, result.err
 
 

@@ -16,10 +16,11 @@ from stepgap.plants.realtime.realtime_plant import RealtimePlant
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
+from stepgap.records.missing import Missing
 from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.robots.hopper.twin.twin import Twin
 from tests.cli.command_line import Command, CommandResult, refused
-from tests.quick_runs import leave_out_drawing
+from tests.quick_runs import leave_out_drawing, leave_out_repeats
 from tests.report.sweep.tables import combinations_of, write_results_table
 from tests.rig_ticks import LOG_UNITS, rig_rows
 
@@ -33,9 +34,16 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "targets.csv").write_text("speed,height\n0.1,0.56\n0.2,0.58\n")
     (folder / "short.toml").write_text(SHORT)
     with pytest.MonkeyPatch.context() as patch:
+        leave_out_repeats(patch)
         leave_out_drawing(patch)
         main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--quiet"])
     return folder / "run"
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports are made without figures, which takes half as long."""
+    monkeypatch.setattr("stepgap.report.run_figures.draw_figure", lambda *_: Missing("left out"))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -72,6 +80,7 @@ def test_a_damaged_replay_is_computed_again(finished: Path, stepgap: Command, da
     assert contents(Path("run")) == contents(finished)
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("damage", [None, "[derivatives.speed]\nfx = 'x'\n"])
 def test_a_report_without_its_nominal_map_has_all_other_parts(
     finished: Path, stepgap: Command, damage: str | None
@@ -93,6 +102,7 @@ def test_a_report_without_its_nominal_map_has_all_other_parts(
     assert "Error of speed [m/s]" in page
 
 
+@pytest.mark.usefixtures("no_figures", "no_repeats")
 def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -101,6 +111,7 @@ def test_a_run_keeps_its_motion_and_simulates_nothing_twice(
     assert stepgap("run", *settings, "--out", "run", "--quiet") == CommandResult(0, "run/report.html\n", "")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_rigs_motion_comes_from_its_tick_logs(
     finished: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,6 +142,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     assert "missing in the report: replay (run/ticks/ticks-0.mcap: No such file" in result.err
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_missing_parts_are_reported(finished: Path, stepgap: Command) -> None:
     Path("run").mkdir()
     rows = (finished / "steps.csv").read_text()
@@ -144,6 +156,7 @@ def test_missing_parts_are_reported(finished: Path, stepgap: Command) -> None:
     )
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_steps_that_cannot_be_reproduced_have_no_replay(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     settings = Path("run/experiment.toml")
@@ -156,6 +169,7 @@ def test_steps_that_cannot_be_reproduced_have_no_replay(finished: Path, stepgap:
     assert "replay-data" not in text
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_settings_that_are_not_valid_are_named(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     Path("run/experiment.toml").write_text("unheard_of = 1\n")
@@ -214,6 +228,7 @@ def test_a_sweep_has_a_report(finished: Path, stepgap: Command) -> None:
     assert {name: content for name, content in before.items() if name != "results.csv"} == contents(Path("sweep"))
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_damaged_model_is_left_out(finished: Path, stepgap: Command) -> None:
     shutil.copytree(finished, "run")
     whole = (finished / "models/iteration_1.json").read_bytes()
@@ -225,6 +240,7 @@ def test_a_damaged_model_is_left_out(finished: Path, stepgap: Command) -> None:
         assert "Traceback" not in result.err
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("name", ["steps.csv", "summary.json", "experiment.toml"])
 def test_damaged_files_are_refused_and_nothing_is_written(finished: Path, stepgap: Command, name: str) -> None:
     shutil.copytree(finished, "run")

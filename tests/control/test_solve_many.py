@@ -32,7 +32,7 @@ def grid(step_map: StepMap, points: int) -> Array:
 
 @every_map
 def test_it_gets_as_close_as_the_controller(step_map):
-    states = grid(step_map, 4)
+    states = grid(step_map, 3)
     answers = solve_many(step_map, states, states)
     controller = StepController(step_map)
     for i, state in enumerate(states):

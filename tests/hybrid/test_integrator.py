@@ -29,6 +29,12 @@ def integrated(system, time, state, time_limit, tolerance, h, trace):
     return integrate(system, time, state, time_limit, tolerance, h, trace)
 
 
+@compiled
+def retraced(system, time, state, trace):
+    """`retrace`, likewise with a cache."""
+    return retrace(system, time, state, trace)
+
+
 class Motion(NamedTuple):
     """A motion of (position, another, speed, another's), above two positions and on one side of zero speed.
 
@@ -231,10 +237,10 @@ def test_a_retraced_motion_is_itself_and_its_neighbour_differs_by_the_derivative
     start = (1.0, 0.0, 0.0, 0.0)
     time, state, _, _ = integrated(motion, 0.0, start, 100.0, FINE, 1e-4, trace)
     rewind(trace)
-    again, same, event = retrace(motion, 0.0, start, trace)
+    again, same, event = retraced(motion, 0.0, start, trace)
     assert (again, same, event) == (pytest.approx(time, rel=1e-13), pytest.approx(state, abs=1e-13), 0)
     rewind(trace)
-    later, neighbour, _ = retrace(motion, 0.0, (1.0 + nudge, 0.0, 0.0, 0.0), trace)
+    later, neighbour, _ = retraced(motion, 0.0, (1.0 + nudge, 0.0, 0.0, 0.0), trace)
     level = 0.3
     assert neighbour[0] == pytest.approx(level, abs=1e-12)
     assert (later - time) / nudge == pytest.approx(-level / state[2], rel=1e-5)
@@ -249,7 +255,7 @@ def test_retracing_a_sequence_of_pieces_has_the_same_events() -> None:
         time, state = 0.0, (height, 0.0, 0.0, 0.0)
         for _ in range(5):
             if again:
-                time, state, event = retrace(motion, time, state, trace)
+                time, state, event = retraced(motion, time, state, trace)
             else:
                 time, state, event, _ = integrated(motion, time, state, 100.0, COARSE, 1e-3, trace)
             assert event == 0

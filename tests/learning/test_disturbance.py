@@ -79,7 +79,7 @@ def test_the_standard_deviation_of_an_offset_is_that_of_its_error() -> None:
     """The offset's error for a tilted boom, in standard deviations of the noise; zero where no filter is used."""
     rng = np.random.default_rng(5)
     yaws, innovations, stds = np.cumsum(rng.uniform(0.05, 0.35, 227)), [], []
-    for _ in range(40):
+    for _ in range(20):
         filters, phase = DisturbanceFilter.initial(1), rng.uniform(0, 2 * np.pi)
         assert filters.std(0.0) == 0
         for yaw in yaws:

@@ -90,7 +90,7 @@ def test_the_newest_step_counts_for_the_next_one() -> None:
 
 
 def test_the_same_steps_give_the_same_model_however_long_fits_take() -> None:
-    steps = hops(REALITY, 50, seed=3)
+    steps = hops(REALITY, 30, seed=3)
     start = Learner.start(NOMINAL, log_of([]), ONLINE, 0)
     alone = start
     for logged in steps:

@@ -114,7 +114,7 @@ def test_the_benchmark_compares_it() -> None:
     assert np.isfinite(rows[-1]["error"])
 
 
-@pytest.mark.usefixtures("drawn_page", "installed")
+@pytest.mark.usefixtures("installed")
 def test_a_run_uses_it_and_the_report_includes_it(tmp_path: Path) -> None:
     def plant(rng: np.random.Generator) -> ModelPlant:
         return ModelPlant(REAL, np.array([0.1, 0.56]), np.array([0.005, 0.002]), rng)

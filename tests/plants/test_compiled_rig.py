@@ -39,17 +39,19 @@ def hops(rig: Rig, commands: np.ndarray, at_once: int = 32) -> tuple[np.ndarray,
 
 
 @pytest.mark.parametrize(
-    "gap", [RealityGap(), RealityGap.none(), RealityGap(torque_limit=9.0)], ids=["", "none", "weak"]
+    ("gap", "sizes"),
+    [(RealityGap(), (1, 7, 10_000)), (RealityGap.none(), (7,)), (RealityGap(torque_limit=9.0), (7,))],
+    ids=["", "none", "weak"],
 )
 @pytest.mark.parametrize(
     "commands", [[(-5.0, -5.0), (2.0, -8.0), (-7.0, 3.0)], [(80.0, -90.0)] * 10], ids=["", "falls"]
 )
-def test_it_is_the_single_calls(gap: RealityGap, commands: list[tuple[float, float]]) -> None:
+def test_it_is_the_single_calls(gap: RealityGap, sizes: tuple[int, ...], commands: list[tuple[float, float]]) -> None:
     rng = np.random.default_rng(3)
     asked = np.array(commands) + rng.normal(0, 0.5, (len(commands), 2))
     singly, expected, fault = hops(SingleTicks(twin(5, gap)), asked)
     assert (expected[-1].status == StepStatus.OK) == (len(commands) == 3)
-    for at_once in (1, 7, 10_000):
+    for at_once in sizes:
         rows, records, message = hops(twin(5, gap), asked, at_once)
         np.testing.assert_array_equal(rows, singly)
         assert message == fault

@@ -1,29 +1,36 @@
 """The report in a headless Chromium: it makes no request, has no error, and its replay can be scrubbed."""
 
 import json
-import shutil
 from functools import partial
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
 
-from stepgap.cli.run_report import report_run
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.motion import Replay
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page
+from tests.quick_runs import leave_out_files_of_figures
 from tests.report.runs import SCENE, make_run, motion, report_of
 from tests.view.conftest import run_folder as run_folder
 
 pytestmark = pytest.mark.usefixtures("chromium")  # skips without it before anything is made for the browser
 
 
-@pytest.mark.usefixtures("drawn_page")
-def test_the_replay_scrubs_and_plays(run_folder: Path, tmp_path: Path, watched_page: Watched) -> None:
+@pytest.fixture(scope="module")
+def fallen(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of two deployments, of which the first one fell in its fourth step and has a replay."""
+    folder = make_run(tmp_path_factory.mktemp("fallen") / "run", 1, lasts=(3,))
+    with pytest.MonkeyPatch.context() as patch:
+        leave_out_files_of_figures(patch)
+        return report_of(folder, RunContext(replay=Replay({0: motion(400)}, SCENE)))
+
+
+def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) -> None:
     page = watched_page.page
-    page.goto(report_run(shutil.copytree(run_folder, tmp_path / "run")).path.resolve().as_uri())
+    page.goto((run_folder / "report.html").resolve().as_uri())
     slider, canvas, moment = (page.locator(f"#replay-{name}") for name in ("slider", "canvas", "moment"))
     slider.scroll_into_view_if_needed()
     expect(moment).to_contain_text("deployment")
@@ -49,16 +56,12 @@ def test_the_replay_scrubs_and_plays(run_folder: Path, tmp_path: Path, watched_p
     page.locator("#replay-play").click()
     expect(page.locator("#replay-play")).to_have_text("Pause")
     expect(slider).not_to_have_value("0")
-    page.evaluate("scrollTo(0, 0)")
-    watched_page.keep_screenshot("report")
 
 
-@pytest.mark.usefixtures("drawn_page")
-def test_a_fall_is_described_as_one(tmp_path: Path, watched_page: Watched) -> None:
-    folder = make_run(tmp_path / "run", 0, lasts=(3,))
-    replay = Replay({0: motion(400)}, SCENE)
+def test_a_fall_is_described_as_one(fallen: Path, watched_page: Watched) -> None:
     page = watched_page.page
-    page.goto(report_of(folder, RunContext(replay=replay)).resolve().as_uri())
+    page.goto(fallen.resolve().as_uri())
+    watched_page.keep_screenshot("report")
     page.locator("#replay-slider").fill("399")
     moment = page.locator("#replay-moment")
     expect(moment).to_contain_text("deployment 0, 3.99 s of 3.99 s: step 4 of 4.")
@@ -66,10 +69,9 @@ def test_a_fall_is_described_as_one(tmp_path: Path, watched_page: Watched) -> No
     watched_page.keep_screenshot("report_fall")
 
 
-@pytest.mark.usefixtures("drawn_page")
-def test_values_are_shown_at_the_pointer(tmp_path: Path, watched_page: Watched) -> None:
-    folder, page = make_run(tmp_path / "run", 1), watched_page.page
-    page.goto(report_of(folder).resolve().as_uri())
+def test_values_are_shown_at_the_pointer(fallen: Path, watched_page: Watched) -> None:
+    page = watched_page.page
+    page.goto(fallen.resolve().as_uri())
     figure = page.locator("figure[data-hover]").first
     figure.scroll_into_view_if_needed()
     (panel, *_) = json.loads(figure.get_attribute("data-hover") or "")
@@ -84,6 +86,6 @@ def test_values_are_shown_at_the_pointer(tmp_path: Path, watched_page: Watched) 
     y = frame["y"] + frame["height"] * (bottom - (bottom - top) * up)
     page.mouse.move(x, y)
     expect(page.locator(".hover-note")).to_have_text(f"{label}\nStep: {steps[20]}\nSpeed [m/s]: {speeds[20]}")
-    assert speeds == [f"{speed:.4g}" for speed in read_run_folder(folder).steps.of_iteration(1).next_state[:, 0]]
+    assert speeds == [f"{speed:.4g}" for speed in read_run_folder(fallen.parent).steps.of_iteration(1).next_state[:, 0]]
     page.mouse.move(1, 1)
     expect(page.locator(".hover-note")).to_be_hidden()

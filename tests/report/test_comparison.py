@@ -27,7 +27,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return folders
 
 
-@pytest.mark.usefixtures("drawn_page")
+@pytest.mark.usefixtures("drawn_page", "unplaced")
 def test_runs_side_by_side(folders: list[Path], tmp_path: Path) -> None:
     records = [read_run_folder(folder) for folder in folders]
     (tmp_path / "page.html").write_text(comparison_html(records), encoding="utf-8")

@@ -94,7 +94,7 @@ def test_gaits_hold_the_targets(folder: Path) -> None:
     assert gait_table(gait).count("<tr>") == 1 + len(gait.targets)
 
 
-@pytest.mark.usefixtures("drawn_page")
+@pytest.mark.usefixtures("drawn_page", "unplaced")
 def test_the_gait_is_on_the_page(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "run")
     page = Page(report_of(tmp_path / "run", RunContext("map", {"seed": 1}, LossyHopper())))

@@ -1,49 +1,42 @@
-"""`stepgap view` and `run --view` as commands of the shell."""
+"""`stepgap view` and `run --view`, and what ends them."""
 
 import shutil
 import signal
 import socket
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from threading import Timer, main_thread
+from time import sleep
 
 import pytest
 
 from stepgap.experiment.loop import Observer
 from stepgap.learning.step_log import LoggedStep
 from stepgap.view.live import LiveView
+from stepgap.view.watch import HERE
 from tests.cli.command_line import Command, refused
 from tests.view.conftest import TARGETS
 
 SENSITIVE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
 """Code that enables Ctrl-C, which is ignored where the tests run in the background."""
 
-UNDRAWN = "from stepgap.report import run_figures as made; made.draw_figure = lambda *_: made.Missing('left out')"
-"""Code that leaves out the figures of a report."""
-
-PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; {UNDRAWN}; from stepgap.cli.app import main; main()"]
+PROGRAM = [sys.executable, "-c", f"{SENSITIVE}; from stepgap.cli.app import main; main()"]
 
 
-def started(*arguments: object) -> subprocess.Popen[str]:
-    """Starts a command in a new process that reacts to Ctrl-C and draws no figures."""
-    return subprocess.Popen(
-        [*PROGRAM, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-def address(process: subprocess.Popen[str]) -> str:
-    """Address of the page that a process prints."""
-    assert process.stderr
-    for line in process.stderr:
-        if "open http://" in line:
-            return line.split()[2]
-    raise AssertionError(f"it ended: {process.wait()}")
+def opened(url: str, process: subprocess.Popen) -> bytes:
+    """The page at an address, as soon as a process serves it."""
+    while True:
+        try:
+            with urllib.request.urlopen(url) as answer:
+                return answer.read(1000)
+        except urllib.error.URLError:
+            assert process.poll() is None, "the page has ended"
+            sleep(0.05)
 
 
 def free_port() -> int:
@@ -54,22 +47,24 @@ def free_port() -> int:
 
 
 def test_it_serves_the_page_until_ctrl_c(run_folder: Path) -> None:
-    with started("view", run_folder) as process:
-        url = address(process)
-        with urllib.request.urlopen(url) as answer:
-            assert b"<html" in answer.read(1000)
+    pipe = subprocess.PIPE
+    with subprocess.Popen([*PROGRAM, "view", run_folder], stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stderr
+        line = next(line for line in process.stderr if "open http://" in line)
+        assert b"<html" in opened(line.split()[2], process)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate()
     assert (process.returncode, out, err) == (0, "", "")
 
 
-def test_opening_it_to_others_warns(run_folder: Path) -> None:
-    with started("view", run_folder, "--host", "0.0.0.0") as process:
-        assert address(process).startswith("http://0.0.0.0:")
-        assert process.stderr
-        assert "warning: --host 0.0.0.0 opens the page to everyone" in process.stderr.readline()
-        process.terminate()
-        assert process.wait() == 0
+def test_opening_it_to_others_warns(stepgap: Command, run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is terminated after its first frame."""
+    monkeypatch.setattr("stepgap.view.watch.sleep", lambda _: signal.raise_signal(signal.SIGTERM))
+    result = stepgap("view", run_folder, "--host", "0.0.0.0")
+    assert (result.code, result.out) == (0, "")
+    address, warning = result.err.splitlines()
+    assert address.startswith("stepgap: open http://0.0.0.0:")
+    assert "warning: --host 0.0.0.0 opens the page to everyone" in warning
 
 
 def test_wrong_input_is_one_line(stepgap: Command, run_folder: Path, tmp_path: Path) -> None:
@@ -92,6 +87,7 @@ def test_broken_files_are_one_line(
     refused(stepgap("view", copy), name)
 
 
+@pytest.mark.usefixtures("no_repeats", "no_report")
 def test_a_run_is_the_same_with_a_page_that_dies(
     stepgap: Command, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,17 +111,26 @@ def test_a_run_is_the_same_with_a_page_that_dies(
     assert (tmp_path / "run" / "steps.csv").read_bytes() == (run_folder / "steps.csv").read_bytes()
 
 
-def test_a_run_shows_its_page_and_ctrl_c_ends_both_when_it_is_over(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("no_repeats", "no_report")
+def test_a_run_shows_its_page_and_ctrl_c_ends_both_when_it_is_over(
+    stepgap: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, stay = free_port(), LiveView.stay
+    url = f"http://{HERE}:{port}"
+
+    def interrupted(live: LiveView) -> None:
+        assert b"<html" in opened(url, live._process)
+        key = Timer(0.1, signal.pthread_kill, (main_thread().ident, signal.SIGINT))
+        key.start()
+        try:
+            stay(live)
+        finally:
+            key.cancel()
+
+    monkeypatch.setattr(LiveView, "stay", interrupted)
     (tmp_path / "targets.csv").write_text("speed,height\n0.1,0.56\n")
     arguments = ["--reference", tmp_path / "targets.csv", "--out", tmp_path / "run", "--iterations", "0"]
-    with started("run", *arguments, "--view", "--port", free_port()) as process:
-        url = address(process)
-        with urllib.request.urlopen(url) as answer:
-            assert answer.status == 200
-        assert process.stdout
-        assert process.stdout.readline().strip().endswith("report.html")
-        process.send_signal(signal.SIGINT)
-        process.communicate()
-    assert process.returncode == 0
+    result = stepgap("run", *arguments, "--view", "--port", port)
+    assert (result.code, result.out.strip()) == (0, str(tmp_path / "run" / "report.html"))
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(url)

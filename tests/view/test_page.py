@@ -14,15 +14,22 @@ from stepgap.view.watch import HERE, start_server, stop_server, watch
 from tests.view.conftest import STEPS
 
 
-@pytest.fixture
-def page(run_folder: Path) -> Iterator[Page]:
-    source, server = Source(run_folder), start_server(HERE, None)
-    page = Page(server, source)
+@pytest.fixture(scope="module")
+def source(run_folder: Path) -> Iterator[Source]:
+    """A run whose motion is known; pages only read it."""
+    source = Source(run_folder)
     for iteration in (0, 1):
+        source.want(iteration)
         source.await_motion(iteration)
-    yield page
-    stop_server(server)
+    yield source
     source.close()
+
+
+@pytest.fixture
+def page(source: Source) -> Iterator[Page]:
+    server = start_server(HERE, None)
+    yield Page(server, source)
+    stop_server(server)
 
 
 def test_only_this_machine_can_open_it(page: Page) -> None:

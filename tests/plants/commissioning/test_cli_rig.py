@@ -27,6 +27,7 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.ring_rig import emulated_settings
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from tests.cli.command_line import Command, CommandResult, refused
+from tests.plants.realtime.warm_start import start_realtime_from_warm_server
 from tests.robots.hopper.jigged_machine import POSE, JiggedMachine
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
@@ -57,6 +58,11 @@ def ring() -> Iterator[RigSettings]:
         pytest.skip(str(refusal))
     yield emulated_settings(LAYOUT, RobotParameters(), settings, INTERFACE)
     running.__exit__(None, None, None)
+
+
+@pytest.fixture(autouse=True)
+def _warm_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    start_realtime_from_warm_server(monkeypatch)
 
 
 @pytest.fixture
@@ -195,14 +201,13 @@ def seen(text: str) -> None:
         pytest.skip(text)
 
 
-def test_a_command_runs_with_the_ring_and_its_exit_code_is_returned(tmp_path: Path) -> None:
+def test_a_command_runs_with_the_ring_and_its_exit_code_is_returned(stepgap: Command, tmp_path: Path) -> None:
     code = f"import socket, sys; socket.if_nametoindex('{INTERFACE}t'); print(sys.argv[1:]); sys.exit(7)"
     arguments = ["--interface", f"{INTERFACE}t", "--gap.boom_pivot_height", "0.41", "--lock-step"]
-    command = emulate(*arguments, "--", sys.executable, "-c", code, "--gap.delay", "0")
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
-    seen(result.stderr)
-    assert (result.returncode, result.stderr) == (7, "")
-    assert result.stdout == "emulated.toml\n['--gap.delay', '0']\n"
+    result = stepgap("rig", "emulate", *arguments, "--", sys.executable, "-c", code, "--gap.delay", "0")
+    seen(result.err)
+    assert (result.code, result.err) == (7, "")
+    assert result.out == "emulated.toml\n['--gap.delay', '0']\n"
     settings = read_rig_settings(tmp_path / "emulated.toml")
     layout = replace(LAYOUT, tick=1e-3, pivot_height=0.41)
     assert settings == emulated_settings(layout, RobotParameters(), RingSettings(), f"{INTERFACE}t")

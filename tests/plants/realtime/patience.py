@@ -1,7 +1,7 @@
 """A pace for a real-time process in lock-step with its ring; it imports little, since such a process imports it."""
 
 import os
-from pathlib import Path
+from multiprocessing import parent_process
 from time import monotonic, sleep
 
 LONGEST_PAUSE = 1.0
@@ -13,7 +13,9 @@ def patient():
 
     Without commands it falls after some hops.
     """
-    status, now = Path(f"/proc/{os.getppid()}/stat"), 0.0
+    learning, now = parent_process(), 0.0  # also that of a copy of a fork server
+    assert learning is not None
+    status = os.open(f"/proc/{learning.pid}/stat", os.O_RDONLY)
 
     def pace(due):
         nonlocal now
@@ -30,6 +32,6 @@ def patient():
 def is_runnable(status):
     """Whether a process runs or waits for a processor; not if it sleeps, or has ended."""
     try:
-        return status.read_text().rpartition(")")[2].split()[0] == "R"
+        return os.pread(status, 1000, 0).rpartition(b")")[2].split()[0] == b"R"
     except OSError:
         return False

@@ -59,7 +59,7 @@ COLUMN = {name: index for index, name in enumerate({**TICK_UNITS, **RIG_UNITS, *
 COMMAND = (-4.0, -3.0)
 SHORT_TIMEOUT = 0.15
 """Reply timeout where frames are lost [s]: the master polls until it is over, and keeps a processor busy meanwhile."""
-HOPPING = 1050
+HOPPING = 640
 """Approximate number of ticks before the robot's first thrust."""
 
 
@@ -69,7 +69,7 @@ class Deployment:
     def __init__(self, rig):
         self.rig, self.board, self.rows, self.ticks = rig, Board.create(), [], 0
         control = HopControl(rig.sensor_model, ROBOT, GAINS, rig.limits)
-        times = LoopSettings(calibrate_time=0.05, release_time=inf)
+        times = LoopSettings(calibrate_time=0.05, stand_time=0.15, release_time=inf)
         self.loop = ControlLoop(rig, control, BOUNDS.space(), self.board, self.rows.append, times)
         self.board.request = Request.HOP
         self.hops = []

@@ -13,7 +13,7 @@ from tests.plants.realtime.test_faults import COLUMN, cycles_to_connect, deploym
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
 
-ASCENT, STANCE = 1200, 1050
+ASCENT, STANCE = 790, 640
 """Ticks in which the robot rises after its first take-off, and in which its leg is compressed."""
 DEGREE = 16384 / 360
 YAW_DEGREE = 5000 / 360

@@ -62,10 +62,10 @@ def extracted(folder: Path, settings: SectionSettings, plan: bool = True) -> Ext
     ids=["noise", "rounding", "half slower", "slow position, zeros", "glitches", "all"],
 )
 def test_no_row_is_wrong(rule: str, changes: tuple[Change, ...], tmp_path: Path) -> None:
-    found = trial(changes, rule, 40, 11, tmp_path)
+    found = trial(changes, rule, 30, 11, tmp_path)
     assert isinstance(found, Score)
     assert (found.wrong, found.refused) == (0, False)
-    assert found.steps >= 28
+    assert found.steps >= 21
     assert (np.sqrt(np.mean(found.standardised**2, axis=0)) < 2).all()
 
 

@@ -80,13 +80,13 @@ class Recorder(RecordingMachine):
 
 
 class RecordedTwin(TwinMachine, RecordingMachine):
-    """The twin, held until 0.6 s after its first torque, however late that comes; by then the robot stands.
+    """The twin, held until 0.2 s after its first torque, however late that comes; by then the robot stands.
 
     It records all torques, also those before its last restart.
     """
 
     def __init__(self) -> None:
-        super().__init__(Twin(RobotParameters(), RealityGap(), np.random.default_rng(0), hold=0.6))
+        super().__init__(Twin(RobotParameters(), RealityGap(), np.random.default_rng(0), hold=0.2))
         self.torques = []
 
     def start(self) -> HopperReading:

@@ -196,7 +196,7 @@ def test_frames_every_quarter_millisecond_are_in_time(tick: float, frames: int) 
     late = rng.exponential(5e-6, count)
     late[count // 2] = 7e-4
     settings = replace(settings_with_sync0(INTERFACE, tick, frames), reply_timeout=0.1)
-    lost = tuple(LostFrames(BRING_UP + 300 * number, 2) for number in range(3))
+    lost = tuple(LostFrames(BRING_UP + 300 * number, 2) for number in range(2))
     with timed_rig(INTERFACE, drifting_clocks(rng), lost, settings) as timed:
         offsets = run(timed, late)
         assert abs(timed.apart()) < 50  # ns

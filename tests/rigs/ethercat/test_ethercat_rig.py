@@ -57,6 +57,9 @@ SETTINGS = RigSettings(
     watchdog=0.5,
 )
 
+LOSING_FRAMES = replace(SETTINGS, reply_timeout=0.15)
+"""Where frames are lost: the master polls for that time, and keeps a processor busy meanwhile."""
+
 
 def rig_of(settings: RigSettings = SETTINGS) -> EthercatRig:
     return hopper_on_ethercat(settings, RobotParameters())
@@ -233,7 +236,7 @@ def test_a_slave_that_refuses_its_mapping_is_named() -> None:
 def test_errors_within_the_limits_are_tolerated_and_others_stop_the_motors_for_good(fault, survives: bool) -> None:
     at = cycles_to_connect() + 10
     with live_ring(fault(at)) as ring:
-        rig = rig_of()
+        rig = rig_of(LOSING_FRAMES)
         rig.connect()
         ticks, message = ticks_until_fault(rig, 40)
         most = 8.0 * (1 + 1e-12)

@@ -202,7 +202,11 @@ def test_several_processes_sample_the_same_surrogate(package: Path, monkeypatch:
 @pytest.mark.usefixtures("no_repeats")
 def test_the_robot_of_the_page_learns(package: Path, stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stepgap.robots.nominal_maps.surrogate_map.MOST_SAMPLES", 512)
-    result = stepgap("run", "--robot", "spring_hopper", "--out", "out", "--iterations", "1", "--quiet")
+    (reference,) = (make() for make in load_robot("spring_hopper").references().values())
+    rows = [reference.names, *reference.targets[:24].tolist()]
+    Path("targets.csv").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+    options = ("--reference", "targets.csv", "--out", "out", "--iterations", "1", "--quiet")
+    result = stepgap("run", "--robot", "spring_hopper", *options)
     assert result.code == 0, result.err
     assert "512 simulated steps, error of the surrogate: speed 0.01" in result.err
     before, after = json.loads(Path("out/summary.json").read_text())["iterations"]
