@@ -10,6 +10,7 @@ them; otherwise the averaged prediction would seem better than it is.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,7 @@ def residual_weights(validation: Validation) -> dict[str, Array]:
     return dict(zip(members, weights, strict=True))
 
 
+@lru_cache(maxsize=1)  # asked for again by every sentence on the same validation
 def averaged(validation: Validation) -> HeldOut:
     """The averaged prediction of the held-out steps; its standard deviation is that of the mixture."""
     held_out, block = list(_members(validation).values()), validation.folds.block
