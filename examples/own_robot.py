@@ -49,7 +49,7 @@ def integrate(z, robot, push, phase):
     return z
 
 
-@guvectorize(["f8[:], f8[:], f8[:], f8[:], i8[:]"], "(n),(m),(p)->(n),()", cache=True)
+@guvectorize(["f8[:], f8[:], f8[:], f8[:], i8[:]"], "(n),(m),(p)->(n),()")
 def hop(state, command, robot, next_state, status):
     """Step from apex to apex; NumPy broadcasts it over leading axes."""
     x, y = -robot[2] * np.sin(command[0]), robot[2] * np.cos(command[0])
