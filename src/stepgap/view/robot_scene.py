@@ -134,8 +134,5 @@ def _straight() -> Array:
 def turned_to(direction: Array) -> Array:
     """Quaternion (w, x, y, z) of the shortest rotation from +z to a direction; shape (4,)."""
     x, y, z = direction
-    across = hypot(x, y)
-    if across == 0:
-        return np.array([1.0, 0.0, 0.0, 0.0]) if z >= 0 else np.array([0.0, 1.0, 0.0, 0.0])
-    half_angle = atan2(across, z) / 2  # accurate for all directions; the square root of (1 + z) / 2 is not near -z
-    return np.array([cos(half_angle), -y / across * sin(half_angle), x / across * sin(half_angle), 0.0])
+    azimuth, half_angle = atan2(y, x), atan2(hypot(x, y), z) / 2
+    return np.array([cos(half_angle), -sin(azimuth) * sin(half_angle), cos(azimuth) * sin(half_angle), 0.0])
