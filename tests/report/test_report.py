@@ -8,16 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from matplotlib.image import imread
 
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.bands import interval_coverage
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
-from stepgap.records.summary import MEASURED, MEASURES
+from stepgap.records.run_folder import RunRecord
+from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.decimals import decimal
-from stepgap.report.figures import tracking_figure
+from stepgap.report.drawing import LOOK
+from stepgap.report.figures import command_figure, error_figure, tracking_figure
 from stepgap.report.page import captions
 from stepgap.step import Quantity, StepSpace
 from tests.quick_runs import leave_out_files_of_figures
@@ -134,6 +137,20 @@ def test_curves_are_the_steps(written: Path) -> None:
     inside, known = (counts[0] for counts in interval_coverage(last))
     assert known == 40
     assert 30 <= inside <= 40
+
+
+def test_legends_with_all_entries_are_within_their_figures(written: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a run along the paper's reference, whose noise floor is known."""
+    monkeypatch.setattr(RunRecord, "like_paper", True)
+    record = read_run_folder(written)
+    record = replace(record, summary=replace(record.summary, noise_floor=NoiseFloor(*np.full((2, 2), 0.01), 100.0)))
+    with rc_context(LOOK):
+        figures = tracking_figure(record), command_figure(record, None), error_figure(record)
+        for figure in figures:
+            figure.draw_without_rendering()
+            (legend,) = figure.legends
+            assert figure.bbox.padded(1).count_contains(legend.get_window_extent().corners()) == 4
+    assert len(figures[-1].legends[0].get_texts()) == 6
 
 
 def test_along_the_papers_reference(like_paper: Page) -> None:

@@ -21,7 +21,7 @@ def std_interval_95(std: ArrayLike, freedom: ArrayLike) -> NDArray[np.float64]:
     Returns:
         Lower and upper ends, NaN where a number is not known; shape (2, …).
     """
-    std, freedom = np.asarray(std, float), np.asarray(freedom, float)
+    std, freedom = np.broadcast_arrays(np.asarray(std, float), np.asarray(freedom, float))
     return std * np.sqrt(np.stack([freedom / chdtri(freedom, 0.025), freedom / chdtri(freedom, 0.975)]))
 
 

@@ -315,4 +315,4 @@ def _finish(figure: Figure, panels: list[Axes], step_label: str, own_legends: bo
         found = {
             label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
         }
-        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=4, frameon=False)
+        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=3, frameon=False)
