@@ -17,6 +17,7 @@ from stepgap.cli.app import main
 from stepgap.hybrid.motion import axpy
 from tests.cli.command_line import Command, CommandResult
 from tests.compiled_hops import compile_hops
+from tests.plants.realtime.warm_start import start_realtime_from_warm_server
 from tests.quick_runs import (
     compute_in_a_thread,
     leave_out_drawing,
@@ -84,6 +85,12 @@ def pytest_collection_finish() -> None:
 @pytest.fixture
 def in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     compute_in_a_thread(monkeypatch)
+
+
+@pytest.fixture
+def warm_realtime(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Real-time processes start at once, as copies of a fork server."""
+    start_realtime_from_warm_server(monkeypatch)
 
 
 @pytest.fixture

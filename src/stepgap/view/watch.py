@@ -5,7 +5,7 @@ import io
 import socket
 import sys
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from time import monotonic, sleep
 
 from viser import ViserServer
@@ -91,14 +91,13 @@ def watch(server: ViserServer, page: Page, runs: Callable[[], bool] = lambda: Tr
     """Announces the page and updates it until `runs` is false or Ctrl-C is pressed; then stops the server."""
     last = monotonic()
     try:
-        announce(server)
-        while runs():
-            now = monotonic()
-            page.update(now - last)
-            last = now
-            sleep(max(0.0, FRAME - (monotonic() - now)))
-    except KeyboardInterrupt:
-        pass
+        with suppress(KeyboardInterrupt):
+            announce(server)
+            while runs():
+                now = monotonic()
+                page.update(now - last)
+                last = now
+                sleep(max(0.0, FRAME - (monotonic() - now)))
     finally:
         stop_server(server)
 

@@ -27,10 +27,10 @@ from stepgap.robots.hopper.parameters import RobotParameters
 from stepgap.robots.hopper.ring_rig import emulated_settings
 from stepgap.robots.hopper.sensors import HopperSensorModel
 from tests.cli.command_line import Command, CommandResult, refused
-from tests.plants.realtime.warm_start import start_realtime_from_warm_server
 from tests.robots.hopper.jigged_machine import POSE, JiggedMachine
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+pytestmark = pytest.mark.usefixtures("warm_realtime")
 
 INTERFACE = f"sg{os.getpid() % 10**7}"
 TICK = 0.01
@@ -58,11 +58,6 @@ def ring() -> Iterator[RigSettings]:
         pytest.skip(str(refusal))
     yield emulated_settings(LAYOUT, RobotParameters(), settings, INTERFACE)
     running.__exit__(None, None, None)
-
-
-@pytest.fixture(autouse=True)
-def _warm_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    start_realtime_from_warm_server(monkeypatch)
 
 
 @pytest.fixture

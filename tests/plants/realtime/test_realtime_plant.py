@@ -27,10 +27,10 @@ from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.step import StepStatus
 from tests.plants.realtime.patience import patient
 from tests.plants.realtime.test_faults import LIMITS, SETTINGS, WATCHDOG
-from tests.plants.realtime.warm_start import start_realtime_from_warm_server
 from tests.rigs.ethercat.ring_process import RecordedTwin, live_ring
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+pytestmark = pytest.mark.usefixtures("warm_realtime")
 
 ROBOT, GAINS, BOUNDS = RobotParameters(), Gains(), CommandBounds()
 COMMAND = np.array([-4.0, -3.0])
@@ -43,11 +43,6 @@ SETUP = RealtimeSetup(
     patient,
 )
 COLUMN = {name: index for index, name in enumerate(SETUP.units)}
-
-
-@pytest.fixture(autouse=True)
-def _warm_start(monkeypatch):
-    start_realtime_from_warm_server(monkeypatch)
 
 
 @contextmanager

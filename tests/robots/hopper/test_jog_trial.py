@@ -19,10 +19,10 @@ from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.robots.hopper.twin_machine import TwinMachine
 from tests.plants.realtime.test_faults import BOUNDS, EMULATED_LIMITS, GAINS, ROBOT, SETTINGS, replace
-from tests.plants.realtime.warm_start import start_realtime_from_warm_server
 from tests.rigs.ethercat.ring_process import RecordedTwin, live_ring
 
 pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+pytestmark = pytest.mark.usefixtures("warm_realtime")
 
 CONTROL = HopperControl(ROBOT, GAINS, BOUNDS)
 SETTINGS_OF_JOG = replace(SETTINGS, limits=EMULATED_LIMITS)
@@ -74,11 +74,6 @@ def tried(monkeypatch: pytest.MonkeyPatch, make_machine, simulated: bool = True,
 @pytest.fixture(autouse=True)
 def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture(autouse=True)
-def _warm_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    start_realtime_from_warm_server(monkeypatch)
 
 
 def test_both_motors_pass_one_after_the_other(monkeypatch, capsys) -> None:

@@ -1,7 +1,7 @@
 """A deployment without torque: it displays sensor values and the torques that the control law would command."""
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import sleep
 
@@ -89,15 +89,17 @@ def dry_run(make_rig: Callable[[], Rig], robot_control: RobotControl, seconds: f
     describe = _describer(rig, robot_control, frames)
     session = Session(setup, log)
     try:
-        with terminated_as_interrupted(), _display(round(1 / rig.sensor_model.tick)) as display:
+        with (
+            suppress(KeyboardInterrupt),  # the regular end
+            terminated_as_interrupted(),
+            _display(round(1 / rig.sensor_model.tick)) as display,
+        ):
             while log.count < wanted and not session.over():
                 sleep(_UPDATE_EVERY)
                 display(describe(log, session), log.count)
             if fault := ended(session):
                 sleep(_UPDATE_EVERY)  # until the last ticks are read
                 display(describe(log, session), None)
-    except KeyboardInterrupt:
-        pass  # the regular end
     finally:
         session.close()
     print(path)

@@ -11,14 +11,14 @@ from stepgap.records.sections.signals import Signal
 from stepgap.step import Array
 
 FEWEST_SAMPLES: Final = 6
-"""A parabola is fitted to at least so many samples."""
+"""A parabola is fitted to at least this number of samples."""
 
 OUTLYING: Final = 6.0
-"""A sample whose residual exceeds so many robust standard deviations, such as that of a dropout, is left out."""
+"""A sample whose residual exceeds this number of robust standard deviations, such as that of a dropout, is left out."""
 
 
 UNUSUAL: Final = 2.0
-"""A variance of residuals that is so many times as large as the median of all fits is not due to chance."""
+"""A variance of residuals that is larger than the median of all fits by this factor is not due to chance."""
 
 
 @final

@@ -17,19 +17,19 @@ WINDOW_PARTS: Final = (1.0, 0.7, 0.5, 0.35, 0.25)
 """Windows that are tried, in parts of the longest one."""
 
 BIAS: Final = 1.5
-"""A window is too long if the estimates differ from those of a shorter one by so many standard errors (RMS)."""
+"""A window is too long if its estimates differ from those of a shorter one by more standard errors than this (RMS)."""
 
 MORE_DOUBTS: Final = 0.05
 """A window is also too long if it makes a larger part of the sections doubtful that are not with a shorter one."""
 
 MISFIT: Final = 5.0
-"""A fit is doubtful if its residuals are so many times as large as those of a typical fit (RMS),"""
+"""A fit is doubtful if its residuals are larger than those of a typical fit (RMS) by this factor,"""
 
 SMALL_MISFIT: Final = 1e-3
 """and larger than this part of the range of its samples; a log of a simulation hardly has residuals."""
 
 UNCERTAIN: Final = 5.0
-"""A section is doubtful if a standard error is so many times as large as a typical one,"""
+"""A section is doubtful if a standard error is larger than a typical one by this factor,"""
 
 IMPRECISE: Final = 0.1
 """and larger than this part of the standard deviation of the state over all sections."""

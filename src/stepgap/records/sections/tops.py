@@ -14,7 +14,7 @@ _Indices = NDArray[np.intp]
 """Numbers of samples."""
 
 CLEAR: Final = 3.0
-"""The least prominent top of a hop must be so many times as prominent as the most prominent other maximum."""
+"""The least prominent top of a hop must be more prominent than any other maximum by this factor."""
 
 SMALL: Final = 0.15
 """Other maxima must be less prominent than this part of the median top of a hop."""
