@@ -143,7 +143,8 @@ def test_legends_with_all_entries_are_within_their_figures(written: Path, monkey
     """As in a run along the paper's reference, whose noise floor is known."""
     monkeypatch.setattr(RunRecord, "like_paper", True)
     record = read_run_folder(written)
-    record = replace(record, summary=replace(record.summary, noise_floor=NoiseFloor(*np.full((2, 2), 0.01), 100.0)))
+    floor = np.full(2, 0.01)
+    record = replace(record, summary=replace(record.summary, noise_floor=NoiseFloor(floor, floor, 100.0)))
     with rc_context(LOOK):
         figures = tracking_figure(record), command_figure(record, None), error_figure(record)
         for figure in figures:
