@@ -115,17 +115,27 @@ class LiveRing:
         return self._pipe.recv()
 
 
+def lose_nothing(frame: bytes) -> bool:
+    return False
+
+
 @contextmanager
 def live_ring(
-    *faults: Fault, make_machine: Callable[[], RecordingMachine] = Recorder, frames: Path | None = None
+    *faults: Fault,
+    make_machine: Callable[[], RecordingMachine] = Recorder,
+    frames: Path | None = None,
+    is_lost: Callable[[bytes], bool] = lose_nothing,
 ) -> Iterator[LiveRing]:
     """A ring in lock-step; skips the test where raw sockets are not allowed.
 
-    With `frames`, all frames that came and went are in that file after the block (pcap).
+    With `frames`, all frames that came and went are in that file after the block (pcap). Frames for which `is_lost`
+    is true do not reach the ring.
     """
     context = get_context("forkserver")
     here, there = context.Pipe()
-    process = context.Process(target=_serve, args=(INTERFACE, there, faults, make_machine, frames), daemon=True)
+    process = context.Process(
+        target=_serve, args=(INTERFACE, there, faults, make_machine, frames, is_lost), daemon=True
+    )
     process.start()
     there.close()
     with here:
@@ -146,6 +156,7 @@ def _serve(
     faults: tuple[Fault, ...],
     make_machine: Callable[[], RecordingMachine],
     frames: Path | None,
+    is_lost: Callable[[bytes], bool],
 ) -> None:
     with suppress(PermissionError):  # pysoem waits 2 ms for some answers, less than a busy machine may take
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
@@ -165,7 +176,7 @@ def _serve(
                 elif raw in ready:
                     frame = raw.recv(LONGEST_FRAME)
                     record(frame)
-                    for answer in ring.pass_frame(frame):
+                    for answer in () if is_lost(frame) else ring.pass_frame(frame):
                         record(answer)
                         raw.send(answer)
     except NoNetwork as refused:

@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.rigs.ethercat.emulator.drive import ABORT_CONNECTION, OPTION_CODES, Drive, DriveSettings
+from stepgap.rigs.ethercat.emulator.frame import Command, decode
+from stepgap.rigs.ethercat.emulator.registers import SYNC_MANAGER
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
 from stepgap.rigs.ethercat.reactions import REACTIONS, secure_reactions
 from stepgap.rigs.ethercat.rig_settings import Slave
@@ -143,6 +145,25 @@ def test_start_up_objects_and_reactions_reach_the_drives():
         read = connected._bus.read_object
         for number in (0, 1):
             assert [read(number, each.index, Struct("<h")) for each in REACTIONS] == [1, 0, 0, 0, 0]
+        assert connected.remarks == (NO_STO_INPUT,)
+
+
+class LosesPolls:
+    """Loses every 40th frame that asks a slave whether it has taken the last request out of its mailbox."""
+
+    def __init__(self) -> None:
+        self._polls = 0
+
+    def __call__(self, frame: bytes) -> bool:
+        first = decode(frame).datagrams[0]
+        is_poll = (first.command, first.offset) == (Command.FPRD, SYNC_MANAGER + 5)
+        self._polls += is_poll
+        return is_poll and self._polls % 40 == 0
+
+
+def test_a_lost_frame_of_an_sdo_transfer_is_sent_again():
+    pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
+    with live_ring(is_lost=LosesPolls()), rig() as connected:
         assert connected.remarks == (NO_STO_INPUT,)
 
 

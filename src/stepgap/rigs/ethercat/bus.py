@@ -23,8 +23,14 @@ _ASSIGN_OUTPUTS, _ASSIGN_INPUTS = 0x1C12, 0x1C13
 STATE_TIMEOUT = 2.0
 """Timeout of a change of the slaves' states [s]."""
 
-REPLY_TIMEOUT = 20_000
-"""Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the kernel is busy."""
+REPLY_TIMEOUT = 100_000
+"""Timeout of a frame during bring-up [µs]; SOEM's 2,000 are too short when the computer is busy."""
+
+REQUEST_TIMEOUT, REQUEST_TIMEOUT_IN_OP = 700_000, 20_000
+"""Time in which a mailbox must take a request of an SDO transfer [µs], during bring-up and afterwards.
+
+The second is SOEM's; a busy computer can lose all frames of such a time, and the transfer with them.
+"""
 
 SEARCH_TIME = 1.0
 """Time during which missing slaves are searched for [s]; on a busy computer the frame of a search may be late."""
@@ -35,7 +41,12 @@ LEAST_WAIT = 50
 MOST_SEARCHES = 3
 """Number of searches of which each found enough slaves, but not the expected ones."""
 
-WATCHDOG_ATTEMPTS = 5
+WATCHDOG_ATTEMPTS, WATCHDOG_PAUSE = 5, 0.1
+"""Number of attempts to set a watchdog, since pysoem waits only 4 ms for its registers, and the time between them [s].
+
+More attempts, or faster ones, would be a risk: SOEM has 16 frame numbers, so that it takes the late reply to a frame
+for the reply to the 16th frame after it.
+"""
 
 _NO_OBJECT = 0x06020000
 """Abort code of an SDO transfer: there is no such object."""
@@ -80,7 +91,7 @@ class Bus:
                 from the settings.
         """
         self._soem = _pysoem()
-        self._soem.settings.timeouts.ret = REPLY_TIMEOUT
+        self._limit_waiting(REPLY_TIMEOUT, REQUEST_TIMEOUT)
         self._claim = _claimed(self._settings.interface)
         try:
             self._bring_up(self._open(), prepare)
@@ -197,7 +208,7 @@ class Bus:
 
     def clock_difference(self, number: int) -> float | None:
         """Difference of a slave's clock from the reference clock [s], None without an answer; costs one more frame."""
-        return clock_difference(self._master.slaves[number], self._timeout)
+        return clock_difference(self._master.slaves[number])
 
     def out_of_operation(self) -> list[int]:
         """Numbers of the slaves that report another state than OP; costs frames without process data."""
@@ -270,12 +281,11 @@ class Bus:
             self._set_watchdog(number)
 
     def _set_watchdog(self, number: int) -> None:
-        """Sets the watchdog's registers; pysoem waits only 2 ms for each, so a reply may be late on a busy kernel."""
         for _ in range(WATCHDOG_ATTEMPTS):
             try:
                 return self._master.slaves[number].set_watchdog("processdata", self._settings.watchdog * 1e3)
             except self._soem.WkcError:
-                continue
+                sleep(WATCHDOG_PAUSE)
         raise RigFault(f"{self.label(number)}: the watchdog cannot be set")
 
     def _start(self, master: Any) -> None:
@@ -309,7 +319,7 @@ class Bus:
             self._exchange()
             if monotonic() > until:
                 raise RigFault(f"a slave refuses OP: {self._states(soem.OP_STATE)}")
-        soem.settings.timeouts.ret = self._timeout
+        self._limit_waiting(self._timeout, REQUEST_TIMEOUT_IN_OP)
         self._block(False)  # otherwise a lost frame delays the tick by a tick of the kernel
 
     def _exchange(self) -> None:
@@ -355,6 +365,11 @@ class Bus:
         except AssertionError:  # pysoem asserts that the error in SOEM's list is of this slave
             reason, kind = "no answer, after an error of another slave", RigFault
         raise kind(f"{self.label(number)}: object 0x{index:04X}:{subindex:02X} is refused: {reason}")
+
+    def _limit_waiting(self, reply: int, request: int) -> None:
+        """Sets the timeouts of a frame and of a request to a mailbox [µs]."""
+        timeouts = self._soem.settings.timeouts
+        timeouts.ret, timeouts.tx_mailbox = reply, request
 
     def _block(self, blocking: bool) -> None:
         """Sets whether reading the sockets waits in the kernel."""

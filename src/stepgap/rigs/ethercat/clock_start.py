@@ -18,7 +18,7 @@ SYNCHRONOUS = 10_000
 """Largest difference of a slave's clock from the reference clock before OP [ns]."""
 
 _ATTEMPTS = 5
-"""Number of attempts to activate SYNC0; pysoem waits 2 ms for a reply, which is too short on a busy computer."""
+"""Number of attempts to activate SYNC0, since a reply may be late on a busy computer."""
 
 _ACTIVATION, _START, _CYCLE, _DIFFERENCE = 0x0981, 0x0990, 0x09A0, 0x092C
 """Registers of a slave controller: of SYNC0, and the mean difference of its clock from the reference clock."""
@@ -87,14 +87,13 @@ def _activate(device: Any, slave: Slave, cycle: float) -> bool:
     return False
 
 
-def clock_difference(device: Any, timeout: int | None = None) -> float | None:
+def clock_difference(device: Any) -> float | None:
     """Mean difference of a slave's clock from the reference clock [s], positive if ahead; None without an answer.
 
     Args:
         device: The slave, of pysoem.
-        timeout: Timeout of the answer [µs]; None for that of pysoem, 2 ms.
     """
-    word = _register(device, _DIFFERENCE, _U32.size, timeout)
+    word = _register(device, _DIFFERENCE, _U32.size)
     if word is None:
         return None
     return 1e-9 * (-_amount(word) if word >> 31 else _amount(word))
@@ -119,12 +118,12 @@ def _amount(word: int) -> int:
     return word & 0x7FFFFFFF
 
 
-def _register(device: Any, address: int, size: int, timeout: int | None = None) -> int | None:
-    """Reads a register of a slave controller, or returns None if the reply is late; the timeout is in µs."""
-    limit = () if timeout is None else (timeout,)
+def _register(device: Any, address: int, size: int) -> int | None:
+    """Reads a register of a slave controller, or returns None if no reply comes within the bus' present timeout."""
+    import pysoem  # here, since a rig without EtherCAT does not need it
+
     try:
-        return int.from_bytes(device._fprd(address, size, *limit), "little")  # pysoem has no other name for it
-    except Exception as error:  # WkcError; pysoem is imported only where a bus is used
-        if type(error).__name__ != "WkcError":
-            raise
+        content = device._fprd(address, size, pysoem.settings.timeouts.ret)  # pysoem has no other name for it
+    except pysoem.WkcError:
         return None
+    return int.from_bytes(content, "little")
