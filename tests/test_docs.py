@@ -64,6 +64,9 @@ READERS = {
 MENTIONED = sorted({found for text in TEXTS.values() for found in re.findall(r"`(?:\./go )?(stepgap [^`]+)`", text)})
 EXAMPLE_IN_TABLE = re.compile(r"\| `([^`|]+)` \|$", re.MULTILINE)
 
+KNOWN_HELP: dict[tuple[str, ...], str] = {}
+"""Help of the verbs that were asked for; texts mention the same few again and again."""
+
 
 def name(page):
     return page.name
@@ -142,8 +145,10 @@ def test_verbs_and_options_exist(words, stepgap: Command):
 
 
 def help_of(stepgap: Command, *verbs):
-    result = stepgap(*verbs, "--help")
-    return result.out if result.code == 0 else ""
+    if verbs not in KNOWN_HELP:
+        result = stepgap(*verbs, "--help")
+        KNOWN_HELP[verbs] = result.out if result.code == 0 else ""
+    return KNOWN_HELP[verbs]
 
 
 @pytest.mark.parametrize("example", [each for each in EXAMPLES if each.name not in EXAMPLES_ELSEWHERE], ids=name)
