@@ -13,6 +13,7 @@ of a sweep.
 from pathlib import Path
 from typing import NamedTuple
 
+from stepgap.base.blas import one_blas_thread
 from stepgap.base.files import write_whole
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
@@ -61,15 +62,16 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
         ValueError: The nominal map has another state or command than the run.
         OSError: A file cannot be read or written.
     """
-    learned, damage = _learned(record)
-    gait = _gait(record, context, learned)
-    bounds = None if isinstance(context.nominal, Missing) else context.nominal.space
-    drawings = draw_run_figures(record, learned, gait, bounds)
-    wanted = {f"map_{index}": f"map_{name}" for index, name in enumerate(record.space.state_names)}
-    write_figures(record.folder, {wanted.get(name, name): drawing for name, drawing in drawings.items()})
-    path = record.folder / "report.html"
-    write_whole(path, report_html(record, drawings, context, learned, gait))
-    return WrittenReport(path, tuple(missing_parts(record, context, learned, gait, damage)))
+    with one_blas_thread():
+        learned, damage = _learned(record)
+        gait = _gait(record, context, learned)
+        bounds = None if isinstance(context.nominal, Missing) else context.nominal.space
+        drawings = draw_run_figures(record, learned, gait, bounds)
+        wanted = {f"map_{index}": f"map_{name}" for index, name in enumerate(record.space.state_names)}
+        write_figures(record.folder, {wanted.get(name, name): drawing for name, drawing in drawings.items()})
+        path = record.folder / "report.html"
+        write_whole(path, report_html(record, drawings, context, learned, gait))
+        return WrittenReport(path, tuple(missing_parts(record, context, learned, gait, damage)))
 
 
 def _learned(record: RunRecord) -> tuple[LearnedResidual | None, str]:
