@@ -143,14 +143,27 @@ make_afresh() {
     fi
 }
 
+install_lock() { # in place of all that is installed, the project itself too, or in addition to it
+    if [ "$replaces" = yes ]; then
+        set -- sync
+    else
+        set -- install --requirement
+    fi
+    # Where Python is told to write no bytecode, every start would compile all it imports anew: numba's takes a second.
+    "$uv" pip "$@" "made-from.new/$lock" --quiet ${PYTHONDONTWRITEBYTECODE:+--compile-bytecode} --python bin/python \
+        --require-hashes --no-build
+}
+
 set_up() { # python is the interpreter to make it with, lock the file to make it from
     if is_up_to_date; then
         return # another run was faster
     fi
+    replaces=yes
     if ! is_made_here || [ -e "$venv/made-from.new" ]; then
         make_afresh
     elif is_current requirements.lock pyproject.toml && ! has_developer_packages; then
-        say "adding the packages of developers to .venv (once)" # meanwhile, and if it fails, users' commands still run
+        say "adding the packages of developers to .venv (once)"
+        replaces=no # nothing is removed: meanwhile, and if it fails, users' commands still run
     else
         say "bringing .venv up to date with $lock and pyproject.toml"
         rm -rf "$venv/made-from"
@@ -165,13 +178,12 @@ set_up() { # python is the interpreter to make it with, lock the file to make it
     uv=$(command -v uv || echo bin/uv)
     [ -x "$uv" ] || fetch_uv
     use_pip_settings
-    # Where Python is told to write no bytecode, every start would compile all it imports anew: numba's takes a second.
-    "$uv" pip sync --quiet ${PYTHONDONTWRITEBYTECODE:+--compile-bytecode} --python bin/python --require-hashes --no-build \
-        "made-from.new/$lock" || {
+    install_lock || {
         [ "$before" != "$(installed)" ] || rm -rf made-from.new # nothing was changed: what works goes on working
         fail_to_download
     }
-    "$uv" pip install --quiet --python bin/python --offline --no-deps --no-build-isolation --editable "$root" ||
+    [ "$replaces" = no ] ||
+        "$uv" pip install --quiet --python bin/python --offline --no-deps --no-build-isolation --editable "$root" ||
         fail "the project itself could not be installed; the reason stands above."
     rm -rf made-from
     mv made-from.new made-from

@@ -1,7 +1,8 @@
 """`./go` sets `.venv` up: users' packages at first, developers' as well once a command needs them.
 
 The set-up runs as it is, but with a program in place of uv: it writes down what it was asked to install, and makes an
-empty environment. A file `broken` makes its `pip sync` fail; one that is `killed` ends `./go` in the middle of it.
+empty environment. As with uv, `pip sync` removes what is not in the lock, which includes the project itself. A file
+`broken` makes the installation of a lock fail; one that is `killed` ends `./go` in the middle of it.
 """
 
 import re
@@ -29,14 +30,19 @@ case "$1 $2" in
     for name in stepgap pytest; do printf '#!/bin/sh\necho "$0 runs"\n' >.venv/bin/$name; chmod +x .venv/bin/$name; done
     echo made >>uv.log
     ;;
-"pip sync")
-    for last; do :; done
-    echo "${last##*/}" >>../uv.log
-    if [ -e ../broken ]; then exit 2; fi
-    mkdir -p "lib/python3/site-packages/$(cat "$last").dist-info"
-    if [ -e ../killed ]; then kill -9 $PPID; fi
+"pip sync" | "pip install")
+    case "$*" in
+    *.lock*)
+        lock=$(printf '%s\n' "$@" | grep '\.lock$')
+        echo "${lock##*/}" >>../uv.log
+        if [ -e ../broken ]; then exit 2; fi
+        if [ $2 = sync ]; then mv bin/stepgap bin/removed; fi
+        mkdir -p "lib/python3/site-packages/$(cat "$lock").dist-info"
+        if [ -e ../killed ]; then kill -9 $PPID; fi
+        ;;
+    *--editable*) mv bin/removed bin/stepgap ;;
+    esac
     ;;
-"pip install") ;;
 *) exit 3 ;;
 esac
 """
