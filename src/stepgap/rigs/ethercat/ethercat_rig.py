@@ -21,8 +21,8 @@ from stepgap.rigs.ethercat.esi.comparison import compare_with_esi, labelled
 from stepgap.rigs.ethercat.esi.reader import read_esi
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.reactions import secure_reactions
-from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
-from stepgap.rigs.ethercat.sensor_doubts import LONGEST_CONTRADICTION, PositionTrack, SensorDoubt, with_position
+from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder
+from stepgap.rigs.ethercat.sensor_channels import EncoderChannel, ForceChannel
 from stepgap.rigs.ethercat.startup import StartupObject, write_startup
 from stepgap.rigs.ethercat.watched_drives import WatchedDrives
 from stepgap.rigs.host_time import COMPUTER, HostTime
@@ -66,12 +66,6 @@ _LAST_FRAMES = 3
 """Number of frames without torque that are sent at the end, in case one is lost."""
 
 
-def unwrapped(raw: int, before: int, bits: int) -> int:
-    """Unwraps a counter of the given number of bits: the count nearest to `before` whose lowest bits are `raw`."""
-    half = 1 << (bits - 1)
-    return before + ((raw - before + half) & (2 * half - 1)) - half
-
-
 class EthercatRig(Rig):
     """Drives and encoders as `rig.toml` describes them.
 
@@ -95,7 +89,7 @@ class EthercatRig(Rig):
         self._motors = settings.motors
         self._drives = tuple(settings.position(motor.slave) for motor in self._motors)
         self._sensors = tuple(
-            _Angle(settings, device) if isinstance(device, Encoder) else _Force(settings, device)
+            EncoderChannel(settings, device) if isinstance(device, Encoder) else ForceChannel(settings, device)
             for device in settings.devices.values()
         )
         self._values = {
@@ -431,41 +425,3 @@ class EthercatRig(Rig):
         except RigFault:  # for example a drive without power; this must not hide the first fault
             return f"{text}, its error is unknown"
         return f"{text}, error 0x{error:04X}" if error else text
-
-
-class _Angle:
-    """Counts of one encoder: unwrapped, relative to its zero, forward positive; and the reason to doubt them."""
-
-    def __init__(self, settings: BusSettings, encoder: Encoder):
-        self.slave, self._encoder = settings.position(encoder.slave), encoder
-        self._name = "position" if isinstance(encoder, Motor) else "counter"
-        packing = Packing(settings.pdo_set(settings.slaves[self.slave]).inputs)
-        self._bits, self._count = packing.mapping[self._name][0].bits, 0
-        compared = encoder.velocity_unit if isinstance(encoder, Motor) and "velocity" in packing.names else 0.0
-        self._velocity_unit = compared * settings.tick / settings.frames_per_tick
-        self._track: PositionTrack | None = None
-        self.doubt: SensorDoubt | None = None
-
-    def value(self, bus: Bus) -> int:
-        inputs = bus.inputs(self.slave)
-        self._count = unwrapped(inputs[self._name], self._count, self._bits)
-        if self._velocity_unit:
-            track = self._track or PositionTrack(self._count)
-            self._track = track = with_position(track, self._count, self._velocity_unit * inputs["velocity"])
-            self.doubt = SensorDoubt.VELOCITY if track.contradictions > LONGEST_CONTRADICTION else None
-        if inputs.get("status", 0) & self._encoder.error_bits:
-            self.doubt = SensorDoubt.STATUS
-        return self._encoder.sign * (self._count - self._encoder.zero)
-
-
-class _Force:
-    """The force of one sensor [N], and the reason to doubt it."""
-
-    def __init__(self, settings: BusSettings, sensor: ForceSensor):
-        self.slave, self._sensor = settings.position(sensor.slave), sensor
-        self.doubt: SensorDoubt | None = None
-
-    def value(self, bus: Bus) -> float:
-        inputs = bus.inputs(self.slave)
-        self.doubt = SensorDoubt.STATUS if inputs.get("status", 0) & self._sensor.error_bits else None
-        return self._sensor.newton_per_count * (inputs["force"] - self._sensor.zero)
