@@ -513,6 +513,21 @@ def test_the_version_is_that_of_the_package(stepgap: Command) -> None:
 HEAVY = {"numpy", "numba", "scipy", "mujoco", "matplotlib", "rich.markdown"}
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(("output", "reason"), [("/dev/full", "No space left on device"), ("closed", "Broken pipe")])
+def test_an_error_of_standard_output_is_one_line(output: str, reason: str, unbuffered: str) -> None:
+    program = [sys.executable, "-c", "from stepgap.cli.app import main; main()", "settings"]
+    if output == "closed":
+        reader, writer = os.pipe()
+        os.close(reader)
+    else:
+        writer = os.open(output, os.O_WRONLY)
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(program, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, f"stepgap: standard output: {reason}\n")
+
+
 @pytest.mark.parametrize("arguments", ["--help", "run --help", "--no-such-option", "run --no-such-option"])
 def test_help_and_a_wrong_option_import_nothing_heavy(arguments: str) -> None:
     asked = f"""

@@ -151,8 +151,8 @@ def test_missing_parts_are_reported(finished: Path, stepgap: Command) -> None:
     assert (result.code, result.out) == (0, "run/report.html\n")
     assert result.err == (
         "stepgap: missing in the report: the last line of steps.csv (it is cut off); errors (no deployment is "
-        "finished according to summary.json); the learned model (no models/iteration_1.json); settings, gait and "
-        "replay (the folder contains no experiment.toml)\n"
+        "finished according to summary.json); the learned model (there is no models/iteration_1.json); settings, gait "
+        "and replay (the folder contains no experiment.toml)\n"
     )
 
 

@@ -162,13 +162,13 @@ class TestRefused:
     @pytest.mark.parametrize(
         ("change", "named"),
         [
-            ({"points": [[1.0, 2.0]]}, "^points must be"),
+            ({"points": [[1.0, 2.0]]}, "^points.shape = .* must be"),
             ({"points": [[1.0], [2.0, 3.0]]}, "^points must be"),
             ({"values": ["a"]}, "^values must be"),
-            ({"values": [0.0, 1.0]}, "^values must be"),
-            ({"centre": [0.0]}, "^centre must be"),
-            ({"scale": [1.0, 1.0, 0.0]}, "^scale must be"),
-            ({"value_scale": 0.0}, "^value_scale must be"),
+            ({"values": [0.0, 1.0]}, "^values.shape = .* must be"),
+            ({"centre": [0.0]}, "^centre.shape = .* must be"),
+            ({"scale": [1.0, 1.0, 0.0]}, "^scale = .* must be"),
+            ({"value_scale": 0.0}, "^value_scale = .* must be"),
             ({"value_scale": float("nan")}, "^value_scale must be"),
         ],
     )

@@ -208,8 +208,18 @@ def rows(count: int, columns: int) -> dict[str, Any]:
             lambda one: {**one, **rows(1, 3000), "centre": [0.0] * 3000, "scale": [1.0] * 3000},
             "regressions[0].points must have at most 100 columns",
         ),
-        ("gp_on_linear", ("regressions", 0), lambda one: {**one, **rows(7000, 4)}, "points must be at most 6000"),
-        ("gp", ("regressions", 1, "inducing"), lambda one: one[:1] * 2000, "inducing must be at most 1000 points"),
+        (
+            "gp_on_linear",
+            ("regressions", 0),
+            lambda one: {**one, **rows(7000, 4)},
+            "regressions[0].points.shape = (7000, 4), but it must have at most 6000 rows",
+        ),
+        (
+            "gp",
+            ("regressions", 1, "inducing"),
+            lambda one: one[:1] * 2000,
+            "regressions[1].inducing.shape = (2000, 4), but it must have at most 1000 rows",
+        ),
     ],
 )
 def test_each_fault_is_named(kind: str, path: Any, change: Callable[[Any], Any], message: str, tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_the_kernel_is_named_and_checked(written: Path) -> None:
     assert [each["kernel"] for each in data["regressions"]] == ["Matérn 5/2", "Matérn 5/2"]
     for index in (0, 1):
         change(written, lambda data, index=index: data["regressions"][index].update(kernel="periodic"))
-        refused(written, "kernel must be Matérn 5/2, not 'periodic'")
+        refused(written, "kernel = 'periodic', but it must be 'Matérn 5/2'")
         change(written, lambda data, index=index: data["regressions"][index].pop("kernel"))
     found = read_model(written, 1, SPACE)  # as former versions wrote it
     assert found is not None

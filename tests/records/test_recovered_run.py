@@ -16,6 +16,7 @@ from stepgap.records.recovery import recover_file
 from stepgap.records.run_folder import read_run_folder
 from stepgap.records.steps_csv import RecordError
 from tests.experiment.test_loop import NOMINAL, REALITY, REFERENCE, plant_of
+from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 LEARNING = LearningSettings(iterations=2, early_stop=False)
 
@@ -42,6 +43,17 @@ def damaged(whole: Path, folder: Path, line: int) -> Path:
     lines[line] = lines[line].replace(".", ".x", 1)
     (folder / "steps.csv").write_text("".join(lines))
     return folder
+
+
+@pytest.mark.parametrize(("size", "file"), [(100, "experiment.toml"), (500, "steps.csv")])
+def test_the_error_of_a_full_disk_names_the_new_file(whole: Path, tmp_path: Path, size: int, file: str) -> None:
+    folder = damaged(whole, tmp_path / "run", len(REFERENCE) + 3)
+    (folder / "experiment.toml").write_text("# " + 200 * "-")
+    (folder / "models" / "iteration_1.json").unlink()
+    (folder / "summary.json").unlink()
+    with largest_file(size), pytest.raises(InputError) as error:
+        recover_file(folder, tmp_path / "out")
+    assert str(error.value) == f"{tmp_path / 'out' / file}: {FILE_TOO_LARGE}"
 
 
 def test_a_damaged_run_is_recovered_reported_and_resumed(whole: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The learned residual in the report of a run on a map with a closed form."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -9,10 +10,11 @@ import pytest
 
 from stepgap.learning.residual import HistoryInputs
 from stepgap.learning.settings import LAGGED_INPUTS
+from stepgap.records.missing import Missing
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.decimals import decimal
 from stepgap.report.gait_table import gait_table
-from stepgap.report.learned import input_quantities, read_learned_residual
+from stepgap.report.learned import LearnedResidual, input_quantities, read_learned_residual
 from stepgap.report.learned_table import coverage_table, learned_tables
 from stepgap.report.reference_gait import reference_gait
 from tests.control.maps import LossyHopper
@@ -30,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_last_model_and_its_numbers(folder: Path) -> None:
     record, saved = read_run_folder(folder), json.loads((folder / "models" / "iteration_2.json").read_text())
     learned = read_learned_residual(folder, 2, record.space)
-    assert learned is not None
+    assert isinstance(learned, LearnedResidual)
     assert len(learned.residual.regressions) == 2
     text = learned_tables(record, learned)
     for entry in saved["regressions"]:
@@ -44,12 +46,19 @@ def test_the_last_model_and_its_numbers(folder: Path) -> None:
 
 
 def test_a_missing_model_is_reported(folder: Path, tmp_path: Path) -> None:
-    assert read_learned_residual(folder, 0, SPACE) is None
+    assert read_learned_residual(folder, 0, SPACE) == Missing("deployment 0 used the nominal map")
     shutil.copytree(folder, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "models")
     page = Page(report_of(tmp_path / "run"))
     check_alone(page)
     assert "There is no model to describe: there is no models/iteration_2.json." in page.text
+
+
+def test_a_damaged_model_is_reported(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "run")
+    (tmp_path / "run" / "models" / "iteration_2.json").write_text("{}")
+    page = Page(report_of(tmp_path / "run"))
+    assert re.search(r"There is no model to describe: [^\n]*iteration_2\.json: not a residual", page.text)
 
 
 @pytest.mark.parametrize("part", [0, 1, 100, 1000, -1])

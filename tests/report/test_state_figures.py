@@ -71,7 +71,7 @@ def test_a_surface_of_any_shape_can_be_drawn(kind: str) -> None:
 def test_the_other_inputs_are_those_of_the_middle_gait(folder: Path) -> None:
     record = read_run_folder(folder)
     learned = read_learned_residual(folder, 1, record.space)
-    assert learned is not None
+    assert isinstance(learned, LearnedResidual)
     gait = reference_gait(record, LossyHopper(), learned)
     centre = centre_of(learned, gait)
     np.testing.assert_array_equal(centre[:2], gait.centre)

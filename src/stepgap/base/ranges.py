@@ -23,8 +23,10 @@ def require(condition: object, name: str, value: Any, rule: str) -> None:
 
 
 def format_value(value: Any) -> str:
-    """Formats a value as in TOML, for a message; at most 60 characters of it."""
+    """Formats a value as in TOML, for a message: one line, at most 60 characters of it."""
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
         return "a very large integer"
     text = str(value).lower() if isinstance(value, bool) else repr(value)
+    if "\n" in text:  # of an array
+        text = " ".join(text.split())
     return text if len(text) <= 60 else f"{text[:60]}…"

@@ -31,7 +31,7 @@ from stepgap.cli.run import run
 from stepgap.cli.settings import settings
 from stepgap.cli.steps import steps
 from stepgap.cli.sweep import sweep
-from stepgap.cli.terminal import warn
+from stepgap.cli.terminal import discard_output, is_output_error, warn
 from stepgap.cli.view import view
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
@@ -71,6 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     debug = "--debug" in arguments
     try:
         _run_verb([argument for argument in arguments if argument != "--debug"], program)
+        sys.stdout.flush()  # at the end of the program an error could no longer be explained
     except KeyboardInterrupt as interrupt:
         warn(f"stopped{interrupt}")
         sys.exit(_STOPPED)
@@ -79,6 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         line, code = _explained(error)
         warn(line)
+        if is_output_error(error):
+            discard_output()
         sys.exit(code)
 
 
@@ -123,7 +126,9 @@ def _line_of(error: Exception) -> str:
     if isinstance(error, cyclopts.UnusedCliTokensError) and error.unused_tokens:
         hint = "--help shows those of this command; the program of a robot goes after --"
         return f"{' '.join(error.unused_tokens)}: too many arguments; {hint}"
-    about_a_file = isinstance(error, OSError) and error.filename is not None  # such as a full disk
+    if is_output_error(error):
+        return f"standard output: {error.strerror}"
+    about_a_file = isinstance(error, OSError) and error.filename is not None
     if _is_bad_input(error) or about_a_file or isinstance(error, StepGapError):
         return f"{message_of(error)}{_hint(error)}"
     return f"{type(error).__name__}: {error}"

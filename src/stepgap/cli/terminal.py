@@ -1,9 +1,11 @@
-"""Lines on stderr: warnings, and the announcement of compilation."""
+"""Standard output and the lines on stderr: warnings, and the announcement of compilation."""
 
+import errno
+import os
 import sys
 from collections.abc import Callable
 from functools import wraps
-from typing import Any
+from typing import Any, TypeGuard
 
 from stepgap.base.errors import InputError
 
@@ -11,6 +13,22 @@ from stepgap.base.errors import InputError
 def warn(message: str) -> None:
     """Prints one line on stderr."""
     print(f"stepgap: {' '.join(message.split())}", file=sys.stderr)
+
+
+def is_output_error(error: Exception) -> TypeGuard[OSError]:
+    """Whether standard output cannot be written: its disk is full, or nobody reads it any more.
+
+    Errors of all other files name them, because they are written within `naming`.
+    """
+    unwritable = (errno.ENOSPC, errno.EFBIG, errno.EPIPE)
+    return isinstance(error, OSError) and error.errno in unwritable and error.filename is None
+
+
+def discard_output() -> None:
+    """Discards standard output; what it could not write is otherwise tried again at the end of the program."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
 
 
 def check_consent(asked_by: str) -> None:

@@ -16,8 +16,6 @@ from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseOutput
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import Experiment, changed_experiment, experiment_table
-from stepgap.robots.hopper.robot import as_hopper
-from stepgap.robots.hopper.sampled_map import SampledApexMap
 from stepgap.step import StepMap
 
 TABLE_FILE = "table.toml"
@@ -73,15 +71,18 @@ def solve_batch(case: Mapping[str, Any]) -> CaseOutput:
 
 
 def sampled_map(settings: Experiment, tick: float | None) -> StepMap:
-    """The nominal map or, if a tick [s] is given, the hopper's with torques that are held for it.
+    """The nominal map or, if a tick [s] is given, that of the robot with torques that are held for it.
 
     Raises:
+        InputError: The robot has none.
         ValueError: The tick is out of its range.
     """
     if tick is None:
         return load_nominal(settings).map
-    hopper = as_hopper(settings.robot, "torques are held for a tick")
-    return SampledApexMap(hopper.parameters, hopper.gains, hopper.command, tick)
+    found = settings.robot.sampled_map(tick)
+    if found is None:
+        raise InputError(f"robot '{settings.robot.name}' has no map with torques that are held for a tick")
+    return found
 
 
 def _plain(values: NDArray[Any]) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import get_lapack_funcs
 
+from stepgap.base.ranges import require
 from stepgap.learning.cholesky import factorise, is_safe
 from stepgap.learning.covariance import covariance_matrix
 from stepgap.learning.gaussian_process import (
@@ -17,7 +18,6 @@ from stepgap.learning.gaussian_process import (
     check_kernel,
     check_sizes,
     checked_data,
-    ensure,
     saved_data,
     saved_hyper_parameters,
 )
@@ -107,7 +107,8 @@ class ExactGaussianProcess(GaussianProcess):
         """
         check_kernel(data, kernel)
         points, values, input_scale = saved_data(data)
-        ensure(len(points) <= LARGEST_SAVED, "points", f"at most {LARGEST_SAVED}, or have inducing points")
+        rule = f"have at most {LARGEST_SAVED} rows without inducing points"
+        require(len(points) <= LARGEST_SAVED, "points.shape", points.shape, rule)
         return condition(points, values, input_scale, saved_hyper_parameters(data), kernel)
 
     def _solve_weights(self) -> tuple[Array, Array]:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.base.json_data import number, numbers
+from stepgap.base.ranges import require
 from stepgap.learning.covariance import Covariance
 from stepgap.learning.kernel import Kernel
 from stepgap.step import Array
@@ -46,11 +47,11 @@ class HyperParameters:
     slope_std: float = 0.0
 
     def __post_init__(self) -> None:
-        ensure(_positive(self.length_scale), "length_scale", "positive and finite")
-        ensure(_positive(self.signal_std), "signal_std", "positive and finite")
+        require(_positive(self.length_scale), "length_scale", self.length_scale, "be positive and finite")
+        require(_positive(self.signal_std), "signal_std", self.signal_std, "be positive and finite")
         for name in ("noise_std", "slope_std"):
             std = getattr(self, name)
-            ensure(std == 0 or _positive(std), name, "non-negative and finite")
+            require(std == 0 or _positive(std), name, std, "be non-negative and finite")
 
     def covariance(self, kernel: Kernel, centres: Array, input_scale: Array) -> Covariance:
         """Covariance of queries and fixed centres (M, d).
@@ -228,25 +229,26 @@ class GaussianProcess(ABC):
 def checked_data(points: ArrayLike, values: ArrayLike, input_scale: ArrayLike) -> tuple[Array, Array, Array]:
     """Copies of the data; raises ValueError, which names the argument, if a shape or a number is wrong."""
     points, values, input_scale = np.array(points, float), np.array(values, float), np.array(input_scale, float)
-    ensure(input_scale.ndim == 1 and input_scale.size > 0, "input_scale", "of shape (d,)")
-    ensure(_positive(input_scale), "input_scale", "positive and finite")
+    require(input_scale.ndim == 1 and input_scale.size > 0, "input_scale.shape", input_scale.shape, "be (d,)")
+    require(_positive(input_scale), "input_scale", input_scale, "be positive and finite")
     sized = points.ndim == 2 and len(points) > 0 and points.shape[1] == len(input_scale)
-    ensure(sized, "points", f"of shape (N, {len(input_scale)}) with N ≥ 1, not {points.shape}")
-    ensure(np.isfinite(points).all(), "points", "finite")
-    ensure(values.shape == points.shape[:1], "values", f"of shape ({len(points)},), not {values.shape}")
-    ensure(np.isfinite(values).all(), "values", "finite")
+    require(sized, "points.shape", points.shape, f"be (N, {len(input_scale)}) with N ≥ 1")
+    require(np.isfinite(points).all(), "points", points, "be finite")
+    require(values.shape == points.shape[:1], "values.shape", values.shape, f"be ({len(points)},)")
+    require(np.isfinite(values).all(), "values", values, "be finite")
     return points, values, input_scale
 
 
 def check_sizes(hyper_parameters: HyperParameters, input_scale: Array) -> None:
     """Raises ValueError unless there is one length scale for each input."""
-    same = hyper_parameters.length_scale.shape == input_scale.shape
-    ensure(same, "length_scale", f"as many numbers as input_scale ({len(input_scale)})")
+    shape = hyper_parameters.length_scale.shape
+    require(shape == input_scale.shape, "length_scale.shape", shape, f"be that of input_scale, {input_scale.shape}")
 
 
 def check_kernel(data: Mapping[str, Any], kernel: Kernel) -> None:
     """Raises ValueError if the data name another kernel; those of former versions name none."""
-    ensure(data.get("kernel", kernel.name) == kernel.name, "kernel", f"{kernel.name}, not {data.get('kernel')!r:.40}")
+    name = data.get("kernel", kernel.name)
+    require(name == kernel.name, "kernel", name, f"be {kernel.name!r}")
 
 
 def saved_data(data: Mapping[str, Any]) -> tuple[Array, Array, Array]:
@@ -262,9 +264,3 @@ def saved_hyper_parameters(data: Mapping[str, Any]) -> HyperParameters:
 
 def _positive(array: ArrayLike) -> bool:
     return bool(np.all(np.isfinite(array) & (np.asarray(array) > 0)))
-
-
-def ensure(holds: object, name: str, what: str) -> None:
-    """Raises ValueError(name must be what) unless `holds` is true."""
-    if not holds:
-        raise ValueError(f"{name} must be {what}")

@@ -16,10 +16,11 @@ from scipy.spatial.distance import pdist
 from scipy.special import wrightomega
 
 from stepgap.base.blas import one_blas_thread
+from stepgap.base.ranges import require
 from stepgap.learning.cholesky import factorise
 from stepgap.learning.covariance import covariance_matrix, evidence_gradient
 from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
-from stepgap.learning.gaussian_process import HyperParameters, checked_data, ensure
+from stepgap.learning.gaussian_process import HyperParameters, checked_data
 from stepgap.learning.kernel import MATERN_52, Kernel
 from stepgap.learning.least_squares import LeastSquares, fit_least_squares
 from stepgap.step import Array
@@ -97,7 +98,7 @@ def fit_gaussian_process(
     points, values, input_scale = checked_data(points, values, input_scale)
     if value_scale is None:
         value_scale = max(0.5 * float(np.ptp(values)), 1e-6 * float(np.abs(values).max()), 1e-12)
-    ensure(0 < value_scale < math.inf, "value_scale", "positive and finite")
+    require(0 < value_scale < math.inf, "value_scale", value_scale, "be positive and finite")
     least_noise = LEAST_NOISE * value_scale
     evidence = Evidence(
         points / input_scale, values, points.shape[1], least_noise, value_scale, last_length_scale, kernel

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepgap.base.json_data import boolean, number, numbers
+from stepgap.base.ranges import require
 from stepgap.learning.settings import LaggedInputs
 from stepgap.step import Array
 
@@ -67,16 +68,13 @@ class TrainingData:
 
     def __post_init__(self) -> None:
         size, inputs = len(self.points), len(self.scale)
-        if self.scale.ndim != 1 or not (np.isfinite(self.scale) & (self.scale > 0)).all():
-            raise ValueError("scale must be of shape (d,), positive and finite")
-        if self.centre.shape != self.scale.shape or not np.isfinite(self.centre).all():
-            raise ValueError(f"centre must be {inputs} finite numbers, as many as scale")
-        if self.points.shape != (size, inputs) or not np.isfinite(self.points).all():
-            raise ValueError(f"points must be finite and of shape (N, {inputs}), not {self.points.shape}")
-        if self.values.shape != (size,) or not np.isfinite(self.values).all():
-            raise ValueError(f"values must be finite and of shape ({size},), not {self.values.shape}")
-        if not (np.isfinite(self.value_scale) and self.value_scale > 0):
-            raise ValueError("value_scale must be positive and finite")
+        shapes = {"scale": (inputs,), "centre": (inputs,), "points": (size, inputs), "values": (size,)}
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            require(array.shape == shape, f"{name}.shape", array.shape, f"be {shape}")
+            require(np.isfinite(array).all(), name, array, "be finite")
+        require((self.scale > 0).all(), "scale", self.scale, "be positive")
+        require(0 < self.value_scale < np.inf, "value_scale", self.value_scale, "be positive and finite")
 
     def scaled(self, point: ArrayLike) -> Array:
         """Converts points (…, d) to half ranges from the centre; shape (…, d)."""

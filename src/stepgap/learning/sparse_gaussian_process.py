@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.json_data import numbers
 from stepgap.base.normal import log_density
+from stepgap.base.ranges import require
 from stepgap.learning.cholesky import Factor, factorise
 from stepgap.learning.covariance import Covariance, covariance_matrix
 from stepgap.learning.exact_gaussian_process import ExactGaussianProcess
@@ -26,7 +27,6 @@ from stepgap.learning.gaussian_process import (
     check_kernel,
     check_sizes,
     checked_data,
-    ensure,
     saved_data,
     saved_hyper_parameters,
 )
@@ -149,7 +149,8 @@ class SparseGaussianProcess(GaussianProcess):
         """
         check_kernel(data, kernel)
         arrays, inducing = saved_data(data), numbers(data, "inducing", 2)
-        ensure(len(inducing) <= LARGEST_INDUCING, "inducing", f"at most {LARGEST_INDUCING} points")
+        rule = f"have at most {LARGEST_INDUCING} rows"
+        require(len(inducing) <= LARGEST_INDUCING, "inducing.shape", inducing.shape, rule)
         return condition_sparse(*arrays, saved_hyper_parameters(data), inducing, kernel)
 
     @property
@@ -221,10 +222,12 @@ def condition_sparse(
     """
     points, values, input_scale = checked_data(points, values, input_scale)
     check_sizes(hyper_parameters, input_scale)
-    ensure(hyper_parameters.noise_std > 0, "noise_std", "positive for a sparse process")
+    noise_std = hyper_parameters.noise_std
+    require(noise_std > 0, "noise_std", noise_std, "be positive for a sparse process")
     inducing = np.array(inducing, float)
     sized = inducing.ndim == 2 and len(inducing) > 0 and inducing.shape[1] == len(input_scale)
-    ensure(sized and np.isfinite(inducing).all(), "inducing", f"finite and of shape (M, {len(input_scale)}) with M ≥ 1")
+    require(sized, "inducing.shape", inducing.shape, f"be (M, {len(input_scale)}) with M ≥ 1")
+    require(np.isfinite(inducing).all(), "inducing", inducing, "be finite")
     covariance = hyper_parameters.covariance(kernel, inducing, input_scale)
     factor = factorise(covariance_matrix(covariance.correlation_of_centres(), np.zeros((len(inducing), 0)), 0.0))
     features = _features(covariance, factor, points)

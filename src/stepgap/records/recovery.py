@@ -3,12 +3,11 @@
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
-from shutil import copyfile
 
 from mcap.writer import MCAP0_MAGIC
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import naming
+from stepgap.base.files import naming, write_whole
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.model_files import model_path, read_model
@@ -61,10 +60,10 @@ def _recover_run(folder: Path, out: Path) -> list[str]:
         out.mkdir()
     for name in ("experiment.toml", *INPUT_FILES):
         if (folder / name).is_file():
-            copyfile(folder / name, out / name)
+            write_whole(out / name, (folder / name).read_bytes())
     lines = [fault] if fault else []
     lines += _recover_models(folder, out, steps) + _recover_summary(folder, out, steps)
-    (out / "steps.csv").write_text(text_of(steps), encoding="utf-8")
+    write_whole(out / "steps.csv", text_of(steps))
     return [*lines, _counted(len(steps), "step", bool(fault))]
 
 
@@ -75,8 +74,7 @@ def _recover_models(folder: Path, out: Path, steps: StepLog) -> list[str]:
         source, target = model_path(folder, iteration), model_path(out, iteration)
         try:
             if read_model(folder, iteration, steps.space) is not None:
-                target.parent.mkdir(exist_ok=True)
-                copyfile(source, target)
+                write_whole(target, source.read_bytes())
         except (ValueError, OSError) as error:
             faults.append(f"{error}; left out")
     return faults

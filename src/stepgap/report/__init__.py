@@ -63,7 +63,7 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
         OSError: A file cannot be read or written.
     """
     with one_blas_thread():
-        learned, damage = _learned(record)
+        learned = _learned(record)
         gait = _gait(record, context, learned)
         bounds = None if isinstance(context.nominal, Missing) else context.nominal.space
         drawings = draw_run_figures(record, learned, gait, bounds)
@@ -71,18 +71,18 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
         write_figures(record.folder, {wanted.get(name, name): drawing for name, drawing in drawings.items()})
         path = record.folder / "report.html"
         write_whole(path, report_html(record, drawings, context, learned, gait))
-        return WrittenReport(path, tuple(missing_parts(record, context, learned, gait, damage)))
+        return WrittenReport(path, tuple(missing_parts(record, context, learned, gait)))
 
 
-def _learned(record: RunRecord) -> tuple[LearnedResidual | None, str]:
-    """The last learned residual, and what is wrong with its file, for which it is left out."""
+def _learned(record: RunRecord) -> LearnedResidual | Missing:
+    """The last learned residual, or the reason why it is left out."""
     try:
-        return read_learned_residual(record.folder, record.shown_iterations[-1], record.space), ""
+        return read_learned_residual(record.folder, record.shown_iterations[-1], record.space)
     except ValueError as error:
-        return None, str(error)
+        return Missing(str(error))
 
 
-def _gait(record: RunRecord, context: RunContext, learned: LearnedResidual | None) -> ReferenceGait | Missing:
+def _gait(record: RunRecord, context: RunContext, learned: LearnedResidual | Missing) -> ReferenceGait | Missing:
     """Limit cycles at the targets, or the reason why they are not known."""
     if isinstance(context.nominal, Missing):
         return context.nominal

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from stepgap.learning.regression import Prediction
 from stepgap.learning.residual import HistoryInputs, Residual
-from stepgap.records.model_files import read_model
+from stepgap.records.missing import Missing
+from stepgap.records.model_files import model_path, read_model
 from stepgap.step import Array, Quantity, StepSpace
 
 
@@ -40,8 +41,8 @@ class LearnedResidual:
         return [(regression.values - predicted.mean) / predicted.std for regression, predicted in pairs]
 
 
-def read_learned_residual(folder: Path, last: int, space: StepSpace) -> LearnedResidual | None:
-    """Reads the residual with which a deployment began; None if no model was saved, as for the nominal map.
+def read_learned_residual(folder: Path, last: int, space: StepSpace) -> LearnedResidual | Missing:
+    """Reads the residual with which a deployment began, or the reason why none was saved.
 
     Args:
         folder: The run folder.
@@ -53,7 +54,10 @@ def read_learned_residual(folder: Path, last: int, space: StepSpace) -> LearnedR
         OSError: It cannot be read.
     """
     residual = read_model(folder, last, space)
-    return None if residual is None else LearnedResidual(last, residual)
+    if residual is not None:
+        return LearnedResidual(last, residual)
+    name = model_path(folder, last).relative_to(folder)
+    return Missing(f"there is no {name}" if last else "deployment 0 used the nominal map")
 
 
 def input_quantities(space: StepSpace, history_inputs: HistoryInputs) -> list[Quantity]:

@@ -8,6 +8,7 @@ import numpy as np
 from stepgap.base.normal import INTERVAL_95
 from stepgap.experiment.bands import interval_coverage
 from stepgap.learning.regression import Parameter
+from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
 from stepgap.report.html import table, with_unit
@@ -23,12 +24,10 @@ UNIT_NOTES: Final = {
 """Meaning of the units of a `Parameter`."""
 
 
-def learned_sentences(record: RunRecord, learned: LearnedResidual | None) -> list[str]:
+def learned_sentences(learned: LearnedResidual | Missing) -> list[str]:
     """Sentences on the model of the error, and on the meaning of the tables."""
-    if learned is None:
-        last = record.shown_iterations[-1]
-        reason = "deployment 0 used the nominal map" if last == 0 else f"there is no models/iteration_{last}.json"
-        return [f"There is no model to describe: {reason}."]
+    if isinstance(learned, Missing):
+        return [f"There is no model to describe: {learned.reason}."]
     model = f"Deployment {learned.iteration} began with the residual '{learned.residual.name}'"
     if not learned.steps:
         return [f"{model}: {learned.residual.model.description}."]
@@ -53,9 +52,9 @@ def _outliers(outliers: Sequence[tuple[int, int]]) -> list[str]:
     return [f"{'Step' if len(outliers) == 1 else 'Steps'} {'; '.join(lists)} {verb} not learned from."]
 
 
-def learned_tables(record: RunRecord, learned: LearnedResidual | None) -> str:
+def learned_tables(record: RunRecord, learned: LearnedResidual | Missing) -> str:
     """Tables of the parameters: those with a value for each input by input, all others by state coordinate."""
-    if learned is None or not learned.steps:
+    if isinstance(learned, Missing) or not learned.steps:
         return ""
     found = [{each.name: each for each in regression.parameters()} for regression in learned.residual.regressions]
     names = list(dict.fromkeys(name for parameters in found for name in parameters))

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 from stepgap.records.missing import Missing
-from stepgap.records.model_files import model_path
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.learned import LearnedResidual
 from stepgap.report.reference_gait import ReferenceGait
@@ -11,25 +10,23 @@ from stepgap.report.run_context import RunContext
 
 
 def missing_parts(
-    record: RunRecord, context: RunContext, learned: LearnedResidual | None, gait: ReferenceGait | Missing, damage: str
+    record: RunRecord, context: RunContext, learned: LearnedResidual | Missing, gait: ReferenceGait | Missing
 ) -> list[str]:
     """Lists the parts that are missing in the report of a run, each with the reason in brackets.
 
     Args:
         record: The run.
         context: Information that is not in the files of the run.
-        learned: The last residual, if there is one.
+        learned: The last residual, or the reason why there is none.
         gait: Limit cycles at the targets, or the reason why they are not known.
-        damage: What is wrong with the file of the last residual; empty if nothing is.
     """
     found, last = [], record.shown_iterations[-1]
     if record.cut_off:
         found.append("the last line of steps.csv (it is cut off)")
     if not record.deployments:
         found.append("errors (no deployment is finished according to summary.json)")
-    if last > 0 and learned is None:
-        missing = f"no {model_path(record.folder, last).relative_to(record.folder)}"
-        found.append(f"the learned model ({damage or missing})")
+    if last > 0 and isinstance(learned, Missing):
+        found.append(f"the learned model ({learned.reason})")
     return [*found, *_by_reason({"settings": context.defaults, "gait": gait, "replay": context.replay})]
 
 

@@ -72,7 +72,7 @@ def report_html(
     record: RunRecord,
     drawings: Mapping[str, Drawing | Missing],
     context: RunContext,
-    learned: LearnedResidual | None,
+    learned: LearnedResidual | Missing,
     gait: ReferenceGait | Missing,
 ) -> str:
     """HTML of the report.
@@ -82,7 +82,7 @@ def report_html(
         drawings: Figures by name (`tracking`, `commands`, `errors`, `map_K`, `left_out`, `gait`), or the reasons why
             there are none.
         context: Information that is not in the files of the run.
-        learned: The last residual, if there is one.
+        learned: The last residual, or the reason why there is none.
         gait: Limit cycles at the targets, or the reason why they are not known.
     """
     title = f"StepGap report: {record.folder.resolve().name}"
@@ -98,7 +98,7 @@ def report_html(
         "diagnosis": [bullets(diagnosis_sentences(record, context.nominal))],
         "replay": [replay_view(record, context.replay)],
         "learned": [
-            bullets(learned_sentences(record, learned)),
+            bullets(learned_sentences(learned)),
             learned_tables(record, learned),
             coverage_table(record),
             picture(drawings["surface"], "surface-", SURFACE_CAPTION) if "surface" in drawings else "",

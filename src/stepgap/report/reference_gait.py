@@ -12,6 +12,7 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.gradient_samples import gradient_samples
 from stepgap.learning.observations import next_history
 from stepgap.learning.residual import join_points
+from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.learned import LearnedResidual
 from stepgap.step import Array, StepFailed, StepMap, StepSpace
@@ -75,13 +76,13 @@ class ReferenceGait:
     maps: tuple[MapGait, ...]
 
 
-def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual | None) -> ReferenceGait:
+def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual | Missing) -> ReferenceGait:
     """Computes the limit cycles at the targets of the last deployment.
 
     Args:
         record: The run.
         nominal: Map of the physics model.
-        learned: Learned residual, which is added to the nominal map.
+        learned: Learned residual, which is added to the nominal map, or the reason why there is none.
 
     Raises:
         ValueError: The map has another state or command than the run.
@@ -95,7 +96,7 @@ def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual
     away = (targets - (targets.min(axis=0) + targets.max(axis=0)) / 2) / nominal.space.state_scale
     centre = targets[np.argmin(np.sum(away**2, axis=1))]
     maps = {"nominal": nominal}
-    if learned is not None:
+    if isinstance(learned, LearnedResidual):
         before = next_history(record.steps, nominal, learned.iteration)
         maps["corrected"] = CorrectedMap(nominal, learned.residual.conditioned_on(before))
     gaits = [_gait(name, step_map, targets, centre) for name, step_map in maps.items()]

@@ -12,18 +12,18 @@ Drawings = dict[str, Drawing | Missing]
 
 
 def draw_run_figures(
-    record: RunRecord, learned: LearnedResidual | None, gait: ReferenceGait | Missing, bounds: StepSpace | None
+    record: RunRecord, learned: LearnedResidual | Missing, gait: ReferenceGait | Missing, bounds: StepSpace | None
 ) -> Drawings:
     """Draws the figures of a run.
 
     Args:
         record: The run.
-        learned: The last residual, if there is one.
+        learned: The last residual, or the reason why there is none.
         gait: Limit cycles at the targets, or the reason why they are not known.
         bounds: State and command with their bounds; None if these are not known.
     """
     drawings = _of_steps(record, bounds)
-    if learned is not None and learned.steps:
+    if isinstance(learned, LearnedResidual) and learned.steps:
         drawings |= _of_residual(record.space, learned, gait)
     if isinstance(gait, ReferenceGait) and (len(gait.space.state), len(gait.space.command)) == (2, 2):
         drawings["gait"] = _of_gait(gait)

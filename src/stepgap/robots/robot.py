@@ -68,6 +68,17 @@ class Robot(ABC):
         """
         return {}
 
+    def sampled_map(self, tick: float) -> StepMap | None:  # noqa: ARG002  (others use it)
+        """Its nominal map of equations of motion, but with torques that are held; None if there is none.
+
+        Args:
+            tick: Time for which torques are held [s].
+
+        Raises:
+            ValueError: The tick is out of its range.
+        """
+        return None
+
     def references(self) -> Mapping[str, Callable[[], Reference]]:
         """Its references by name; the first one is the default. Without another, stairs in the ranges of use."""
         return {"stairs": lambda: stairs(self.space)}

@@ -13,6 +13,7 @@ from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.kinematics import HopperKinematics
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
+from stepgap.robots.hopper.sampled_map import SampledApexMap
 from stepgap.robots.hopper.sensors import hopper_sensors
 from stepgap.robots.hopper.simulation import HopperSimulation, RingSimulation, TwinSimulation
 from stepgap.robots.hopper.twin.family import random_gap
@@ -59,6 +60,10 @@ class Hopper(Robot):
     def nominal_maps(self) -> Mapping[str, Callable[[], StepMap]]:
         """The equations of motion."""
         return {"equations": self.apex_map}
+
+    def sampled_map(self, tick: float) -> SampledApexMap:
+        """The equations of motion with torques that are held for a tick [s]."""
+        return SampledApexMap(self.parameters, self.gains, self.command, tick)
 
     @property
     def as_modelled(self) -> Self:
