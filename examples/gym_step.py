@@ -4,12 +4,17 @@ import gymnasium
 import numpy as np
 
 import stepgap.gym
-from stepgap import Reference, StepController, StepRecord
-from stepgap.control.cautious_controller import CautiousController
-from stepgap.learning.learner import Learner
-from stepgap.learning.settings import LearningSettings
-from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.step import StepStatus
+from stepgap import (
+    CautiousController,
+    Learner,
+    LearningSettings,
+    LoggedStep,
+    Reference,
+    StepController,
+    StepLog,
+    StepRecord,
+    StepStatus,
+)
 
 stairs = [(1, (0.1, 0.56)), (10, (0.2, 0.58)), (19, (0.3, 0.6)), (28, (0.2, 0.58))]
 reference = Reference.from_segments(("speed", "height"), stairs, 36)

@@ -12,11 +12,18 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numba import guvectorize, njit
 
-from stepgap import run_experiment
-from stepgap.control.reference import Reference
-from stepgap.learning.settings import LearningSettings
-from stepgap.plants.model_plant import ModelPlant
-from stepgap.step import Outcome, Quantity, StepMap, StepSpace, StepStatus, difference_jacobian
+from stepgap import (
+    LearningSettings,
+    ModelPlant,
+    Outcome,
+    Quantity,
+    Reference,
+    StepMap,
+    StepSpace,
+    StepStatus,
+    difference_jacobian,
+    run_experiment,
+)
 
 GRAVITY = 9.81
 

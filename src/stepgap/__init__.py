@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stepgap.base.errors import InputError as InputError
     from stepgap.base.errors import StepGapError as StepGapError
+    from stepgap.base.json_data import number as number
     from stepgap.base.ranges import require as require
     from stepgap.control.cautious_controller import CautiousController as CautiousController
     from stepgap.control.command_table import CommandTable as CommandTable
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from stepgap.control.limit_cycle import reachable_set as reachable_set
     from stepgap.control.reference import Reference as Reference
     from stepgap.control.reference import paper_reference as paper_reference
+    from stepgap.control.settings import ControlSettings as ControlSettings
     from stepgap.control.step_controller import StepController as StepController
     from stepgap.control.step_controller import StepPlan as StepPlan
     from stepgap.experiment.deployment import DeploymentController as DeploymentController
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from stepgap.experiment.loop import Observer as Observer
     from stepgap.experiment.loop import run_experiment as run_experiment
     from stepgap.learning.corrected_map import CorrectedMap as CorrectedMap
+    from stepgap.learning.learner import Learner as Learner
     from stepgap.learning.observations import Observations as Observations
     from stepgap.learning.regression import BatchRegression as BatchRegression
     from stepgap.learning.regression import Regression as Regression
@@ -92,6 +95,7 @@ _MODULES = {
     "CautiousController": "control.cautious_controller",
     "CommandBounds": "robots.hopper.parameters",
     "CommandTable": "control.command_table",
+    "ControlSettings": "control.settings",
     "CorrectedMap": "learning.corrected_map",
     "Deployment": "records.summary",
     "DeploymentController": "experiment.deployment",
@@ -103,6 +107,7 @@ _MODULES = {
     "HopperSensorModel": "robots.hopper.sensors",
     "InputError": "base.errors",
     "Kinematics": "robots.scene",
+    "Learner": "learning.learner",
     "LearningSettings": "learning.settings",
     "Link": "robots.scene",
     "LoadedRun": "experiment.loaded_run",
@@ -152,6 +157,7 @@ _MODULES = {
     "fit_residual": "learning.residual_fit",
     "fixed_point": "control.limit_cycle",
     "load_run": "experiment.loaded_run",
+    "number": "base.json_data",
     "paper_reference": "control.reference",
     "reachable_set": "control.limit_cycle",
     "require": "base.ranges",
