@@ -49,7 +49,7 @@ def _observe(system, time, state):
     return rate(system, state), (state[0],)
 
 @implements(rate_jacobian, Ball)
-def _slopes(system, state, here):
+def _jacobian(system, state, here):
     return None
 
 def duration():
@@ -84,7 +84,7 @@ for line in sys.stdin:
 """
 """A program that runs code in a copy of itself, which has imported Numba but nothing of ours.
 
-A new interpreter would import Numba and prepare the compiler anew, which takes longer than what is tested.
+A new interpreter would import Numba and prepare the compiler again, which takes longer than what is tested.
 Bytecode is not written because that of a file that changes twice within a second would remain the old one.
 """
 

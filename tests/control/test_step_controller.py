@@ -97,8 +97,8 @@ def test_the_solution_for_an_unreachable_target_satisfies_the_conditions_of_an_o
         target = states(step_map, generator.uniform(-0.5, 1.5, size=2))
         plan = StepController(step_map)(state, target)
         space = step_map.space
-        slope = step_map.jacobian(state, plan.command)[:, 2:] * space.command_scale / space.state_scale[:, None]
-        downhill = -slope.T @ ((plan.predicted - target) / space.state_scale)
+        jacobian = step_map.jacobian(state, plan.command)[:, 2:] * space.command_scale / space.state_scale[:, None]
+        downhill = -jacobian.T @ ((plan.predicted - target) / space.state_scale)
         at_lower, at_upper = plan.command <= space.command_lower, plan.command >= space.command_upper
         assert (np.abs(downhill[~at_lower & ~at_upper]) < 1e-4).all()
         assert (downhill[at_lower] < 1e-4).all()

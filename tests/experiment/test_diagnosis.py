@@ -84,8 +84,8 @@ def test_commands_at_bounds_and_what_they_move() -> None:
     observed = observe(StepLog(SPACE, bounded[:50] + list(log)[50:]), NOMINAL)
     found = diagnose(observed, NOMINAL)
     np.testing.assert_allclose(part_at_bounds(observed), [0.25, 0.0])
-    slopes = NOMINAL.jacobian(MIDDLE, HOLDING)[:, 2:]
-    np.testing.assert_allclose(found.authority, np.abs(slopes) * [15, 20] / SPACE.state_scale[:, None], rtol=0.05)
+    jacobian = NOMINAL.jacobian(MIDDLE, HOLDING)[:, 2:]
+    np.testing.assert_allclose(found.authority, np.abs(jacobian) * [15, 20] / SPACE.state_scale[:, None], rtol=0.05)
 
 
 @pytest.mark.parametrize("count", [0, 1, 5, 30])

@@ -25,7 +25,7 @@ NEVER = -1e9
 
 @compiled
 def integrated(system, time, state, time_limit, tolerance, h, trace):
-    """`integrate`, which is compiled anew in each process, with a cache."""
+    """`integrate`, compiled with a cache; without one, each process would compile it again."""
     return integrate(system, time, state, time_limit, tolerance, h, trace)
 
 
@@ -71,7 +71,7 @@ def _observe(system, time, state):
 
 
 @implements(rate_jacobian, Motion)
-def _slopes(system, state, here):
+def _jacobian(system, state, here):
     return None
 
 
@@ -94,7 +94,7 @@ def _servo_observe(system, time, state):
 
 
 @implements(rate_jacobian, Servo)
-def _servo_slopes(system, state, here):
+def _servo_jacobian(system, state, here):
     return (-system.stiffness, 0.0, -system.damping, 0.0), (0.0, -1.0, 0.0, 0.0)
 
 

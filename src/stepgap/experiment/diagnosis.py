@@ -92,10 +92,10 @@ def part_at_bounds(observed: Observations) -> Array:
 
 
 def _authority(observed: Observations, step_map: StepMap) -> Array:
-    """As in `Diagnosis`: from the median of the slopes at the steps."""
+    """As in `Diagnosis`: from the median of the Jacobians at the steps."""
     space, n = observed.space, len(observed.space.state)
-    slopes = step_map.jacobian(observed.state, observed.command)[..., n:]
-    known = slopes[np.isfinite(slopes).all(axis=(1, 2))]
+    jacobians = step_map.jacobian(observed.state, observed.command)[..., n:]
+    known = jacobians[np.isfinite(jacobians).all(axis=(1, 2))]
     if not len(known):
         return np.full((n, len(space.command)), np.nan)
     return np.abs(np.median(known, axis=0)) * space.command_scale / space.state_scale[:, None]

@@ -96,7 +96,7 @@ def test_the_map_is_that_of_python(kind: str, real: Real, compile_in: Callable[.
     states, commands = steps(300)
     expected, status = controller.map.evaluate(states, commands)
     std = controller.map.std(states, commands)
-    slopes, std_slopes = controller.map.jacobian(states, commands), controller.map.std_gradient(states, commands)
+    jacobians, std_gradients = controller.map.jacobian(states, commands), controller.map.std_gradient(states, commands)
     known = 0
     for row in range(300):
         found, mean, spread = code.map(states[row], commands[row])
@@ -106,9 +106,9 @@ def test_the_map_is_that_of_python(kind: str, real: Real, compile_in: Callable[.
         known += 1
         assert np.abs((mean - expected[row]) / SPACE.state_scale).max() < TOLERANCE[real]
         assert np.abs((spread - std[row]) / SPACE.state_scale).max() < TOLERANCE[real]
-        gradient, std_gradient = code.array(8), code.array(8)
-        assert not code.call("jacobian", code.array(states[row]), code.array(commands[row]), gradient, std_gradient)
-        for rows, wanted in ((gradient, slopes[row]), (std_gradient, std_slopes[row])):
+        jacobian, std_gradient = code.array(8), code.array(8)
+        assert not code.call("jacobian", code.array(states[row]), code.array(commands[row]), jacobian, std_gradient)
+        for rows, wanted in ((jacobian, jacobians[row]), (std_gradient, std_gradients[row])):
             error = (rows.reshape(2, 4) - wanted) * SCALE / SPACE.state_scale[:, None]
             assert np.abs(error).max() < 10 * TOLERANCE[real]
     assert known > 100

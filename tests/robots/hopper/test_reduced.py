@@ -28,7 +28,7 @@ FINE = Tolerance(1e-13, 1e-14)
 
 @compiled
 def integrated(system, time, state, time_limit, tolerance, h, trace):
-    """`integrate`, which is compiled anew in each process, with a cache."""
+    """`integrate`, compiled with a cache; without one, each process would compile it again."""
     return integrate(system, time, state, time_limit, tolerance, h, trace)
 
 

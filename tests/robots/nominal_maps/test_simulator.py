@@ -80,15 +80,15 @@ def test_the_suitable_step_is_the_smallest_of_a_smooth_map_and_grows_with_roughn
     assert found[2] > 3e-3
 
 
-def test_with_ticks_of_contact_the_slopes_need_a_large_step_or_do_not_exist() -> None:
+def test_with_ticks_of_contact_the_derivatives_need_a_large_step_or_do_not_exist() -> None:
     """An impact is noticed up to one tick late, so the top is uncertain by some millimetres."""
     fine, coarse = (suitable_step(ball_map(tick), np.random.default_rng(0)) for tick in (1e-4, 1e-2))
     assert fine is not None
     assert coarse is None or coarse >= 10 * fine
-    slopes = SimulatorMap(SPACE, ball_map(1e-4).step, fine).jacobian([0.6], [0.3])
+    jacobian = SimulatorMap(SPACE, ball_map(1e-4).step, fine).jacobian([0.6], [0.3])
     leaving = np.sqrt(2 * GRAVITY * next_top(0.6, 0.3))
     exact = [leaving * RESTITUTION / np.sqrt(2 * GRAVITY * 0.6), leaving * (1 + RESTITUTION) / GRAVITY]
-    np.testing.assert_allclose(slopes[0], exact, rtol=0.15)
+    np.testing.assert_allclose(jacobian[0], exact, rtol=0.15)
 
 
 def test_a_map_that_always_fails_has_no_suitable_step() -> None:

@@ -62,8 +62,8 @@ def test_its_jacobian_is_that_of_differences_and_near_the_exact_one(surrogate) -
 def test_outside_the_sampled_range_it_continues_linearly(surrogate) -> None:
     command = np.zeros(2)
     edge, out = np.array([0.45, 0.58]), np.array([0.7, 0.58])
-    slope = surrogate.jacobian(edge, command)[:, 0]
-    np.testing.assert_allclose(surrogate(out, command), surrogate(edge, command) + slope * 0.25, rtol=1e-6)
+    by_state = surrogate.jacobian(edge, command)[:, 0]
+    np.testing.assert_allclose(surrogate(out, command), surrogate(edge, command) + by_state * 0.25, rtol=1e-6)
 
 
 def test_a_point_without_numbers_is_invalid(surrogate) -> None:

@@ -50,21 +50,21 @@ def _nominal(casadi: Any, nominal: Mapping[str, Any], point: Any) -> Any:
     pairs = [_legendre(casadi, inside[axis], each) for axis, each in enumerate(degrees.T)]
     factors = [value for value, _ in pairs]
     basis = _product(factors)
-    for axis, (_, slope) in enumerate(pairs):
-        by_axis = _product([*factors[:axis], slope, *factors[axis + 1 :]])
+    for axis, (_, derivative) in enumerate(pairs):
+        by_axis = _product([*factors[:axis], derivative, *factors[axis + 1 :]])
         basis = basis + by_axis * (scaled[axis] - inside[axis])
     return casadi.DM(nominal["weights"]).T @ basis
 
 
 def _legendre(casadi: Any, x: Any, degrees: Any) -> tuple[Any, Any]:
     """Legendre polynomials of these degrees (T,) and their derivatives, as columns."""
-    values, slopes = [casadi.MX(1), x], [casadi.MX(0), casadi.MX(1)]
+    values, derivatives = [casadi.MX(1), x], [casadi.MX(0), casadi.MX(1)]
     for k in range(1, degrees.max(initial=1)):
         values.append(((2 * k + 1) * x * values[k] - k * values[k - 1]) / (k + 1))
-        slopes.append(slopes[k - 1] + (2 * k + 1) * values[k])
-    value, slope = casadi.vertcat(*values), casadi.vertcat(*slopes)
+        derivatives.append(derivatives[k - 1] + (2 * k + 1) * values[k])
+    value, derivative = casadi.vertcat(*values), casadi.vertcat(*derivatives)
     chosen = degrees.tolist()
-    return value[chosen], slope[chosen]
+    return value[chosen], derivative[chosen]
 
 
 def _regression(casadi: Any, part: Mapping[str, Any], point: Any) -> tuple[Any, Any]:

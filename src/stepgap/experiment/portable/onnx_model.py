@@ -123,10 +123,10 @@ def _nominal(graph: _Graph, nominal: Mapping[str, Any], point: str) -> tuple[str
     scaled = graph.affine(point, nominal["centre"], 1 / np.array(nominal["scale"]))
     inside = graph.op("Clip", scaled, graph.constant(-1.0), graph.constant(1.0))
     beyond = graph.op("Sub", scaled, inside)
-    factors, slopes = _legendre(graph, inside, np.array(nominal["degrees"]))
+    factors, derivatives = _legendre(graph, inside, np.array(nominal["degrees"]))
     terms = [graph.product(factors)]
-    for axis, slope in enumerate(slopes):
-        by_axis = graph.product([*factors[:axis], slope, *factors[axis + 1 :]])
+    for axis, derivative in enumerate(derivatives):
+        by_axis = graph.product([*factors[:axis], derivative, *factors[axis + 1 :]])
         terms.append(graph.op("Mul", by_axis, _column(graph, beyond, axis)))
     return graph.times(graph.plus(*terms), nominal["weights"]), _status(graph, nominal, scaled, finite)
 
@@ -136,15 +136,16 @@ def _legendre(graph: _Graph, inside: str, degrees: Any) -> tuple[list[str], list
     most = degrees.max(initial=1)
     zero = graph.op("Mul", inside, graph.constant(0.0))
     one = graph.op("Add", zero, graph.constant(1.0))
-    values, slopes = [one, inside], [zero, one]
+    values, derivatives = [one, inside], [zero, one]
     for k in range(1, most):
         ahead = graph.op("Mul", graph.constant((2 * k + 1) / (k + 1)), graph.op("Mul", inside, values[k]))
         values.append(graph.op("Sub", ahead, graph.op("Mul", graph.constant(k / (k + 1)), values[k - 1])))
         grown = graph.op("Mul", graph.constant(float(2 * k + 1)), values[k])
-        slopes.append(graph.op("Add", slopes[k - 1], grown))
+        derivatives.append(graph.op("Add", derivatives[k - 1], grown))
     last = graph.constant(np.array([2]))
     stacks = [
-        graph.op("Concat", *(graph.op("Unsqueeze", each, last) for each in parts), axis=2) for parts in (values, slopes)
+        graph.op("Concat", *(graph.op("Unsqueeze", each, last) for each in parts), axis=2)
+        for parts in (values, derivatives)
     ]
     chosen = [
         [

@@ -13,7 +13,7 @@ MOST_EVALUATIONS = 400
 """Number of evaluations for the choice of a step, unless the number of coordinates requires more."""
 
 COMPARED_POINTS = 3, 12
-"""Smallest and largest number of points at which slopes are compared."""
+"""Smallest and largest number of points at which Jacobians are compared."""
 
 
 @final
@@ -53,7 +53,7 @@ def with_suitable_step(step_map: StepMap, rng: np.random.Generator) -> tuple[Ste
 
     Args:
         step_map: A map that `has_no_formula`.
-        rng: Chooses the points at which slopes are compared.
+        rng: Chooses the points at which Jacobians are compared.
 
     Returns:
         The map itself if the smallest step suits it, else a `DifferencedMap`; and a clause on its roughness, empty if
@@ -65,7 +65,7 @@ def with_suitable_step(step_map: StepMap, rng: np.random.Generator) -> tuple[Ste
     if step is None:
         why = "is not smooth, or most of its steps fail: its differences with two sizes of step disagree for all sizes"
         return DifferencedMap(step_map, STEPS[-1]), f"{why} ({STEPS[0]:g} to {STEPS[-1]:g} half ranges)"
-    if step <= STEPS[1]:  # the slopes with the smallest step were compared with these
+    if step <= STEPS[1]:  # the Jacobians with the smallest step were compared with these
         return step_map, ""
     rough = f"differences of {STEPS[0]:g} and {step:.2g} half ranges disagree, so those of {step:.2g} are used"
     return DifferencedMap(step_map, step), f"is not smooth on a small scale: {rough}"

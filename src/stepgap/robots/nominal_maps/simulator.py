@@ -48,13 +48,13 @@ class Simulator:
 class SimulatorMap(StepMap):
     """The steps of a simulator.
 
-    Every evaluation is a simulation, and the slopes take two for each coordinate. A controller needs some hundred for
+    Every evaluation is a simulation, and a Jacobian takes two for each coordinate. A controller needs some hundred for
     each command, so usually a `SurrogateMap` is fitted to it.
 
     Attributes:
         quantities: Names, units and ranges.
         step: Computes a step.
-        relative_step: Step of the differences that are the slopes, in half ranges (`smoothness.suitable_step`).
+        relative_step: Step of the differences for the Jacobian, in half ranges (`smoothness.suitable_step`).
     """
 
     quantities: StepSpace

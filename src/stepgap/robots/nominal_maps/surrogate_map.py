@@ -104,23 +104,23 @@ class SurrogateMap(StepMap):
         status = self._status(points)
         inside = np.clip(points, -1, 1)
         next_state = products(inside, self.degree) @ self.weights
-        if (points != inside).any():  # the slopes take longer than all the rest
-            next_state = next_state + (self._slopes(inside) @ (points - inside)[..., None])[..., 0]
+        if (points != inside).any():  # the Jacobian takes longer than all the rest
+            next_state = next_state + (self._scaled_jacobian(inside) @ (points - inside)[..., None])[..., 0]
         return Outcome(np.where((status == StepStatus.OK)[..., None], next_state, np.nan), status)
 
     def jacobian(self, state: ArrayLike, command: ArrayLike) -> Array:
         """∂(next state)/∂(state, command); shape (…, n, n + m). NaN where a step fails.
 
-        Outside the sampled range these are the slopes at its edge, without the small effect of how they vary along it.
+        Outside the sampled range this is the Jacobian at its edge, without the small effect of how it varies along it.
         """
         points = self._scaled(state, command)
         failed = (self._status(points) != StepStatus.OK)[..., None, None]
-        return np.where(failed, np.nan, self._slopes(np.clip(points, -1, 1)) / self.scale)
+        return np.where(failed, np.nan, self._scaled_jacobian(np.clip(points, -1, 1)) / self.scale)
 
     def _scaled(self, state: ArrayLike, command: ArrayLike) -> Array:
         return (join_points(state, command) - self.centre) / self.scale
 
-    def _slopes(self, points: Array) -> Array:
+    def _scaled_jacobian(self, points: Array) -> Array:
         """∂(next state)/∂point; shape (…, n, d)."""
         return np.einsum("...td,tn->...nd", products_gradient(points, self.degree), self.weights)
 
@@ -257,11 +257,11 @@ def products(points: Array, degree: int) -> Array:
 def products_gradient(points: Array, degree: int) -> Array:
     """∂products/∂points; (…, d) to (…, terms, d)."""
     values = _legendre(points, degree)
-    slopes = values[..., :degree] @ legendre.legder(np.eye(degree + 1))
-    factors, derivatives = _factors(values, degree), _factors(slopes, degree)
+    derivatives = values[..., :degree] @ legendre.legder(np.eye(degree + 1))
+    factors, factor_derivatives = _factors(values, degree), _factors(derivatives, degree)
     columns = [
         derivative * np.prod(factors[:axis] + factors[axis + 1 :], axis=0)
-        for axis, derivative in enumerate(derivatives)
+        for axis, derivative in enumerate(factor_derivatives)
     ]
     return np.stack(columns, axis=-1)
 

@@ -172,7 +172,7 @@ def test_a_message_with_the_counter_of_the_last_one_is_not_served_again():
     bench.pre_operational()
     upload = pack("<HBHBI", 2 << 12, 0x40, 0x1018, 1, 0)
     assert [sent(bench, counter << 4 | 3, upload) for counter in (1, 1, 2, 2, 0, 0, 2)] == [1, 0, 1, 0, 1, 1, 1]
-    bench.request(0, 1)  # a new master begins anew
+    bench.request(0, 1)  # a new master starts again from INIT
     bench.request(0, 2)
     assert sent(bench, 2 << 4 | 3, upload) == 1
 
