@@ -24,17 +24,17 @@ FETCHED = re.compile(r'<(?:script|link|img|iframe|source)\b[^>]*(?:src|href)="?(
 def on_files(files: Files, *, config) -> Files:
     """The pages, and what they link to: program texts become texts that a browser shows."""
     own = [file for file in files if file.src_dir == config.docs_dir]
-    places = {f"docs/{file.src_uri}": file.dest_uri for file in own if not file.inclusion.is_excluded()}
-    places |= {name: f"{name.removesuffix('.md').lower()}/index.html" for name in ROOT_PAGES}
-    for page in [name for name in places if name.endswith(".md")]:
+    destinations = {f"docs/{file.src_uri}": file.dest_uri for file in own if not file.inclusion.is_excluded()}
+    destinations |= {name: f"{name.removesuffix('.md').lower()}/index.html" for name in ROOT_PAGES}
+    for page in [name for name in destinations if name.endswith(".md")]:
         for target in (at(page, link[2]) for link in LINK.finditer(text_of(page))):
             if (ROOT / target).is_file() and not target.endswith((".md", ".png")):
-                places[target] = f"{target}.txt"
-    moved = [
-        File(name, str(ROOT), config.site_dir, config.use_directory_urls, dest_uri=place)
-        for name, place in places.items()
+                destinations[target] = f"{target}.txt"
+    from_root = [
+        File(name, str(ROOT), config.site_dir, config.use_directory_urls, dest_uri=destination)
+        for name, destination in destinations.items()
     ]
-    return Files([*(file for file in files if file not in own), *moved])
+    return Files([*(file for file in files if file not in own), *from_root])
 
 
 def on_page_markdown(markdown: str, *, page, **_) -> str:

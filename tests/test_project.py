@@ -64,7 +64,7 @@ def test_no_file_names_a_package_registry() -> None:
 
 
 @pytest.mark.parametrize("lock", LOCKS)
-def test_lock_names_no_place(lock: str) -> None:
+def test_lock_names_no_host(lock: str) -> None:
     assert "://" not in LOCKS[lock]
     assert not re.search(r"^\s*--(?!hash=)", LOCKS[lock], re.MULTILINE), "no option but --hash"
 

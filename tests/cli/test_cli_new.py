@@ -88,7 +88,9 @@ def test_a_robot_from_mujoco_has_a_step_and_one_from_a_model_has_its_parts(
     assert again([0.4, 0.62], [0.05, 0.0]).tolist() == simulator([0.4, 0.62], [0.05, 0.0]).tolist()
 
 
-def test_a_wrong_name_in_a_robot_is_one_line_with_its_place(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_name_in_a_robot_is_one_line_with_its_location(
+    stepgap: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert stepgap("new", "misspelt", "--mujoco").code == 0
     file = Path("misspelt/misspelt.py")
     file.write_text(file.read_text().replace('data.joint("spring")', 'data.joint("sprig")'))

@@ -77,12 +77,12 @@ def answer(path: Path, content: str | bytes) -> str:
         assert peak < LARGEST_MEMORY
 
 
-def places(content: Any, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+def value_paths(content: Any, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
     """Paths to the values in a model file; of a list of values, the first and the last."""
     if isinstance(content, dict):
-        found = [places(value, (*path, key)) for key, value in content.items()]
+        found = [value_paths(value, (*path, key)) for key, value in content.items()]
     elif isinstance(content, list) and content:
-        found = [places(content[index], (*path, index)) for index in {0, len(content) - 1}]
+        found = [value_paths(content[index], (*path, index)) for index in {0, len(content) - 1}]
     else:
         found = []
     return [*([path] if path else []), *(each for part in found for each in part)]
@@ -121,7 +121,7 @@ def test_intact_files_are_applied(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["gp", "gp_on_linear", "quadratic"])
 def test_nothing_and_huge_numbers_everywhere_are_one_line_or_harmless(kind: str, tmp_path: Path) -> None:
-    found = places(MODELS[kind])
+    found = value_paths(MODELS[kind])
     assert len(found) > 30
     for path in found:
         for wrong in (None, HUGE):
@@ -131,7 +131,7 @@ def test_nothing_and_huge_numbers_everywhere_are_one_line_or_harmless(kind: str,
 @given(data=st.data(), kind=st.sampled_from(sorted(MODELS)))
 @quickly
 def test_a_wrong_value_anywhere_is_one_line_or_harmless(data: st.DataObject, kind: str, tmp_path: Path) -> None:
-    path = data.draw(st.sampled_from(places(MODELS[kind])))
+    path = data.draw(st.sampled_from(value_paths(MODELS[kind])))
     wrong = data.draw(WRONG)
     answer(tmp_path / "model.json", json.dumps(changed(MODELS[kind], path, lambda _: wrong)))
 
@@ -139,7 +139,7 @@ def test_a_wrong_value_anywhere_is_one_line_or_harmless(data: st.DataObject, kin
 @given(data=st.data(), kind=st.sampled_from(sorted(MODELS)))
 @quickly
 def test_a_missing_value_is_one_line_or_harmless(data: st.DataObject, kind: str, tmp_path: Path) -> None:
-    *path, last = data.draw(st.sampled_from(places(MODELS[kind])))
+    *path, last = data.draw(st.sampled_from(value_paths(MODELS[kind])))
     content = deepcopy(MODELS[kind])
     inner: Any = content
     for key in path:

@@ -83,7 +83,7 @@ def process_formula(saved: dict[str, Any], x: np.ndarray, *, constant_is_exact: 
 
 
 def polynomial_formula(saved: dict[str, Any], x: np.ndarray) -> tuple[float, float]:
-    """The same of a quadratic polynomial."""
+    """Mean and standard deviation at x, by the formulas of docs/model_file.md for a quadratic polynomial of a run."""
     y, (i, j) = np.array(saved["values"]), np.triu_indices(len(x))
 
     def monomials(x: np.ndarray) -> np.ndarray:

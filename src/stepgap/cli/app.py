@@ -114,11 +114,11 @@ def _explained(error: Exception) -> tuple[str, int]:
     """Message of an error and exit code; an unexpected exception in a plug-in is bad input, named by file and line."""
     if isinstance(error, StepGapError | OSError | cyclopts.CycloptsError):
         return _line_of(error), _BAD_INPUT if _is_bad_input(error) else _FAILED
-    from stepgap.cli.plugin_errors import place_in_plugin
+    from stepgap.cli.plugin_errors import location_in_plugin
 
     text = error.args[0] if isinstance(error, KeyError) and error.args else error  # str(KeyError) is in quotes
-    line, place = f"{type(error).__name__}: {text}", place_in_plugin(error)
-    return (f"{place}: {line} (--debug shows the calls that led there)", _BAD_INPUT) if place else (line, _FAILED)
+    line, location = f"{type(error).__name__}: {text}", location_in_plugin(error)
+    return (f"{location}: {line} (--debug shows the calls that led there)", _BAD_INPUT) if location else (line, _FAILED)
 
 
 def _line_of(error: Exception) -> str:

@@ -13,7 +13,7 @@ PLUGIN_GROUPS = (ROBOTS_GROUP, GROUP, RESIDUALS)
 """Groups of the entry points of plug-ins."""
 
 
-def place_in_plugin(error: BaseException) -> str:
+def location_in_plugin(error: BaseException) -> str:
     """File and line of the innermost call in a plug-in of another package; empty if the exception arose without one."""
     roots = _roots()
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
@@ -30,6 +30,6 @@ def _roots() -> list[Path]:
     roots: list[Path] = []
     for package in sorted(packages - {"stepgap"}):
         spec = find_spec(package)
-        places = spec and (spec.submodule_search_locations or ([spec.origin] if spec.origin else []))
-        roots += map(Path, places or [])
+        locations = spec and (spec.submodule_search_locations or ([spec.origin] if spec.origin else []))
+        roots += map(Path, locations or [])
     return roots

@@ -17,8 +17,8 @@ def far_states(steps: StepLog) -> Iterable[str]:
     """A sentence for each state coordinate that is far outside its range of use.
 
     A coordinate is reported if the median of its distance from its range of use, over the first `COMPARED_STEPS` steps,
-    is more than `FAR_RANGES` widths of that range. A robot that works hardly ever is, but degrees, millimetres or a
-    coordinate in the place of another are.
+    is more than `FAR_RANGES` widths of that range. A robot that works hardly ever is, but degrees, millimetres or
+    interchanged coordinates are.
 
     Args:
         steps: Steps of one deployment, in the order in which they were executed.

@@ -164,9 +164,9 @@ def test_what_is_not_a_number_never_becomes_a_command(bad: float, compile_in: Ca
     controller = learned("gp_on_linear")
     code = compile_in(controller, optimised=True)
     good = SPACE.state_centre, SPACE.state_centre, SPACE.command_centre
-    for place in range(6):
+    for index in range(6):
         state, target, guess = given = [each.copy() for each in good]
-        given[place // 2][place % 2] = bad
+        given[index // 2][index % 2] = bad
         status, command, _, _ = code.plan(state, target, guess, 0.0)
         assert (SPACE.command_lower <= command).all()
         assert (command <= SPACE.command_upper).all()

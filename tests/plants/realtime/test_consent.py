@@ -46,7 +46,7 @@ def terminal_of_a_person(monkeypatch: pytest.MonkeyPatch, answer: Callable[[int]
 
 
 def a_board() -> Board:
-    """A place where presses are counted."""
+    """A board of which only the number of presses is used."""
     return cast(Board, SimpleNamespace(presses=0))
 
 

@@ -40,21 +40,21 @@ Change = Callable[[HoppingLog, np.random.Generator], HoppingLog]
 def hopping(hops: int, rng: np.random.Generator, rate: float = 1000.0) -> HoppingLog:
     """A log of hops with random speeds and rises, without errors."""
     speeds, rises = rng.uniform(-0.5, 1.5, hops), rng.uniform(0.03, 0.12, hops)
-    begin, place = 0.4, 0.0
+    begin, position = 0.4, 0.0
     knots: list[tuple[float, float, float, float, float, bool]] = []  # begin, end, position, speed, launch, flight
     launch = 0.0
     for speed, rise in zip(speeds, rises, strict=True):
         launch = float(np.sqrt(2 * GRAVITY * rise))
         duration = 2 * launch / GRAVITY
-        knots.append((begin, begin + duration, place, speed, launch, True))
-        begin, place = begin + duration, place + speed * duration
+        knots.append((begin, begin + duration, position, speed, launch, True))
+        begin, position = begin + duration, position + speed * duration
         stance = (np.pi + 2 * np.arctan(GRAVITY / (np.sqrt(STIFFNESS) * launch))) / np.sqrt(STIFFNESS)
-        knots.append((begin, begin + stance, place, speed, launch, False))
-        begin, place = begin + stance, place + speed * stance
+        knots.append((begin, begin + stance, position, speed, launch, False))
+        begin, position = begin + stance, position + speed * stance
     time = np.arange(0, begin + 0.3, 1 / rate) + rng.uniform(0, 1 / rate)
     height, forward, flight = np.full(len(time), TOUCHDOWN), np.zeros(len(time)), np.zeros(len(time), bool)
     force = np.full(len(time), GRAVITY)
-    for start, end, position, speed, launch, airborne in knots:
+    for start, end, origin, speed, launch, airborne in knots:
         rows = (time >= start) & (time < end)
         since = time[rows] - start
         if airborne:
@@ -63,9 +63,9 @@ def hopping(hops: int, rng: np.random.Generator, rate: float = 1000.0) -> Hoppin
             omega = np.sqrt(STIFFNESS)
             sag = GRAVITY / STIFFNESS
             height[rows] = TOUCHDOWN - sag + sag * np.cos(omega * since) - launch / omega * np.sin(omega * since)
-        forward[rows], flight[rows] = position + speed * since, airborne
+        forward[rows], flight[rows] = origin + speed * since, airborne
         force[rows] = 0 if airborne else STIFFNESS * (TOUCHDOWN - height[rows])
-    forward[time >= begin] = place
+    forward[time >= begin] = position
     tops = np.array(
         [
             (start + launch / GRAVITY, speed, TOUCHDOWN + launch**2 / (2 * GRAVITY))

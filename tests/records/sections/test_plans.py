@@ -57,11 +57,11 @@ def test_a_sampled_command_is_held() -> None:
 
 def test_rows_without_times_are_found_by_a_number(tmp_path: Path) -> None:
     """A number that occurs in two separate parts of the log, or never, gives no time."""
-    rows = [f"{0.1 * row:.1f},{place}" for row, place in enumerate([1.5, 1.5, 2.5, 2.5, 3.5, 1.5, 4.5, 4.5])]
-    (tmp_path / "log.csv").write_text("\n".join(["t,place", *rows]))
+    rows = [f"{0.1 * row:.1f},{position}" for row, position in enumerate([1.5, 1.5, 2.5, 2.5, 3.5, 1.5, 4.5, 4.5])]
+    (tmp_path / "log.csv").write_text("\n".join(["t,position", *rows]))
     (tmp_path / "plan.csv").write_text('start,v\n1.5,"[7 0]"\n2.5,"[8, 0]"\n9.5,[9]\n4.5,[]\n')
     log = read_signal_log(str(tmp_path / "log.csv"), "", {})
-    settings = SectionSettings(height="y", state=("y",), plan_match="start=place", factors={"v[0]": 10.0})
+    settings = SectionSettings(height="y", state=("y",), plan_match="start=position", factors={"v[0]": 10.0})
     plans = read_plans(tmp_path / "plan.csv", log, settings)
     np.testing.assert_allclose(plans.time, [np.nan, 0.2, np.nan, 0.6])
     found = plans.signal("v[0]")
@@ -71,11 +71,11 @@ def test_rows_without_times_are_found_by_a_number(tmp_path: Path) -> None:
 
 
 def test_a_plan_needs_times(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("t,place\n0,1\n1,2\n")
+    (tmp_path / "log.csv").write_text("t,position\n0,1\n1,2\n")
     (tmp_path / "plan.csv").write_text("start,v\n7,1\n8,2\n")
     log = read_signal_log(str(tmp_path / "log.csv"), "", {})
     settings = {"height": "y", "state": ("y",)}
     with pytest.raises(RecordError, match=r"plan.csv: no column 'time'.*name the time of the plan by --plan-time"):
         read_plans(tmp_path / "plan.csv", log, SectionSettings(**settings))
-    with pytest.raises(RecordError, match=r"plan.csv: no number of 'start' occurs once in 'place' of .*log.csv"):
-        read_plans(tmp_path / "plan.csv", log, SectionSettings(**settings, plan_match="start=place"))
+    with pytest.raises(RecordError, match=r"plan.csv: no number of 'start' occurs once in 'position' of .*log.csv"):
+        read_plans(tmp_path / "plan.csv", log, SectionSettings(**settings, plan_match="start=position"))

@@ -17,7 +17,7 @@ STATE = ("speed", "height")
 def combinations_of(axes: Mapping[str, Sequence[object]]) -> dict[str, list[str]]:
     """The settings of all combinations, as columns of texts; the last one changes fastest."""
     rows = list(product(*axes.values()))
-    return {name: [str(row[place]) for row in rows] for place, name in enumerate(axes)}
+    return {name: [str(row[column]) for row in rows] for column, name in enumerate(axes)}
 
 
 def write_results_table(

@@ -15,7 +15,7 @@ from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.mjcf.mjcf_step import MjcfPlant
 from stepgap.robots.quadruped.landing import landing_velocity
 from stepgap.robots.quadruped.model import LEGS, TOE_RADIUS, TOTAL_MASS, quadruped_xml
-from stepgap.robots.quadruped.pronk import COMPRESSION, FLIGHT, THRUST, PronkGains, landing_place, pronk
+from stepgap.robots.quadruped.pronk import COMPRESSION, FLIGHT, THRUST, PronkGains, foot_placement, pronk
 from stepgap.robots.quadruped.robot import SPACE, Quadruped
 from stepgap.robots.quadruped.spring_mass import GRAVITY, SpringMassMap
 from stepgap.step import Array, StepStatus
@@ -53,13 +53,13 @@ def test_the_mass_is_that_of_the_machine() -> None:
     assert isinstance(load_robot("quadruped"), Quadruped)
 
 
-def test_at_an_apex_all_feet_are_at_their_landing_place() -> None:
+def test_at_an_apex_all_feet_are_at_their_landing_position() -> None:
     _, data = placed(np.array([0.6, 0.42]))
-    x, z = landing_place(GAINS.law, 0.6)
+    x, z = foot_placement(GAINS.law, 0.6)
     assert hypot(x, z) == pytest.approx(GAINS.rest_length)
-    for place in LEGS:
-        np.testing.assert_allclose(data.geom(f"{place.name}_foot").xpos[[0, 2]], [place.x + x, 0.42 + z], atol=1e-12)
-        assert data.joint(f"{place.name}_thigh").qpos[0] > 0 > data.joint(f"{place.name}_calf").qpos[0]
+    for leg in LEGS:
+        np.testing.assert_allclose(data.geom(f"{leg.name}_foot").xpos[[0, 2]], [leg.x + x, 0.42 + z], atol=1e-12)
+        assert data.joint(f"{leg.name}_thigh").qpos[0] > 0 > data.joint(f"{leg.name}_calf").qpos[0]
 
 
 @pytest.mark.parametrize("pitch", [0.0, 0.1])
@@ -73,12 +73,12 @@ def test_the_torques_push_the_trunk_with_the_wanted_force_and_moment(phase: int,
     torques, command = np.zeros(8), np.array([9.0, -20.0])
     assert pronk(GAINS.law, phase, True, data.qpos, np.zeros(11), *command, torques) == phase
     force, moment, virtual = np.zeros(2), 0.0, np.zeros(2)
-    for number, place in enumerate(LEGS):
+    for number, leg in enumerate(LEGS):
         rows = np.zeros((3, model.nv))
-        mujoco.mj_jacGeom(model, data, rows, None, model.geom(f"{place.name}_foot").id)
+        mujoco.mj_jacGeom(model, data, rows, None, model.geom(f"{leg.name}_foot").id)
         own = slice(2 * number, 2 * number + 2)
         of_foot = np.linalg.solve(-rows[[0, 2], 3 + own.start : 3 + own.stop].T, torques[own])
-        at = data.geom(f"{place.name}_foot").xpos[[0, 2]] - data.qpos[:2]
+        at = data.geom(f"{leg.name}_foot").xpos[[0, 2]] - data.qpos[:2]
         force, moment, virtual = force + of_foot, moment + at[1] * of_foot[0] - at[0] * of_foot[1], virtual + at / 4
     length = np.linalg.norm(virtual)
     wanted = -GAINS.stiffness * (GAINS.rest_length - length) * virtual / length
@@ -103,7 +103,7 @@ def test_a_raised_robot_is_in_flight_and_stays_in_its_posture() -> None:
 def test_the_template_equals_an_independent_integration(point: Array) -> None:
     speed, height, fx, fz = point
     template = spring_mass()
-    ahead, below = landing_place(GAINS.law, speed)
+    ahead, below = foot_placement(GAINS.law, speed)
     fall = np.sqrt(2 * GRAVITY * (height - TOE_RADIUS + below))
     start = np.array([-ahead, -below, *(template.landing @ [speed, -fall])])
 
@@ -146,7 +146,7 @@ def test_the_template_is_smooth_and_refuses_what_is_no_step() -> None:
 def test_the_landing_keeps_the_momentum_that_no_foot_can_take() -> None:
     """With one free mass and massless legs nothing is lost; with feet that carry all mass everything is."""
     model, data = placed(SPACE.state_centre)
-    feet = [f"{place.name}_foot" for place in LEGS]
+    feet = [f"{leg.name}_foot" for leg in LEGS]
     assert landing_velocity(model, data, []) == pytest.approx(np.eye(2))
     kept = landing_velocity(model, data, feet)
     assert ((np.linalg.eigvalsh((kept + kept.T) / 2) > 0.6) & (np.linalg.eigvalsh((kept + kept.T) / 2) < 1)).all()

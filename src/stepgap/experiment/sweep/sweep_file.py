@@ -120,16 +120,16 @@ def _axes(table: Mapping[str, Any], path: Path) -> list[Axis]:
     """Axes of single settings, each with a list of values or a range."""
     found = []
     for name, value in table.items():
-        place = f"{path}: [axes] {name}"
+        location = f"{path}: [axes] {name}"
         if name in (TWIN_NUMBER, SEED):
-            raise InputError(f"{place}: give {name}s = […] at the top of the file instead")
-        values = _evenly(value, place) if isinstance(value, Mapping) else value
+            raise InputError(f"{location}: give {name}s = […] at the top of the file instead")
+        values = _evenly(value, location) if isinstance(value, Mapping) else value
         single = isinstance(values, list) and not any(isinstance(each, Mapping | list) for each in values)
         if not values or not single:
             wanted = "a list of values that is not empty, or a range such as { from = 0.5, to = 1, points = 6 }"
-            raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}")
+            raise InputError(f"{location} = {format_value(value)}, but it must be {wanted}")
         if len(set(values)) < len(values):
-            raise InputError(f"{place} = {format_value(value)}, but its values must differ")
+            raise InputError(f"{location} = {format_value(value)}, but its values must differ")
         found.append(Axis((name,), tuple((each,) for each in values)))
     return found
 
@@ -138,17 +138,19 @@ def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
     """The axis of a Sobol' sequence: scrambled points that cover the ranges of several settings evenly."""
     if "sobol" not in table:
         return []
-    place = f"{path}: [sobol]"
+    location = f"{path}: [sobol]"
     sobol = _table(table, "sobol", f"{path}: ")
-    _check_keys(sobol, ("points", "seed", "ranges"), f"{place} ")
+    _check_keys(sobol, ("points", "seed", "ranges"), f"{location} ")
     points = sobol.get("points")
     if type(points) is not int or not 1 <= points <= MOST_CASES or points & (points - 1):
         rule = "a power of 2, such as 64, because only then is the sequence balanced"
-        raise InputError(f"{place} points = {format_value(points)}, but it must be {rule}")
-    (seed,) = _integers([sobol.get("seed", 0)], f"{place} seed")
-    ranges = dict(_flat(_table(sobol, "ranges", f"{place} ")))
+        raise InputError(f"{location} points = {format_value(points)}, but it must be {rule}")
+    (seed,) = _integers([sobol.get("seed", 0)], f"{location} seed")
+    ranges = dict(_flat(_table(sobol, "ranges", f"{location} ")))
     if not ranges:
-        raise InputError(f'{place} ranges: missing; give some, such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]')
+        raise InputError(
+            f'{location} ranges: missing; give some, such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]'
+        )
     from scipy.stats import qmc  # the import takes long
 
     fractions = qmc.Sobol(len(ranges), rng=random_stream(seed)).random(points)
@@ -175,30 +177,32 @@ class _Range(NamedTuple):
         return [float(f"{value:.12g}") for value in values]
 
 
-def _evenly(value: Mapping[str, Any], place: str) -> list[float]:
+def _evenly(value: Mapping[str, Any], location: str) -> list[float]:
     """Values at equal distances in a range, or with equal ratios if the scale is log."""
     points = value.get("points")
     if type(points) is not int or not 2 <= points <= MOST_CASES:
-        raise InputError(f"{place}: points = {format_value(points)}, but it must be an integer from 2")
-    interval = _range({key: each for key, each in value.items() if key != "points"}, place)
+        raise InputError(f"{location}: points = {format_value(points)}, but it must be an integer from 2")
+    interval = _range({key: each for key, each in value.items() if key != "points"}, location)
     return interval.at(np.linspace(0, 1, points))
 
 
-def _range(value: Any, place: str) -> _Range:
+def _range(value: Any, location: str) -> _Range:
     """The interval `[lower, upper]` or `{ from, to, scale }`."""
     pair = isinstance(value, list) and len(value) == 2
     table: Any = {"from": value[0], "to": value[1]} if pair else value
     wanted = 'a range such as [0.6, 1.0] or { from = 1e3, to = 1e5, scale = "log" }'
     if not isinstance(table, Mapping):
-        raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}")
-    _check_keys(table, ("from", "to", "scale"), f"{place} ")
+        raise InputError(f"{location} = {format_value(value)}, but it must be {wanted}")
+    _check_keys(table, ("from", "to", "scale"), f"{location} ")
     ends: list[Any] = [table.get(key) for key in ("from", "to")]
     numbers = [float(end) for end in ends if type(end) in (int, float) and abs(end) < LARGEST_END]
     if len(numbers) < 2 or not numbers[0] < numbers[1]:
-        raise InputError(f"{place} = {format_value(value)}, but it must be {wanted}, the smaller number first")
+        raise InputError(f"{location} = {format_value(value)}, but it must be {wanted}, the smaller number first")
     scale = table.get("scale", "linear")
     if scale not in ("linear", "log") or (scale == "log" and numbers[0] <= 0):
-        raise InputError(f"{place}: scale = {format_value(scale)}, but it must be linear, or log for positive numbers")
+        raise InputError(
+            f"{location}: scale = {format_value(scale)}, but it must be linear, or log for positive numbers"
+        )
     return _Range(numbers[0], numbers[1], scale == "log")
 
 
@@ -211,18 +215,18 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
             yield prefix + key, value
 
 
-def _check_keys(table: Mapping[str, Any], known: Sequence[str], place: str) -> None:
+def _check_keys(table: Mapping[str, Any], known: Sequence[str], location: str) -> None:
     for key in table:
         if key not in known:
             meant = suggestion(key, known)
-            raise InputError(f"{place}{key}: unknown key; {meant or 'the keys here are ' + ', '.join(known)}")
+            raise InputError(f"{location}{key}: unknown key; {meant or 'the keys here are ' + ', '.join(known)}")
 
 
-def _table(table: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
+def _table(table: Mapping[str, Any], key: str, location: str) -> Mapping[str, Any]:
     """The table under a key, empty if there is none."""
     value = table.get(key, {})
     if not isinstance(value, Mapping):
-        raise InputError(f"{place}{key} = {format_value(value)}, but it must be a table")
+        raise InputError(f"{location}{key} = {format_value(value)}, but it must be a table")
     return value
 
 
@@ -238,9 +242,9 @@ def _base_file(value: Any, path: Path) -> Path:
 _NUMBERS = "a list of different integers from 0, such as [1, 2, 3]"
 
 
-def _integers(values: Any, place: str, wanted: str = _NUMBERS) -> list[int]:
+def _integers(values: Any, location: str, wanted: str = _NUMBERS) -> list[int]:
     """A list of different integers that are not negative."""
     valid = isinstance(values, list) and values and all(type(each) is int and 0 <= each < 2**63 for each in values)
     if not valid or len(set(values)) < len(values):
-        raise InputError(f"{place} = {format_value(values)}, but it must be {wanted}")
+        raise InputError(f"{location} = {format_value(values)}, but it must be {wanted}")
     return values

@@ -91,10 +91,10 @@ class _Ros1Message:
     """
 
     def __init__(self, data: bytes, types: dict[str, Any], node: Any) -> None:
-        self._data, self._types, self._node, self._at = data, types, node, 0
+        self._data, self._types, self._node, self._offset = data, types, node, 0
 
     def read(self, kind: Any, depth: int) -> Any:
-        """The value of a type at the place that has been reached."""
+        """The value of a type at the current offset, which it increases."""
         if depth > 50:
             raise ValueError("a message definition that is nested too deeply")
         tag, inner = kind
@@ -118,18 +118,18 @@ class _Ros1Message:
         return {field: self.read(kind, depth + 1) for field, kind in self._types[name][1]}
 
     def _numbers(self, code: str, count: int) -> tuple[Any, ...]:
-        start, size = self._at, count * struct.calcsize("<" + code)
-        self._at += size
-        if self._at > len(self._data):
+        start, size = self._offset, count * struct.calcsize("<" + code)
+        self._offset += size
+        if self._offset > len(self._data):
             raise ValueError("a message that is too short")
         return struct.unpack_from(f"<{count}{code}", self._data, start) if count <= MOST_ELEMENTS else ()
 
     def _text(self) -> str:
         (length,) = self._numbers("I", 1)
-        start, self._at = self._at, self._at + length
-        if self._at > len(self._data):
+        start, self._offset = self._offset, self._offset + length
+        if self._offset > len(self._data):
             raise ValueError("a message that is too short")
-        return self._data[start : self._at].decode("utf-8", "replace")
+        return self._data[start : self._offset].decode("utf-8", "replace")
 
 
 def _read_database(path: Path, topics: dict[str, MessageRows], bag: Path) -> None:

@@ -58,12 +58,12 @@ def main_effects_figure(
     found: list[Estimates] = []
     for panel, axis in zip(panels, axes, strict=True):
         each = [level_means(axis, errors) for errors, _ in series]
-        places = _place(panel, axis, each[-1].values)
+        positions = _level_positions(panel, axis, each[-1].values)
         if axis.points is not None and axis.values is not None and np.isfinite(axis.values).all():
             look: dict[str, Any] = {"color": LIGHT, "marker": ".", "markersize": 2.5, "linestyle": "", "zorder": 1}
             panel.plot(axis.values[drawn], points, **look, label="single cases, last deployment")
         for estimates, (_, look) in zip(each, series, strict=True):
-            _draw(panel, axis, places, estimates, look)
+            _draw(panel, axis, positions, estimates, look)
         found += each
     _limit(panels[0], found, points)
     _finish(figure, panels, f"RMSE of {axis_label(quantity, capital=False)}")
@@ -75,7 +75,7 @@ def falls_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
     figure, panels = _panels(len(axes))
     for panel, axis in zip(panels, axes, strict=True):
         estimates = shares(cases.fell, axis.codes, len(axis.levels))
-        _draw(panel, axis, _place(panel, axis, estimates.values), estimates, {"color": BLACK, "marker": "o"})
+        _draw(panel, axis, _level_positions(panel, axis, estimates.values), estimates, {"color": BLACK, "marker": "o"})
     panels[0].set_ylim(bottom=0)
     panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g}"))
     _finish(figure, panels, "Cases with a fall [%]")
@@ -90,7 +90,8 @@ def hops_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
         lower, middle, upper = quartiles(np.minimum(cases.hops, never), axis.codes, len(axis.levels))
         estimates = Estimates(np.bincount(axis.codes, minlength=len(axis.levels)), middle, lower, upper)
         panel.axhline(never, color=GREY, linestyle=(0, (1, 2)), linewidth=0.8)
-        _draw(panel, axis, _place(panel, axis, middle), estimates, {"color": BLUE, "marker": "D", "markersize": 3.5})
+        positions = _level_positions(panel, axis, middle)
+        _draw(panel, axis, positions, estimates, {"color": BLUE, "marker": "D", "markersize": 3.5})
     ticks = [tick for tick in MaxNLocator(5).tick_values(0, never / 1.15) if 0 <= tick < 0.95 * never]
     panels[0].set_ylim(0, 1.05 * never)
     panels[0].yaxis.set_major_locator(FixedLocator([*ticks, never]))
@@ -107,29 +108,29 @@ def sensitivity_figure(found: VarianceShares, state: Sequence[Quantity]) -> Figu
     labels = [" × ".join(plain(names[name]) for name in share.names) for share in rows] + ["everything else"]
     colours = [BLUE] * len(axes) + [SKY] * len(pairs) + [LIGHT]
     values = np.array([*(share.values for share in rows), found.remainder]) * 100
-    places = -np.arange(len(labels), dtype=float) - 0.5 * (np.arange(len(labels)) >= len(axes))
-    places[-1] -= 0.5 * bool(pairs)
+    positions = -np.arange(len(labels), dtype=float) - 0.5 * (np.arange(len(labels)) >= len(axes))
+    positions[-1] -= 0.5 * bool(pairs)
     figure = Figure(figsize=(WIDTH, 0.7 + 0.19 * len(labels)), layout="constrained")
     FigureCanvasAgg(figure)
     panels = list(figure.subplots(1, len(state), sharey=True, squeeze=False)[0])
     for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
-        panel.barh(places, values[:, index], height=0.7, color=colours)
-        _write_shares(panel, places, values[:, index], rows, index)
+        panel.barh(positions, values[:, index], height=0.7, color=colours)
+        _write_shares(panel, positions, values[:, index], rows, index)
         panel.set_xlabel(f"Share of the variance of the logarithm\nof the last {plain(quantity.name)} error [%]")
         panel.spines[["top", "right"]].set_visible(False)
         panel.axvline(0, color=BLACK, linewidth=0.7)
-    panels[0].set_yticks(places, labels)
+    panels[0].set_yticks(positions, labels)
     return figure
 
 
-def _write_shares(panel: Axes, places: Array, values: Array, rows: Sequence[VarianceShare], index: int) -> None:
+def _write_shares(panel: Axes, positions: Array, values: Array, rows: Sequence[VarianceShare], index: int) -> None:
     """Draws the intervals, and writes each share to the right of its bar and interval."""
     ends = np.array([[share.lower[index], share.upper[index]] for share in rows] or np.zeros((0, 2))) * 100
-    panel.hlines(places[:-1], ends[:, 0], ends[:, 1], color=BLACK, linewidth=0.9)
+    panel.hlines(positions[:-1], ends[:, 0], ends[:, 1], color=BLACK, linewidth=0.9)
     right = np.append(np.maximum(ends[:, 1], values[:-1]), max(values[-1], 0))
     panel.set_xlim(min(0.0, 1.05 * float(ends[:, 0].min(initial=0))), 1.22 * max(float(right.max()), 1))
-    for place, end, value in zip(places, np.maximum(right, 0), values, strict=True):
-        panel.annotate(percent(value), (end, place), (3, 0), textcoords="offset points", va="center")
+    for position, end, value in zip(positions, np.maximum(right, 0), values, strict=True):
+        panel.annotate(percent(value), (end, position), (3, 0), textcoords="offset points", va="center")
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
@@ -149,7 +150,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
     return figure, panels[:count]
 
 
-def _place(panel: Axes, axis: SweepAxis, ranking: Array) -> Array:
+def _level_positions(panel: Axes, axis: SweepAxis, ranking: Array) -> Array:
     """Prepares the horizontal axis of a panel, and returns the position of each level; shape (L,).
 
     Args:
@@ -162,23 +163,23 @@ def _place(panel: Axes, axis: SweepAxis, ranking: Array) -> Array:
     if axis.values is not None and np.isfinite(axis.values).all():
         order = np.lexsort((axis.values, axis.codes))
         counts = np.bincount(axis.codes, minlength=count)
-        places = axis.values[order][np.cumsum(counts) - counts + counts // 2]
-        _number_axis(panel, axis, places)
-        return places
+        positions = axis.values[order][np.cumsum(counts) - counts + counts // 2]
+        _number_axis(panel, axis, positions)
+        return positions
     if count > MOST_NAMES:
         of_them = f"{MOST_SORTED} of " if count > MOST_SORTED else ""
         panel.set_xlabel(f"{plain(axis.name)}: {of_them}{count} levels, sorted")
         panel.xaxis.set_major_locator(NullLocator())
         return np.argsort(np.argsort(ranking)).astype(float)
-    places, labels = np.arange(count, dtype=float), [plain(level) for level in axis.levels]
+    positions, labels = np.arange(count, dtype=float), [plain(level) for level in axis.levels]
     long = sum(map(len, labels)) > 26
     look = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if long else {}
-    panel.set_xticks(places, labels, **look)
+    panel.set_xticks(positions, labels, **look)
     panel.set_xlim(-0.5, count - 0.5)
-    return places
+    return positions
 
 
-def _number_axis(panel: Axes, axis: SweepAxis, places: Array) -> None:
+def _number_axis(panel: Axes, axis: SweepAxis, positions: Array) -> None:
     """Scale and ticks of a numeric setting: logarithmic where its values are spread more evenly so."""
     values = np.unique(np.asarray(axis.values))
     logarithmic = bool(values[0] > 0) and _unevenness(np.log(values)) + 0.1 < _unevenness(values)
@@ -188,8 +189,8 @@ def _number_axis(panel: Axes, axis: SweepAxis, places: Array) -> None:
         panel.xaxis.set_minor_formatter(NullFormatter())
     else:
         panel.xaxis.set_major_locator(MaxNLocator(5))
-    if axis.points is None and len(places) <= 6:
-        panel.set_xticks(places, axis.levels)
+    if axis.points is None and len(positions) <= 6:
+        panel.set_xticks(positions, axis.levels)
         panel.xaxis.set_minor_locator(NullLocator())
     if axis.points is None:
         panel.margins(x=0.12)
@@ -200,20 +201,20 @@ def _unevenness(values: Array) -> float:
     return abs(float((np.median(values) - values[0]) / (values[-1] - values[0])) - 0.5)
 
 
-def _draw(panel: Axes, axis: SweepAxis, places: Array, estimates: Estimates, look: dict[str, Any]) -> None:
+def _draw(panel: Axes, axis: SweepAxis, positions: Array, estimates: Estimates, look: dict[str, Any]) -> None:
     """Draws estimates with their intervals; the levels of a number are connected."""
     many = axis.values is None and len(axis.levels) > MOST_NAMES
     bars = [estimates.values - estimates.lower, estimates.upper - estimates.values]
     style = {"linestyle": "-" if axis.values is not None else "", "linewidth": 0.9, "elinewidth": 0.9, "zorder": 3}
     if many:
         look = {**look, "markersize": 2}
-    order = np.argsort(places)
+    order = np.argsort(positions)
     heights = np.maximum(np.nan_to_num(bars, nan=0.0), 0)
     if many:
         order = order[np.linspace(0, len(order) - 1, min(len(order), MOST_SORTED)).round().astype(int)]
     known = order[np.isfinite(estimates.values[order])]
     panel.errorbar(
-        places[known], estimates.values[known], heights[:, known], capsize=0 if many else 2, **{**style, **look}
+        positions[known], estimates.values[known], heights[:, known], capsize=0 if many else 2, **{**style, **look}
     )
 
 

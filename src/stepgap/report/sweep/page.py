@@ -121,7 +121,7 @@ def _read(folder: Path, state: Sequence[Quantity]) -> _Sweep:
     found = variance_shares(cases, np.random.default_rng(0))
     axes = cases.axes
     if not isinstance(found, Missing):
-        order = {share.names[0]: place for place, share in enumerate(found.axes)}
+        order = {share.names[0]: rank for rank, share in enumerate(found.axes)}
         axes = tuple(sorted(axes, key=lambda axis: order.get(axis.name, len(order))))
     return _Sweep(folder, cases, quantities, axes, found)
 

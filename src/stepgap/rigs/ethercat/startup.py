@@ -99,8 +99,8 @@ def require_objects(name: str, texts: tuple[str, ...]) -> None:
             parsed.append(StartupObject.parse(text))
         except ValueError as error:
             raise ValueError(f"{name} = {format_value(text)}, but it must be an object: {error}") from None
-    places = [(each.index, each.subindex) for each in parsed]
-    require(len(set(places)) == len(places), name, list(texts), "name each object once")
+    addresses = [(each.index, each.subindex) for each in parsed]
+    require(len(set(addresses)) == len(addresses), name, list(texts), "name each object once")
 
 
 def write_startup(bus: Objects, number: int, wanted: StartupObject) -> None:

@@ -9,8 +9,8 @@ sagittal plane, and products of inertia are left out.
 from typing import NamedTuple
 
 
-class LegPlace(NamedTuple):
-    """Where a leg is on the trunk.
+class LegMount(NamedTuple):
+    """Where a leg is mounted on the trunk.
 
     Attributes:
         name: Name of the leg: F or R (front, rear), then L or R (left, right).
@@ -26,7 +26,7 @@ class LegPlace(NamedTuple):
 HIP_X, THIGH_Y = 0.1934, 0.0465 + 0.0955
 """Distances of a hip from the middle of the trunk, and of a thigh from its middle plane [m]."""
 LEGS = tuple(
-    LegPlace(end + side, HIP_X * (1 if end == "F" else -1), THIGH_Y * (1 if side == "L" else -1))
+    LegMount(end + side, HIP_X * (1 if end == "F" else -1), THIGH_Y * (1 if side == "L" else -1))
     for end in "FR"
     for side in "LR"
 )
@@ -41,10 +41,10 @@ TOTAL_MASS = TRUNK_MASS + 4 * (HIP_MASS + THIGH_MASS + CALF_MASS)
 
 def quadruped_xml() -> str:
     """The model; its joints are `x`, `z`, `pitch` (nose down positive), and `LEG_thigh` and `LEG_calf` of each leg."""
-    legs = "".join(_leg(*place) for place in LEGS)
+    legs = "".join(_leg(*leg) for leg in LEGS)
     motors = "".join(
-        f'<motor name="{place.name}_{link}" joint="{place.name}_{link}" ctrllimited="true" ctrlrange="-{most} {most}"/>'
-        for place in LEGS
+        f'<motor name="{leg.name}_{link}" joint="{leg.name}_{link}" ctrllimited="true" ctrlrange="-{most} {most}"/>'
+        for leg in LEGS
         for link, most in (("thigh", THIGH_TORQUE), ("calf", CALF_TORQUE))
     )
     return f"""

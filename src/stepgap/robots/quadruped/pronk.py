@@ -99,8 +99,8 @@ class LegPose(NamedTuple):
 
 
 @compiled
-def landing_place(law, speed):
-    """Place of the feet relative to their hips in flight (x, z) [m] at a forward speed [m/s]."""
+def foot_placement(law, speed):
+    """Positions of the feet relative to their hips in flight (x, z) [m] at a forward speed [m/s]."""
     x = law.neutral_time * speed + law.speed_gain * (speed - law.speed_setpoint)
     x = min(0.5 * law.rest_length, max(-0.5 * law.rest_length, x))
     return x, -np.sqrt(law.rest_length**2 - x**2)
@@ -177,15 +177,15 @@ def pronk(law, phase, contact, position, velocity, force_x, force_z, torques):
     length = np.sqrt(x * x + z * z)
     length_rate = (x * x_rate + z * z_rate) / length
     phase = pronk_phase(law, phase, length, length_rate, velocity[1] >= 0.0, contact)
-    place_x, place_z = landing_place(law, velocity[0])
-    place_z += law.retraction if velocity[1] > 0.0 else 0.0  # so that no foot touches the ground on its way
+    landing_x, landing_z = foot_placement(law, velocity[0])
+    landing_z += law.retraction if velocity[1] > 0.0 else 0.0  # so that no foot touches the ground on its way
     body_x, body_z = virtual_force(law, x, z, length_rate, phase == THRUST, force_x, force_z)
     moment = -law.pitch_stiffness * pitch - law.pitch_damping * rate - (z * body_x - x * body_z)
     for leg in range(4):
         pose, end = _leg_pose(position, velocity, leg), 1.0 if leg < 2 else -1.0  # front or rear
         if phase == FLIGHT:
-            level = place_z + end * HIP_X * np.sin(pitch)  # so that front and rear feet land together
-            foot_x = law.foot_stiffness * (pose.x - place_x) + law.foot_damping * pose.x_rate
+            level = landing_z + end * HIP_X * np.sin(pitch)  # so that front and rear feet land together
+            foot_x = law.foot_stiffness * (pose.x - landing_x) + law.foot_damping * pose.x_rate
             foot_z = law.foot_stiffness * (pose.z - level) + law.foot_damping * pose.z_rate
         else:
             foot_x, foot_z = 0.25 * body_x, max(0.0, 0.25 * body_z - end * moment / (4.0 * HIP_X))

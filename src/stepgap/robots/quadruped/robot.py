@@ -18,7 +18,7 @@ from stepgap.robots.mjcf.section import Section, apex
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.quadruped.landing import landing_velocity
 from stepgap.robots.quadruped.model import LEGS, LINK, quadruped_xml
-from stepgap.robots.quadruped.pronk import FLIGHT, PronkGains, landing_place, pronk
+from stepgap.robots.quadruped.pronk import FLIGHT, PronkGains, foot_placement, pronk
 from stepgap.robots.quadruped.spring_mass import SpringMassMap
 from stepgap.step import Array, Quantity, StepMap, StepSpace
 
@@ -78,7 +78,7 @@ class Quadruped(MjcfRobot):
         model = self.mjcf_model()
         data = mujoco.MjData(model)
         self.place(model, data, SPACE.state_centre)
-        return landing_velocity(model, data, [f"{place.name}_foot" for place in LEGS])
+        return landing_velocity(model, data, [f"{leg.name}_foot" for leg in LEGS])
 
     def mjcf_model(self) -> Any:
         """The model in the sagittal plane."""
@@ -107,7 +107,7 @@ class Quadruped(MjcfRobot):
         """Level, at an apex, with the feet where they land."""
         speed, height = state
         data.qpos[1], data.qvel[0] = height, speed
-        x, z = landing_place(self.gains.law, speed)
+        x, z = foot_placement(self.gains.law, speed)
         bend = acos(hypot(x, z) / (2 * LINK))
         thigh = atan2(-x, -z) + bend
         data.qpos[3:] = np.tile([thigh, -2 * bend], len(LEGS))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from stepgap.base.compiled import compiled
 from stepgap.learning.residual import join_points
 from stepgap.robots.quadruped.model import TOE_RADIUS, TOTAL_MASS
-from stepgap.robots.quadruped.pronk import PronkGains, landing_place, virtual_force
+from stepgap.robots.quadruped.pronk import PronkGains, foot_placement, virtual_force
 from stepgap.step import Array, Outcome, StepMap, StepSpace, StepStatus, difference_jacobian
 
 GRAVITY = 9.81
@@ -75,7 +75,7 @@ def _step_all(law, landing, mass, points, next_state, status):
 @compiled
 def spring_mass_step(law, landing, mass, speed, height, force_x, force_z):
     """(status code, speed, height) at the next apex; NaN for a step that fails."""
-    ahead, below = landing_place(law, speed)
+    ahead, below = foot_placement(law, speed)
     drop = height - TOE_RADIUS + below
     if drop <= 0.0:
         return _FELL, np.nan, np.nan

@@ -68,7 +68,7 @@ def categories(slave: Any) -> dict[int, bytes]:
         kind, length = unpack_from("<HH", slave.eeprom_read(word))
         if kind == 0xFFFF:
             return found
-        words = b"".join(slave.eeprom_read(word + 2 + place) for place in range(0, length, 2))
+        words = b"".join(slave.eeprom_read(word + 2 + offset) for offset in range(0, length, 2))
         found[kind] = words[: 2 * length]
         word += 2 + length
 

@@ -209,8 +209,8 @@ def test_objects_that_the_rig_needs(drive: EsiFile) -> None:
 
 
 def test_a_file_that_names_no_objects_is_compared_by_sizes(drive: EsiFile) -> None:
-    places = EsiPdo(0x1A00, "In", (EsiEntry(0x1A00, 1, 16), EsiEntry(0x1A00, 2, 32)), True, True, 3)
-    _, remarks = found(SLAVE, PDOS, changed(drive, inputs=(places,)))
+    nameless = EsiPdo(0x1A00, "In", (EsiEntry(0x1A00, 1, 16), EsiEntry(0x1A00, 2, 32)), True, True, 3)
+    _, remarks = found(SLAVE, PDOS, changed(drive, inputs=(nameless,)))
     assert remarks == ["pdos: the file does not say which objects PDO 0x1A00 has; only their sizes are compared"]
-    smaller = replace(places, entries=places.entries[:1])
+    smaller = replace(nameless, entries=nameless.entries[:1])
     assert "no entry according to the file" in found(SLAVE, PDOS, changed(drive, inputs=(smaller,)))[0][0]

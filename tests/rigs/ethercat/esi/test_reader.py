@@ -209,7 +209,7 @@ def test_any_numbers_give_a_result(tmp_path: Path, changes: list[tuple[int, int]
     """A well-formed file with other indices, sizes and codes is always readable."""
     parts = re.split(r"(?<=>)(?:#x[0-9A-Fa-f]+|\d+)(?=</)", DRIVE)
     numbers = list(NUMBERS)
-    for place, value in changes:
-        numbers[place] = f"#x{value:X}"
+    for index, value in changes:
+        numbers[index] = f"#x{value:X}"
     text = parts[0] + "".join(number + part for number, part in zip(numbers, parts[1:], strict=True))
     read_and_used(written(tmp_path, text))

@@ -139,7 +139,7 @@ def _content_findings(wanted: Pdo, found: EsiPdo, pdo_config: bool) -> Iterator[
 
 
 def names_no_objects(pdo: EsiPdo) -> bool:
-    """Whether a file names the places in the mapping object instead of the objects, as some files do."""
+    """Whether a file names subindices of the mapping object instead of the mapped objects, as some files do."""
     return any(entry.index == pdo.index for entry in pdo.entries)
 
 
@@ -163,8 +163,8 @@ def _difference(wanted: Pdo, found: EsiPdo) -> str:
 def _manager_findings(pdo: EsiPdo, manager: int) -> Iterator[Finding]:
     assigned = pdo.sync_manager
     if (assigned is not None and assigned != manager) or manager in pdo.excluded_managers:
-        place = "cannot be in" if assigned in (None, manager) else f"is in sync manager {assigned}, not in"
-        yield Finding(f"pdos: PDO 0x{pdo.index:04X} {place} sync manager {manager}, to which the rig assigns it")
+        conflict = "cannot be in" if assigned in (None, manager) else f"is in sync manager {assigned}, not in"
+        yield Finding(f"pdos: PDO 0x{pdo.index:04X} {conflict} sync manager {manager}, to which the rig assigns it")
 
 
 def _assignment_findings(
@@ -237,19 +237,19 @@ def startup_commands(device: EsiDevice) -> list[InitCommand]:
 def _init_findings(slave: Slave, device: EsiDevice, file: EsiFile) -> Iterator[Finding]:
     present = {(each.index, each.subindex): each for each in slave.startup_objects}
     for command in startup_commands(device):
-        place = f"0x{command.index:04X}:{command.subindex:02X}"
+        address = f"0x{command.index:04X}:{command.subindex:02X}"
         comment = f" ({command.comment})" if command.comment else ""
         text, own = startup_text(command), present.get((command.index, command.subindex))
         if own is not None:
             bytes_of = LAYOUTS[own.kind].pack(own.value)
             if command.data is not None and bytes_of != command.data:
-                written = f"startup has '{own}', but the file writes {command.data.hex()} to {place}{comment}"
+                written = f"startup has '{own}', but the file writes {command.data.hex()} to {address}{comment}"
                 yield Finding(written, is_error=command.fixed)
         elif text:
-            yield Finding(f'startup: the file writes {place}{comment}, which is missing; add "{text}"')
+            yield Finding(f'startup: the file writes {address}{comment}, which is missing; add "{text}"')
         else:
             data = command.data.hex() if command.data else "a text"
-            yield Finding(f"the file writes {data} to {place}{comment}, which startup cannot do", is_error=False)
+            yield Finding(f"the file writes {data} to {address}{comment}, which startup cannot do", is_error=False)
     if device.has_slots and any(module.init_commands for module in file.modules):
         text = "modules of the file have start-up objects of their own; compare them with startup"
         yield Finding(text, is_error=False)
