@@ -543,5 +543,5 @@ print({HEAVY} & sys.modules.keys(), file=sys.stderr)
 
 
 @pytest.mark.parametrize("arguments", [["run", "one.toml", "two.toml"], ["doctor", "two.toml"]])
-def test_surplus_arguments_are_named(arguments: list[str], stepgap: Command) -> None:
+def test_extra_arguments_are_named(arguments: list[str], stepgap: Command) -> None:
     refused(stepgap(*arguments), "two.toml: too many arguments")

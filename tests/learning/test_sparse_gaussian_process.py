@@ -46,7 +46,7 @@ def test_agrees_with_the_dense_formulae(hyper_parameters) -> None:
     inducing, _ = sample(12, seed=2)
     sparse = condition_sparse(points, values, SCALE, hyper_parameters, inducing)
 
-    def slopes(one: Array, other: Array) -> Array:
+    def linear_covariance(one: Array, other: Array) -> Array:
         return hyper_parameters.slope_std**2 * ((one - inducing[0]) / SCALE) @ ((other - inducing[0]) / SCALE).T
 
     def f(one: Array, other: Array) -> Array:
@@ -54,15 +54,17 @@ def test_agrees_with_the_dense_formulae(hyper_parameters) -> None:
         return hyper_parameters.signal_std**2 * np.asarray(Matern(nu=2.5)(one / reach, other / reach), float)
 
     def covariance(one: Array, other: Array) -> Array:
-        return f(one, inducing) @ np.linalg.solve(f(inducing, inducing), f(inducing, other)) + slopes(one, other)
+        return f(one, inducing) @ np.linalg.solve(f(inducing, inducing), f(inducing, other)) + linear_covariance(
+            one, other
+        )
 
     matrix = covariance(points, points) + hyper_parameters.noise_std**2 * np.eye(60)
-    across, by_ones = covariance(queries, points), np.linalg.solve(matrix, np.ones(60))
-    constant = by_ones @ values / by_ones.sum()
+    across, K_one = covariance(queries, points), np.linalg.solve(matrix, np.ones(60))
+    constant = K_one @ values / K_one.sum()
     mean = constant + across @ np.linalg.solve(matrix, values - constant)
-    prior = hyper_parameters.signal_std**2 + np.diag(slopes(queries, queries))
+    prior = hyper_parameters.signal_std**2 + np.diag(linear_covariance(queries, queries))
     plug_in = prior - np.einsum("qn,nq->q", across, np.linalg.solve(matrix, across.T))
-    kriging = plug_in + (1 - across @ by_ones) ** 2 / by_ones.sum()
+    kriging = plug_in + (1 - across @ K_one) ** 2 / K_one.sum()
     np.testing.assert_allclose(sparse.mean(queries), mean, rtol=1e-8)
     np.testing.assert_allclose(sparse.std(queries) ** 2, plug_in, rtol=1e-8)
     np.testing.assert_allclose(sparse.kriging_std(queries) ** 2, kriging, rtol=1e-8)

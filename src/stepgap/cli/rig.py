@@ -235,7 +235,7 @@ def esi(file: Path, /, *, product: Name | None = None) -> None:
 def emulate(
     experiment: Path | None = None,
     /,
-    *surplus: Annotated[str, Parameter(allow_leading_hyphen=True, show=False)],
+    *extra: Annotated[str, Parameter(allow_leading_hyphen=True, show=False)],
     interface: Name = "stepgap0",
     lock_step: Flag = False,
     dc: Flag = False,
@@ -248,15 +248,15 @@ def emulate(
 
     Args:
         experiment: TOML file of settings, whose [parameters] and [gap] are the twin's.
-        surplus: Not allowed; a command is written after --.
+        extra: Not allowed; a command is written after --.
         interface: Name of the network interface that a master opens.
         lock_step: Advance time by one tick with every frame. [default: time follows the clock]
         dc: Let the drives need distributed clocks, whose rates differ; not with --lock-step.
         hold: Time for which the twin is held in the air after its drives have been enabled [s].
         settings: File for the rig.toml of this bus.
     """
-    if surplus:
-        _refuse_surplus(experiment, surplus)
+    if extra:
+        _refuse_extra_arguments(experiment, extra)
     from stepgap.cli.emulate import emulate_ring
     from stepgap.experiment.settings import read_experiment
     from stepgap.rigs.ethercat.emulator.ring_settings import DRIFTING_CLOCKS, RingClocks, RingSettings
@@ -274,11 +274,11 @@ def emulate(
         sys.exit(code)
 
 
-def _refuse_surplus(experiment: Path | None, surplus: tuple[str, ...]) -> None:
-    """Raises InputError that explains how to give a command, since surplus arguments are probably a command."""
+def _refuse_extra_arguments(experiment: Path | None, extra: tuple[str, ...]) -> None:
+    """Raises InputError that explains how to give a command, since extra arguments are probably a command."""
     of_command = experiment and experiment.suffix != ".toml"
     given = [str(experiment)] if experiment else []
-    before, command = ([], [*given, *surplus]) if of_command else (given, surplus)
+    before, command = ([], [*given, *extra]) if of_command else (given, extra)
     if command[0].startswith("-"):
         raise InputError(f"{command[0]}: not an option of rig emulate; options of a command follow it after --")
     typed = shlex.join(["stepgap", "rig", "emulate", *before, "--", *command])

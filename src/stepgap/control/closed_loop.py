@@ -1,4 +1,4 @@
-"""The closed loop near a limit cycle: how the step controller answers an error of the state, and how the error goes on.
+"""The closed loop near a limit cycle: how the step controller responds to a state error, and how that error evolves.
 
 At a constant command an error of the state is multiplied by A = ∂next/∂state in each step. The step controller changes
 the command by K times the error, so that it is multiplied by A + B K, with B = ∂next/∂command.

@@ -124,7 +124,7 @@ def draw_shot(scene: Scene, shot: Shot, top: float) -> Picture:
     axes.set_axis_off()
     points_per_metre = 72 * PIXELS / PIXELS_PER_INCH / side
     progress = float(scene.progress(shot.positions))
-    centred = scene.moved(shot.positions, -progress)
+    centred = scene.displaced(shot.positions, -progress)
     body = centred[scene.index(scene.body)]
     track = [_projected(line, body).T for line in _track(scene, progress, side, shot.ground)]
     axes.add_collection(LineCollection(track, colors=LIGHT, linewidths=1.0, zorder=0))

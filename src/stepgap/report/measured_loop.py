@@ -1,4 +1,4 @@
-"""Floquet multipliers of the closed loop from recorded steps: how an error goes on under the controller as deployed.
+"""Floquet multipliers of the closed loop from recorded steps: how an error evolves under the controller as deployed.
 
 While the target stays the same, the error e = state − target follows e⁺ = M e + c + noise, with the closed loop's
 derivative M and an offset c for each visit to a target. M is found by least squares from the errors less their means

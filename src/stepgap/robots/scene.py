@@ -77,8 +77,8 @@ class Scene:
         body = positions[..., self.index(self.body), :]
         return np.arctan2(body[..., 0], -body[..., 1]) if self.circle else body[..., 0]
 
-    def moved(self, positions: Array, by: float) -> Array:
-        """Positions after a motion along the track.
+    def displaced(self, positions: Array, by: float) -> Array:
+        """Positions after a displacement along the track.
 
         Args:
             positions: Positions of the points; shape (…, 3) [m].

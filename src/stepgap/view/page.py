@@ -216,7 +216,7 @@ class Page:
         self._show_ghost(scene, float(scene.progress(motion.positions[0])))
 
     def _show_ghost(self, scene: Scene, start: float) -> None:
-        """Draws the overlaid deployment in the same step, starting at the same place."""
+        """Draws the overlaid deployment in the same step, starting at the same position."""
         number, other, motion = self.player.step, self.overlaid, None
         if other is not None and other != self.iteration and number < self._source.motion_count(other):
             motion = self._source.motion(other, number)
@@ -224,7 +224,7 @@ class Page:
             self._ghost.hide()
             return
         by = start - float(scene.progress(motion.positions[0]))
-        self._ghost.show(scene.moved(motion.positions[motion.frame(self.player.share)], by))
+        self._ghost.show(scene.displaced(motion.positions[motion.frame(self.player.share)], by))
 
     def _show_step(self) -> None:
         source, number = self._source, self.player.step

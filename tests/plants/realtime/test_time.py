@@ -45,10 +45,10 @@ class SwingingRig(Rig):
         self.fails_after = 10**9
 
     def _sense(self):
-        lean = SWING * sin(FREQUENCY * self.now)
+        leg_angle = SWING * sin(FREQUENCY * self.now)
         fold = 1.0 + SWING * sin(FREQUENCY * self.now)
         scale = COUNTS / tau
-        return HopperReading(scale * (lean + fold), scale * (lean - fold), 0, 0, 0.0)
+        return HopperReading(scale * (leg_angle + fold), scale * (leg_angle - fold), 0, 0, 0.0)
 
     @property
     def sensor_model(self):

@@ -150,8 +150,8 @@ def test_on_the_twin_it_equals_the_reference():
 def random_reading(rng, number):
     """Random reading of a leg that bends and stretches and a hip that moves up and down, with noise and outliers."""
     swing = np.sin(number / 90.0)
-    fold, lean = 0.85 + 0.5 * swing + rng.normal(0, 0.02), rng.normal(0, 0.05)
-    counts = np.array([lean + fold, lean - fold]) * 16384 / (2 * np.pi)
+    fold, leg_angle = 0.85 + 0.5 * swing + rng.normal(0, 0.02), rng.normal(0, 0.05)
+    counts = np.array([leg_angle + fold, leg_angle - fold]) * 16384 / (2 * np.pi)
     force = max(0.0, rng.normal(-300 * swing, 10))
     heights = 16384 / (2 * np.pi) * (0.08 + 0.12 * swing)
     values = [*np.rint(counts).tolist(), float(round(number / 30)), float(round(heights)), force]

@@ -22,10 +22,10 @@ BIAS: Final = 1.5
 MORE_DOUBTS: Final = 0.05
 """A window is also too long if it makes a larger part of the sections doubtful that are not with a shorter one."""
 
-MISFIT: Final = 5.0
+LARGE_RESIDUALS: Final = 5.0
 """A fit is doubtful if its residuals are larger than those of a typical fit (RMS) by this factor,"""
 
-SMALL_MISFIT: Final = 1e-3
+SMALL_RESIDUALS: Final = 1e-3
 """and larger than this part of the range of its samples; a log of a simulation hardly has residuals."""
 
 UNCERTAIN: Final = 5.0
@@ -136,7 +136,7 @@ class _Estimator:
         doubts = [list(section.doubts) for section in self.sections]
         if self.height is not None:
             tops = [self._top(section, window) for section in self.sections]
-            _note_misfits(tops, doubts, "the top")
+            _note_poor_fits(tops, doubts, "the top")
             noise = _noise_of(tops, self.height)
             for number, fit in enumerate(tops):
                 if fit and np.isfinite(fit.top) and abs(fit.top - fit.centre) <= window:
@@ -149,7 +149,7 @@ class _Estimator:
                 self._fit(signal, section, float(time), window)
                 for section, time in zip(self.sections, times, strict=True)
             ]
-            _note_misfits(fits, doubts, coordinate.name)
+            _note_poor_fits(fits, doubts, coordinate.name)
             noise = _noise_of(fits, signal)
             for number, fit in enumerate(fits):
                 if fit:
@@ -202,7 +202,7 @@ def _note_uncertain(state: Array, std: Array, doubts: Sequence[list[str]], name:
             found.append(f"the standard error of {name} is {each / typical:.0f} times as large as usual")
 
 
-def _note_misfits(fits: Sequence[LocalFit | None], doubts: Sequence[list[str]], name: str) -> None:
+def _note_poor_fits(fits: Sequence[LocalFit | None], doubts: Sequence[list[str]], name: str) -> None:
     """Notes which fits fail or are much worse than a typical one."""
     squares = np.array([float(np.mean(fit.residuals**2)) if fit else np.nan for fit in fits])
     typical = float(np.nanmedian(squares)) if np.isfinite(squares).any() else np.nan
@@ -211,5 +211,5 @@ def _note_misfits(fits: Sequence[LocalFit | None], doubts: Sequence[list[str]], 
             found.append(f"too few samples for {name}")
         elif fit.outliers > MOST_SAMPLES_OFF:
             found.append(f"{fit.outliers:.0%} of the samples for {name} are off")
-        elif square > max(MISFIT**2 * typical, (SMALL_MISFIT * fit.extent) ** 2):
+        elif square > max(LARGE_RESIDUALS**2 * typical, (SMALL_RESIDUALS * fit.extent) ** 2):
             found.append(f"the samples for {name} do not fit a parabola")

@@ -1,6 +1,6 @@
 """Jumps and standstill of one encoder, judged by its last readings alone; compiled like the control tick.
 
-A link with inertia cannot change its place between two readings and then continue as before. The *jump* of an interval
+A link with inertia cannot change its angle between two readings and then continue as before. The *jump* of an interval
 is its movement minus the mean of the movements in the intervals before and after it. It is known one reading later; a
 change of speed, as by an impact, enters it with at most half its size.
 """
@@ -25,9 +25,9 @@ class EncoderTrack(NamedTuple):
         time: Time of the latest reading [s].
         angle: Its angle [rad].
         took: Time between the two latest readings [s].
-        moved: Angle between them [rad].
+        movement: Angle between them [rad].
         took_before: Time between the two readings before [s].
-        moved_before: Angle between these [rad].
+        movement_before: Angle between these [rad].
         torque: Latest torque on the link [N·m].
         restless: Largest change of that torque from reading to reading, which decays in some readings [N·m].
         restless_before: The same at the reading before, on which the latest reading had no influence [N·m].
@@ -39,9 +39,9 @@ class EncoderTrack(NamedTuple):
     time: float = 0.0
     angle: float = 0.0
     took: float = 0.0
-    moved: float = 0.0
+    movement: float = 0.0
     took_before: float = 0.0
-    moved_before: float = 0.0
+    movement_before: float = 0.0
     torque: float = 0.0
     restless: float = 0.0
     restless_before: float = 0.0
@@ -92,19 +92,19 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
     if track.readings == 0:
         first = EncoderTrack(1, time, angle, 0.0, 0.0, 0.0, 0.0, torque, 0.0, 0.0, angle, 0.0)
         return first, NO_JUMP
-    took, moved = time - track.time, angle - track.angle
+    took, movement = time - track.time, angle - track.angle
     size = change = speed = pace = 0.0
     longest = max(took, max(track.took, track.took_before)) / tick
     scale = 1.0 / max(1.0, longest * longest)
     if track.readings >= 2:
-        before = track.moved / track.took
-        bend = moved / took - before
+        before = track.movement / track.took
+        bend = movement / took - before
         change = scale * tick * copysign(max(0.0, abs(bend) - abs(before)), bend)
         pace = tick * abs(before)
     if track.readings >= 3:
-        before, latest = track.moved_before / track.took_before, moved / took
-        size = scale * (track.moved - 0.5 * (before + latest) * track.took)
-        speed = tick * max(abs(before), max(abs(latest), 0.5 * abs(track.moved / track.took)))
+        before, latest = track.movement_before / track.took_before, movement / took
+        size = scale * (track.movement - 0.5 * (before + latest) * track.took)
+        speed = tick * max(abs(before), max(abs(latest), 0.5 * abs(track.movement / track.took)))
         pace = max(pace, tick * abs(before))
     restless = max(RESTLESS_KEPT * track.restless, abs(torque - track.torque))
     anchor, still = track.anchor, track.still
@@ -113,7 +113,7 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
     elif should_move:
         still += took
     after = EncoderTrack(
-        min(track.readings + 1, 3), time, angle, took, moved, track.took, track.moved, torque, restless,
+        min(track.readings + 1, 3), time, angle, took, movement, track.took, track.movement, torque, restless,
         track.restless, anchor, still,
     )  # fmt: skip
     return after, Jump(size, change, speed, pace, track.restless_before)
@@ -123,6 +123,6 @@ def with_angle(track, tick, count, time, angle, torque, should_move):
 def may_rest(track):
     """`EncoderTrack` of a link that may stand still, so that the time of standing still begins again at zero."""
     return EncoderTrack(
-        track.readings, track.time, track.angle, track.took, track.moved, track.took_before, track.moved_before,
+        track.readings, track.time, track.angle, track.took, track.movement, track.took_before, track.movement_before,
         track.torque, track.restless, track.restless_before, track.anchor, 0.0,
     )  # fmt: skip
