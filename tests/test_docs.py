@@ -74,7 +74,7 @@ def name(page):
 
 @pytest.mark.parametrize("page", SCRIPTS, ids=name)
 def test_pages_run(page, tmp_path, monkeypatch):
-    """Blocks of a page go on from each other, examples in the last column of a table after them."""
+    """Blocks of a page continue each other, examples in the last column of a table after them."""
     monkeypatch.chdir(tmp_path)
     if page.name == "gym.md":
         monkeypatch.setattr("stepgap.report.camera.FRAMES_PER_SECOND", 5)  # to draw them takes longer than all else
@@ -133,7 +133,7 @@ def check_command(words):
 
 @pytest.mark.parametrize("words", MENTIONED)
 def test_verbs_and_options_exist(words, stepgap: Command):
-    """Of what a text mentions, which may leave out the rest of a command line."""
+    """A text may mention a command without the rest of its command line."""
     arguments = words.split()[1:]
     verbs = []
     while arguments and re.fullmatch("[a-z-]+", arguments[0]) and help_of(stepgap, *verbs, arguments[0]):

@@ -65,7 +65,7 @@ class Clone:
             (programs / name).symlink_to(sys.executable)
 
     def run(self, *command: str) -> tuple[bool, list[str], str]:
-        """Whether the command ran, what uv was asked for meanwhile, and what `./go` said."""
+        """Whether the command ran, what uv was asked for meanwhile, and what `./go` printed to stderr."""
         log = self.folder / "uv.log"
         log.unlink(missing_ok=True)
         outcome = subprocess.run(
@@ -85,17 +85,17 @@ def clone(tmp_path: Path) -> Clone:
 
 
 def test_a_users_command_installs_what_users_need_once(clone: Clone) -> None:
-    ran, asked, said = clone.run("stepgap")
+    ran, asked, output = clone.run("stepgap")
     assert (ran, asked) == (True, ["made", "requirements.lock"])
-    assert "making .venv from requirements.lock" in said
+    assert "making .venv from requirements.lock" in output
     assert clone.run("stepgap") == (True, [], "")
 
 
 def test_a_developers_command_adds_the_rest_and_it_stays(clone: Clone) -> None:
     clone.run("stepgap")
-    ran, asked, said = clone.run("pytest")
+    ran, asked, output = clone.run("pytest")
     assert (ran, asked) == (True, ["requirements-dev.lock"])
-    assert "adding the packages of developers" in said
+    assert "adding the packages of developers" in output
     assert clone.run("stepgap") == (True, [], "")
     assert clone.run("pytest") == (True, [], "")
 
@@ -110,26 +110,26 @@ def test_a_developer_gets_all_at_once(clone: Clone) -> None:
 def test_a_change_brings_it_up_to_date_with_the_lock_that_it_has(clone: Clone, command: str, file: str) -> None:
     clone.run(command)
     (clone.folder / file).write_text("second", "utf-8")
-    ran, asked, said = clone.run("stepgap")
+    ran, asked, output = clone.run("stepgap")
     lock = LOCKS[command == "pytest"]
     if file == "requirements-dev.lock" and command == "stepgap":
         lock = None  # users do not have it
     assert (ran, asked) == (True, [lock] if lock else [])
-    assert ("bringing .venv up to date" in said) == bool(lock)
+    assert ("bringing .venv up to date" in output) == bool(lock)
 
 
-def test_where_adding_fails_users_go_on_and_the_next_attempt_adds(clone: Clone) -> None:
+def test_where_adding_fails_users_continue_and_the_next_attempt_adds(clone: Clone) -> None:
     clone.run("stepgap")
     broken = clone.touch("broken")
-    ran, asked, said = clone.run("pytest")
+    ran, asked, output = clone.run("pytest")
     assert (ran, asked) == (False, ["requirements-dev.lock"])
-    assert "could not be installed" in said
+    assert "could not be installed" in output
     assert clone.run("stepgap") == (True, [], "")
     broken.unlink()
     assert clone.run("pytest")[:2] == (True, ["requirements-dev.lock"])
 
 
-def test_where_adding_is_killed_users_go_on_and_the_next_attempt_starts_afresh(clone: Clone) -> None:
+def test_where_adding_is_killed_users_continue_and_the_next_attempt_starts_afresh(clone: Clone) -> None:
     clone.run("stepgap")
     killed = clone.touch("killed")
     assert not clone.run("pytest")[0]

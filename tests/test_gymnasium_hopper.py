@@ -73,6 +73,6 @@ def test_it_learns_in_a_few_steps(robot: Any, monkeypatch: pytest.MonkeyPatch) -
         steps = list(deploy(learner, MjcfPlant(robot, np.random.default_rng(iteration)), reference, iteration))
         assert [logged.record.status for logged in steps] == [StepStatus.OK] * len(reference)
         log += steps
-        missed = np.array([logged.record.next_state - logged.predicted for logged in steps]) / robot.space.state_scale
-        errors.append(np.sqrt(np.mean(missed**2)))
+        error = np.array([logged.record.next_state - logged.predicted for logged in steps]) / robot.space.state_scale
+        errors.append(np.sqrt(np.mean(error**2)))
     assert errors[1] < 0.6 * errors[0]

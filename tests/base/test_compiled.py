@@ -45,7 +45,7 @@ def _rate(system, state):
     return state[2], state[3], -system.gravity, 0.0
 
 @implements(rate_and_guards, Ball)
-def _observe(system, time, state):
+def _rate_and_guards(system, time, state):
     return rate(system, state), (state[0],)
 
 @implements(rate_jacobian, Ball)

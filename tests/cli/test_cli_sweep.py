@@ -87,8 +87,8 @@ def dask(here: Path) -> Iterator[str]:
             while not Path("dask.json").exists():
                 assert processes[0].poll() is None, Path("dask.log").read_text()
                 sleep(0.05)
-            reach = ["--scheduler-file", "dask.json", "--host", "127.0.0.1", "--local-directory", str(here)]
-            processes.append(subprocess.Popen([*worker, *reach], stdout=log, stderr=log))
+            options = ["--scheduler-file", "dask.json", "--host", "127.0.0.1", "--local-directory", str(here)]
+            processes.append(subprocess.Popen([*worker, *options], stdout=log, stderr=log))
         yield "dask.json"
     finally:
         for process in processes:

@@ -75,7 +75,7 @@ def test_missed_targets_are_reachable_but_have_an_error_of_more_than_three_noise
     error = np.random.default_rng(0).normal(size=targets.shape) * [0.01, 0.002]
     error[80:] += [0.08, 0.0]
     steps = log_of(targets, error, error, np.zeros_like(error))
-    # A constant error cannot be told from an effect of the state, so both shifted targets are missed.
+    # A constant error cannot be distinguished from an effect of the state, so both shifted targets are missed.
     floor = estimate_noise_floor(steps, reference).any_yaw
     np.testing.assert_array_equal(missed_targets(steps, reference, np.empty((0, 2)), floor), [HIGH, FAR])
     np.testing.assert_array_equal(missed_targets(steps, reference, np.array([FAR]), floor), [HIGH])

@@ -65,7 +65,7 @@ def _rate(system, state):
 
 
 @implements(rate_and_guards, Motion)
-def _observe(system, time, state):
+def _rate_and_guards(system, time, state):
     guards = state[0] - system.first, state[0] - system.second, system.side * state[2]
     return rate(system, state), guards
 
@@ -89,7 +89,7 @@ def _servo_rate(system, state):
 
 
 @implements(rate_and_guards, Servo)
-def _servo_observe(system, time, state):
+def _servo_rate_and_guards(system, time, state):
     return rate(system, state), (state[0] - system.level,)
 
 

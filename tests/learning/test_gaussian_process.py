@@ -566,7 +566,7 @@ def test_awkward_data_never_fail(data: tuple[Array, Array]) -> None:
         condition(points, values, scale, HyperParameters(3 * scale, 1.0, 0.0)),
     ]
     queries = np.concatenate([points, np.full((1, points.shape[1]), 0.3)])
-    reach = np.abs(values).max()
+    largest = np.abs(values).max()
     for process in processes:
         assert math.isfinite(process.log_likelihood)
         assert np.all(np.isfinite(process.mean_gradient(queries)))
@@ -575,7 +575,7 @@ def test_awkward_data_never_fail(data: tuple[Array, Array]) -> None:
         assert np.all(np.isfinite(process.kriging_std(queries, include_noise=True)))
     for process in processes[:3]:
         assert np.all(process.kriging_std(queries, include_noise=True) > 0)
-        assert np.all(np.abs(process.mean(queries)) <= 3 * reach)
+        assert np.all(np.abs(process.mean(queries)) <= 3 * largest)
 
 
 @pytest.mark.parametrize("fit", [lambda p, v: fit_gaussian_process(p, v, SCALE), fit_like_fitrgp], ids=["gp", "fitrgp"])

@@ -50,8 +50,8 @@ def test_agrees_with_the_dense_formulae(hyper_parameters) -> None:
         return hyper_parameters.slope_std**2 * ((one - inducing[0]) / SCALE) @ ((other - inducing[0]) / SCALE).T
 
     def f(one: Array, other: Array) -> Array:
-        reach = SCALE * hyper_parameters.length_scale
-        return hyper_parameters.signal_std**2 * np.asarray(Matern(nu=2.5)(one / reach, other / reach), float)
+        lengths = SCALE * hyper_parameters.length_scale
+        return hyper_parameters.signal_std**2 * np.asarray(Matern(nu=2.5)(one / lengths, other / lengths), float)
 
     def covariance(one: Array, other: Array) -> Array:
         return f(one, inducing) @ np.linalg.solve(f(inducing, inducing), f(inducing, other)) + linear_covariance(

@@ -117,7 +117,7 @@ def test_a_limit_that_was_passed_is_marked(tmp_path: Path):
 
 
 def test_a_log_that_ends_while_the_robot_hops_has_a_fault(tmp_path: Path):
-    """As of a process that was killed: what followed is not in the log."""
+    """The process was killed, so what followed is not in the log."""
     found = read_incident(written(tmp_path / "b.mcap", stopped_rows()[:2400], LogDescription(meaning=MEANING)), 1.0)
     assert (found.fault, found.time) == (True, 2.399)
     assert reaction_of(found) == (inf, 3.0)

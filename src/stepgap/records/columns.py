@@ -40,7 +40,7 @@ class Columns:
         yaw: Column with the yaw of the robot [rad], measured together with the state. Empty if there is none.
         units: Units of columns, after multiplication by their factors.
         factors: Factors by which columns are multiplied.
-        format: How the numbers of a text file are written, where the file does not tell.
+        format: How the numbers of a text file are written, where the file does not show it.
     """
 
     state: tuple[str, ...] = ()

@@ -86,13 +86,13 @@ def _authority(found: Diagnosis, space: StepSpace, steps: StepLog) -> list[str]:
     """Whether the commands can move the state in one step by as much as the targets change."""
     if not np.isfinite(found.authority).all() or len(steps) < 2:
         return []
-    reach = 2 * found.authority.sum(axis=1) * space.state_scale  # from one end of the bounds to the other
+    effect = 2 * found.authority.sum(axis=1) * space.state_scale  # from one end of the bounds to the other
     largest = np.abs(np.diff(steps.tracking().target, axis=0)).max(axis=0, initial=0.0)
     weak = [
-        f"{one.name} by only {decimal(far)} {one.unit} in one step, but its target changes by "
+        f"{one.name} by only {decimal(most)} {one.unit} in one step, but its target changes by "
         f"{decimal(change)} {one.unit}"
-        for one, far, change in zip(space.state, reach, largest, strict=True)
-        if far < change
+        for one, most, change in zip(space.state, effect, largest, strict=True)
+        if most < change
     ]
     if weak:
         return [f"From one end of their bounds to the other, the commands move {'; and '.join(weak)}."]

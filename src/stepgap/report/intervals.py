@@ -38,8 +38,8 @@ def rmse_interval(steps: StepLog) -> Array:
     blocks = (sums[length:] - sums[:-length]) / length  # mean of the block that starts at each step
     mean = squares.mean(axis=0)
     variance = np.mean((blocks - mean) ** 2, axis=0) * length / (count - length)
-    freedom = np.divide(2 * mean**2, variance, out=np.full(size, np.nan), where=variance > 0)
-    return std_interval_95(np.sqrt(mean), freedom)
+    degrees_of_freedom = np.divide(2 * mean**2, variance, out=np.full(size, np.nan), where=variance > 0)
+    return std_interval_95(np.sqrt(mean), degrees_of_freedom)
 
 
 def between(ends: Array, unit: str = "", digits: int = 3) -> str:

@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 LOOP_DRAWS: Final = 500
 """Number of bootstrap samples."""
 
-FEWEST_FREEDOM: Final = 20
+FEWEST_DEGREES_OF_FREEDOM: Final = 20
 """Smallest number of degrees of freedom from which multipliers are computed."""
 
 
@@ -57,8 +57,8 @@ def measured_loop(steps: StepLog) -> MeasuredLoop | None:
     """
     visits = [visit for visit in _visits(steps) if len(visit) > 2]
     count, n = sum(len(visit) - 1 for visit in visits), len(steps.space.state)
-    freedom = count - len(visits) - n
-    if freedom < FEWEST_FREEDOM:
+    degrees_of_freedom = count - len(visits) - n
+    if degrees_of_freedom < FEWEST_DEGREES_OF_FREEDOM:
         return None
     scale = np.concatenate(visits).std(axis=0)
     if not (scale > 0).all():
@@ -66,7 +66,7 @@ def measured_loop(steps: StepLog) -> MeasuredLoop | None:
     errors, used = _padded([visit / scale for visit in visits])
     matrix = _fitted(errors, used)
     offsets = _visit_means(errors[:, 1:] - errors[:, :-1] @ matrix.T, used)
-    noise = (errors[:, 1:] - errors[:, :-1] @ matrix.T - offsets)[used] * np.sqrt(count / freedom)
+    noise = (errors[:, 1:] - errors[:, :-1] @ matrix.T - offsets)[used] * np.sqrt(count / degrees_of_freedom)
     found = largest_multiplier(matrix)
     drawn = largest_multiplier(_fitted(_continued(errors, used, matrix, offsets, noise), used))
     low, high = np.percentile(drawn, [2.5, 97.5])

@@ -50,9 +50,9 @@ def paired_difference(errors: Errors, others: Errors) -> PairedDifference:
     if count < 2:
         return PairedDifference(float(np.exp(mean)), np.nan, np.nan, np.nan)
     standard_error = float(means.std(ddof=1)) / np.sqrt(count)
-    reach = standard_error * stdtrit(count - 1, 0.5 + CONFIDENCE / 2)
+    half_width = standard_error * stdtrit(count - 1, 0.5 + CONFIDENCE / 2)
     far = abs(mean) / standard_error if standard_error > 0 else np.inf if mean else 0.0
-    low, ratio, high = np.exp([mean - reach, mean, mean + reach]).tolist()
+    low, ratio, high = np.exp([mean - half_width, mean, mean + half_width]).tolist()
     return PairedDifference(ratio, low, high, float(2 * stdtr(count - 1, -far)))
 
 

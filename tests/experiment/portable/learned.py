@@ -67,8 +67,8 @@ def learned(kind: str, *, failing: bool = False, linear: bool = False, seed: int
     return PortableController(CorrectedMap(nominal, residual), failures, ALL_RULES, drift=kind != "none", monitor=True)
 
 
-def steps(count: int, reach: float = 1.6, seed: int = 1) -> tuple[Array, Array]:
-    """Random states, also outside of the ranges, and commands."""
+def steps(count: int, spread: float = 1.6, seed: int = 1) -> tuple[Array, Array]:
+    """Random states within `spread` half ranges of the centre, so also outside of the ranges, and commands."""
     rng = np.random.default_rng(seed)
-    point = CENTRE + SCALE * rng.uniform(-1, 1, (count, 4)) * [reach, reach, 1, 1]
+    point = CENTRE + SCALE * rng.uniform(-1, 1, (count, 4)) * [spread, spread, 1, 1]
     return point[:, :2], point[:, 2:]

@@ -139,7 +139,7 @@ def test_plans_are_those_of_python(kind: str, compile_in: Callable[..., Compiled
 def test_the_filter_is_that_of_python_also_after_a_push(compile_in: Callable[..., Compiled]) -> None:
     controller = replace(learned("gp"), reject_outliers=True, monitor=False)
     code, rng, logged = compile_in(controller), np.random.default_rng(6), []
-    states, commands = steps(50, reach=0.8)
+    states, commands = steps(50, spread=0.8)
     yaw = np.append(np.nan, np.cumsum(rng.uniform(0, 0.7, 50)))  # a log does not contain that of the first step
     for row, (state, command) in enumerate(zip(states, commands, strict=True)):
         shift = SPACE.state_scale * [0.3 + 0.1 * np.sin(np.nan_to_num(yaw[row])), 0.1]

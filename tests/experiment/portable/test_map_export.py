@@ -21,7 +21,7 @@ def test_onnx_computes_the_same_map(kind: str, linear: bool) -> None:
     runtime = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
     controller = learned(kind, failing=True, linear=linear)
     session = runtime.InferenceSession(onnx_model(model_document(controller)), providers=["CPUExecutionProvider"])
-    state, command = steps(500, reach=3.0)
+    state, command = steps(500, spread=3.0)
     state[7, 0], command[9, 1] = np.nan, np.inf
     expected = controller.map.evaluate(state, command)
     next_state, std, status = session.run(None, {"state": state, "command": command})
@@ -48,15 +48,15 @@ def test_casadi_computes_the_same_map_and_its_derivatives(kind: str, linear: boo
     controller = learned(kind, linear=linear)
     function = casadi.Function.deserialize(casadi_text(model_document(controller)))
     jacobian = function.jacobian()
-    for reach in (1.2, 3.0):
-        for state, command in zip(*steps(15, reach=reach), strict=True):
+    for spread in (1.2, 3.0):
+        for state, command in zip(*steps(15, spread=spread), strict=True):
             next_state, std = (np.array(each)[:, 0] for each in function(state, command))
             assert np.abs(next_state - controller.map(state, command)).max() < 1e-10
             assert np.abs(std - controller.map.std(state, command)).max() < 1e-10
             parts = [np.array(each) for each in jacobian(state, command, next_state, std)]
             found, by_std = np.hstack(parts[:2]), np.hstack(parts[2:])
             # Outside of the sampled range `jacobian` leaves a small term out, so differences are compared there.
-            exact = controller.map.jacobian(state, command) if reach < 1.25 else None
+            exact = controller.map.jacobian(state, command) if spread < 1.25 else None
             differences = difference_jacobian(controller.map, state, command)
             assert np.abs(found - (differences if exact is None else exact)).max() < (1e-5 if exact is None else 1e-9)
             assert np.abs(by_std - controller.map.std_gradient(state, command)).max() < 1e-8

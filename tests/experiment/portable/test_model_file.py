@@ -86,7 +86,7 @@ def test_a_file_read_back_is_the_same_controller(kind: str, failing: bool, tmp_p
 def test_the_filter_at_the_end_of_a_deployment_is_read_back(tmp_path: Path) -> None:
     controller, rng = learned("gp"), np.random.default_rng(2)
     log, expected, yaw = [], DisturbanceFilter.initial(2), np.nan
-    for number, (state, command) in enumerate(zip(*steps(8, reach=0.9), strict=True)):
+    for number, (state, command) in enumerate(zip(*steps(8, spread=0.9), strict=True)):
         error = 0.02 * rng.normal(size=2)
         failed, after = number == 5, float(rng.uniform(0, 6))
         record = StepRecord(

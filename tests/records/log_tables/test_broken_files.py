@@ -174,7 +174,7 @@ BROKEN: dict[str, tuple[bytes | Callable[[Path], None], str]] = {
     "thousands or decimal": (b"t;v\n0;1,234\n", "may be a decimal comma or separate thousands"),
     "comma or decimal": (b"t\n0,5\n1,5\n", "may separate columns or be a decimal comma"),
     "decimal commas in commas": (b"t,v\n0,5,1,5\n", "4 values; it must have 2, as the header; a decimal comma needs"),
-    "two separators": (b"t,a;v\n1,2;3\n", "the rows do not tell which separates the columns"),
+    "two separators": (b"t,a;v\n1,2;3\n", "the rows do not show which separates the columns"),
     "too large": (b"t,v\n0,1e400\n", "column 'v': 'inf'; it must be a number within"),
     "words": (b"t,v\n0,fast\n", "column 'v': 'fast'; it must be a number within"),
     "underscore": (b"t,v\n0,1_000\n", "column 'v': '1_000'; it must be a number within"),

@@ -164,7 +164,7 @@ def slower_forward(every: int) -> Change:
 
 
 def slower(every: int) -> Change:
-    """From the middle of the log on, only every so many-th row is written."""
+    """From the middle of the log on, only one row in `every` is written."""
 
     def change(log: HoppingLog, _: np.random.Generator) -> HoppingLog:
         rows = np.arange(len(log.time))

@@ -1,4 +1,4 @@
-"""The first torque: the twin hangs, its wiring is right or wrong, and the jog must tell which; without sensors, too."""
+"""The first torque: the twin hangs, its wiring is right or wrong, and the jog must find which; without sensors, too."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -97,8 +97,8 @@ def _gaussian_process(casadi: Any, part: Mapping[str, Any], point: Any) -> tuple
     white = casadi.DM(np.linalg.inv(part["centre_factor"])) @ kernel
     rows = np.linalg.inv(part["weight_factor"])
     features = casadi.vertcat(white, linear * casadi.DM(part["slope_scale"]), 1)
-    explained = casadi.DM(rows[:-1] if part["constant_is_exact"] else rows) @ features
-    variance = casadi.fmax(1 - casadi.sumsqr(white), 0) + casadi.sumsqr(explained)
+    response = casadi.DM(rows[:-1] if part["constant_is_exact"] else rows) @ features
+    variance = casadi.fmax(1 - casadi.sumsqr(white), 0) + casadi.sumsqr(response)
     return mean, part["signal_std"] * casadi.sqrt(variance)
 
 

@@ -245,9 +245,9 @@ def _process_std(graph: _Graph, part: Mapping[str, Any], kernel: str, linear: st
     one = graph.op("Add", graph.op("Mul", _column(graph, linear, 0), graph.constant(0.0)), graph.constant(1.0))
     features = graph.op("Concat", white, scaled, one, axis=-1)
     rows = np.linalg.inv(np.array(part["weight_factor"]))
-    explained = graph.times(features, (rows[:-1] if part["constant_is_exact"] else rows).T)
-    unexplained = graph.op("Sub", graph.constant(1.0), graph.squares(white))
-    variance = graph.plus(graph.op("Max", unexplained, graph.constant(0.0)), graph.squares(explained))
+    response = graph.times(features, (rows[:-1] if part["constant_is_exact"] else rows).T)
+    conditional = graph.op("Sub", graph.constant(1.0), graph.squares(white))
+    variance = graph.plus(graph.op("Max", conditional, graph.constant(0.0)), graph.squares(response))
     return graph.op("Mul", graph.constant(float(part["signal_std"])), graph.op("Sqrt", variance))
 
 

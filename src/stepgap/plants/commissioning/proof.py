@@ -43,7 +43,7 @@ def write_proof(rig_file: Path, verb: str, mark: Mapping[str, str], content: Map
         rig_file: File of the settings.
         verb: Verb of `stepgap rig` that found it.
         mark: `fingerprint` of the settings when they were read.
-        content: The result; its `passed` tells whether it permits torque.
+        content: The result; its `passed` states whether it permits torque.
 
     Raises:
         InputError: It cannot be written.

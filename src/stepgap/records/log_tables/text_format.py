@@ -98,7 +98,7 @@ def delimiter_of(header: str, rows: Sequence[str], source: str) -> str:
     if len(fitting) != 1:
         names = " and ".join(name for name, one in DELIMITERS.items() if one in present)
         raise RecordError(
-            f"{source}: the header has {names}, and the rows do not tell which separates the columns; "
+            f"{source}: the header has {names}, and the rows do not show which separates the columns; "
             "give `delimiter` in the table [format] of --columns"
         )
     return fitting[0]

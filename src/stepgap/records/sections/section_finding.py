@@ -92,7 +92,7 @@ def flights(log: SignalLog, settings: SectionSettings) -> list[AerialPhase]:
     """The flights by phase, contact or force.
 
     Raises:
-        RecordError: A column is missing, or it does not tell flights.
+        RecordError: A column is missing, or flights cannot be determined from it.
     """
     if settings.rule == "phase":
         column = log.labels(settings.phase)

@@ -226,14 +226,14 @@ def _axis_share(model: AdditiveModel, logs: Array, row: int, rng: np.random.Gene
     units, levels = _Units.of([axis]), len(axis.levels)
     number, codes = len(units.counts), axis.codes[units.first]
     varied = [other for other in model.axes if axis.points is None or other.points is not None]
-    freedom = number - 1 - sum(len(other.levels) - 1 for other in varied)
-    if freedom < number // 4:
+    degrees_of_freedom = number - 1 - sum(len(other.levels) - 1 for other in varied)
+    if degrees_of_freedom < number // 4:
         return None
     rest = units.means(model.remainder)
-    error = (rest**2 @ units.counts) / freedom
+    error = (rest**2 @ units.counts) / degrees_of_freedom
     explained = (np.bincount(axis.codes, minlength=levels) * effect**2).sum(axis=1)
     values = (explained - (levels - 1) * error) / (logs**2).sum(axis=1)
-    inflated = rest * np.sqrt(number / freedom)
+    inflated = rest * np.sqrt(number / degrees_of_freedom)
     draws = _Draws(units, logs + (inflated - rest)[:, units.of_case], rng)
     sums = draws.sums(effect[:, codes] + inflated, codes, levels)
     between, filled = explained_by_levels(sums.counts, sums.values), np.count_nonzero(sums.counts, axis=1)
@@ -258,7 +258,7 @@ def _pair_share(
     inflated = means + (rest - means) * np.sqrt(number / (number - cells))
     draws = _Draws(units, logs + (inflated - rest)[:, units.of_case], rng)
     own = _interaction(draws.sums(rest, codes, levels, slice(1)), shape)
-    if not own.freedom[0]:
+    if not own.degrees_of_freedom[0]:
         return None
     step = max(1, _NUMBERS_AT_ONCE // levels)
     parts = [
@@ -288,12 +288,12 @@ class _Interaction(NamedTuple):
     Attributes:
         explained: Sum of squares; shape (n, D).
         corrected: Sum of squares without what is explained by chance; shape (n, D).
-        freedom: Degrees of freedom; shape (D,).
+        degrees_of_freedom: Degrees of freedom; shape (D,).
     """
 
     explained: Array
     corrected: Array
-    freedom: Array
+    degrees_of_freedom: Array
 
 
 def _interaction(sums: _Sums, shape: tuple[int, int]) -> _Interaction:
@@ -301,8 +301,8 @@ def _interaction(sums: _Sums, shape: tuple[int, int]) -> _Interaction:
     values = sums.values.reshape(len(sums.values), -1, *shape)
     additive, effects = explained_by_two(sums.counts.reshape(-1, *shape), values)
     error = (sums.squares - between) / np.maximum(sums.units - cells, 1)
-    explained, freedom = between - additive, cells - effects
-    return _Interaction(explained, explained - freedom * error, freedom)
+    explained, degrees_of_freedom = between - additive, cells - effects
+    return _Interaction(explained, explained - degrees_of_freedom * error, degrees_of_freedom)
 
 
 def _with_interval(

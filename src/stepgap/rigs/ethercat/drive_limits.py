@@ -18,7 +18,7 @@ _MOST_BITS = 32
 
 @dataclass(frozen=True, kw_only=True)
 class DriveLimits:
-    """Keys in the table of a motor that tell what its drive may report; each needs a value in the PDOs of the drive.
+    """Keys in the table of a motor that limit what its drive may report; each needs a value in the PDOs of the drive.
 
     Attributes:
         temperature_unit: Temperature of one count [°C].

@@ -46,7 +46,7 @@ class ReportedValue:
         limits: Least and largest value that is allowed.
         warning: Value above which the robot shall land.
         frozen: Number of readings for which the value may stay exactly the same.
-        without_value: Numbers by which the drive tells that it has no value.
+        without_value: Numbers by which the drive indicates that it has no value.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """What a drive does by itself when it is stopped, or when frames end: it must give no torque (CiA 402-2, option codes).
 
 Their factory settings are the vendor's: a drive may slow its motor down along a ramp, which is a torque that nobody
-expects, or go on with the last torque if frames end.
+expects, or continue with the last torque if frames end.
 """
 
 from dataclasses import dataclass

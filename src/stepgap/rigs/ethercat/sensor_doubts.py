@@ -1,4 +1,4 @@
-"""What a bus itself tells about a sensor: errors in a terminal's status word, and the velocity beside a position."""
+"""What a bus itself reports about a sensor: errors in a terminal's status word, and the velocity beside a position."""
 
 from enum import Enum
 from typing import NamedTuple

@@ -35,10 +35,10 @@ def stage_of(limits, mode, share, hops):
     """
     if mode == Mode.POSTURE:
         return Stage(min(limits.torque, limits.posture_torque), min(limits.joint_speed, limits.posture_speed))
-    rise = 1.0
+    factor = 1.0
     if hops < limits.first_hops:
-        rise = limits.first_share + (1.0 - limits.first_share) * hops / limits.first_hops
-    torque, joint_speed = rise * limits.torque, rise * limits.joint_speed
+        factor = limits.first_share + (1.0 - limits.first_share) * hops / limits.first_hops
+    torque, joint_speed = factor * limits.torque, factor * limits.joint_speed
     if mode == Mode.LAND and limits.posture_torque < torque:
         torque = max(limits.posture_torque, (1.0 - share) * torque)
     return Stage(torque, joint_speed)

@@ -76,7 +76,7 @@ def test_modules_are_named(tmp_path: Path) -> None:
     "name", [name for name, found in PDO_SETS.items() if "target_torque" in Packing(found.outputs).names]
 )
 def test_the_set_of_a_known_device_is_named(name: str) -> None:
-    """Of a device whose file describes exactly this set."""
+    """The file of the device describes exactly this set."""
     found = PDO_SETS[name]
     directions = [
         tuple(

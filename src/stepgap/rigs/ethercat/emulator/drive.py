@@ -204,7 +204,7 @@ class Drive(EmulatedDevice):
         self._act()
 
     def _lose_connection(self) -> None:
-        """Acts as the option code 0x6007 demands, after which a drive may go on with its last torque."""
+        """Acts as the option code 0x6007 demands, after which a drive may continue with its last torque."""
         if self._abort.value == 1:
             self.trip(COMMUNICATION_LOST)
         elif self._abort.value in (2, 3):

@@ -277,7 +277,7 @@ class Twin(CompiledRig):
     def become(self, gap: RealityGap) -> None:
         """Changes the differences from the physics model in the midst of the motion, as when a load is picked up.
 
-        The motion and the state of the drives go on. The ground keeps its profile.
+        The motion and the state of the drives continue. The ground keeps its profile.
 
         Raises:
             ValueError: The sensors, the delay or the joints would be other ones.
