@@ -1,7 +1,7 @@
 """The step controller: the command with which the next apex is the target (Sec. 4.3, Eqs. 11 and 13).
 
-`StepController` works with any `StepMap`, nominal or corrected. A few Gauss–Newton steps within the command bounds
-reach the target in nearly all cases. Where they do not, the controller searches a grid of commands for better starting
+`StepController` works with any `StepMap`, nominal or corrected. Usually a few damped Gauss–Newton steps within the
+command bounds reach the target. Where they do not, the controller searches a grid of commands for better starting
 points (`bounded_search`).
 
 The search works on scaled quantities: a *point* is a command scaled so that its bounds are -1 and 1, and errors of the
@@ -25,7 +25,7 @@ class StepPlan:
     Attributes:
         command: Command within the bounds; shape (m,).
         predicted: Predicted next state; shape (n,).
-        reached: Whether `predicted` is the target, within the tolerance `REACHED` of `distance`.
+        reached: Whether `predicted` is the target: `distance` is at most `gauss_newton.REACHED`, 1e-6.
         distance: Euclidean distance from `predicted` to the target, each coordinate divided by half its range.
     """
 
@@ -71,12 +71,14 @@ class StepController:
         next_states: dict[bytes, Array] = {}  # by point, so that the solution is not evaluated again
 
         def error(point: Array) -> Array:
-            next_state = self.step_map.evaluate(state, command_at(point)).next_state
-            known = zip(point.reshape(-1, m), next_state.reshape(-1, n), strict=True)
-            next_states.update((at.tobytes(), reached) for at, reached in known if np.isfinite(reached).all())
-            return (next_state - target) / state_scale
+            """Scaled errors at points (…, m); shape (…, n). Keeps the next states."""
+            found = self.step_map.evaluate(state, command_at(point)).next_state
+            known = zip(point.reshape(-1, m), found.reshape(-1, n), strict=True)
+            next_states.update((at.tobytes(), next_state) for at, next_state in known if np.isfinite(next_state).all())
+            return (found - target) / state_scale
 
         def jacobian(point: Array) -> Array:
+            """∂error/∂point; shape (n, m)."""
             matrix = self.step_map.jacobian(state, command_at(point))[:, n:]
             return matrix * space.command_scale / state_scale[:, None]
 

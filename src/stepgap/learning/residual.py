@@ -21,7 +21,8 @@ class HistoryInputs:
 
     Attributes:
         lagged_inputs: Which quantities of the step before are inputs.
-        forgetting_time: Number of steps after which a step's influence has faded; inf: it never fades.
+        forgetting_time: Number of steps T in which the influence of a step falls to 1/e: polynomials weight it by
+            exp(−age/T), and a Gaussian process has the time as an input with length scale T; inf: it never falls.
     """
 
     lagged_inputs: LaggedInputs = "none"
@@ -40,7 +41,11 @@ class HistoryInputs:
         return isfinite(self.forgetting_time)
 
     def of(self, history: Array, state_size: int) -> Array:
-        """Selects the inputs from a history as `observations` defines it; (…, 2n + m + 1) to (…, c)."""
+        """Selects the inputs from a history; (…, 2n + m + 1) to (…, c).
+
+        The columns of a history are, as in `observations`, error (n), requested command (m), state (n) and number of
+        steps before (1).
+        """
         used = {"none": 0, "previous_error": state_size, "previous_step": history.shape[-1] - 1}[self.lagged_inputs]
         time = history[..., -1:] / self.forgetting_time
         return np.concatenate([history[..., :used], time if self.timed else time[..., :0]], axis=-1)
@@ -123,14 +128,15 @@ class Residual:
 
         Args:
             point: Shape (…, n + m).
-            include_noise: False: of the residual itself. True: of one measured step's residual.
+            include_noise: False: of the latent function f*. True: of a measured value y* (Rasmussen & Williams,
+                Sec. 2.2).
         """
         inputs = self._inputs(point)
         std = np.stack([regression.std(inputs) for regression in self.regressions], axis=-1)
         return np.hypot(std, self.noise_std) if include_noise else std
 
     def std_gradient(self, point: ArrayLike) -> Array:
-        """∂std/∂(state, command) of the residual itself; shape (…, n, n + m)."""
+        """∂std/∂(state, command) of the latent function; shape (…, n, n + m)."""
         inputs = self._inputs(point)
         gradients = [regression.std_gradient(inputs) for regression in self.regressions]
         return np.stack(gradients, axis=-2)[..., : sum(self.sizes)]
@@ -139,7 +145,7 @@ class Residual:
         """Learns one more step, with the history it is conditioned on, at the same hyper-parameters.
 
         Args:
-            point: State and applied command of the step; shape (n + m,).
+            point: State and requested command of the step; shape (n + m,).
             error: Actual − nominal next state; shape (n,).
         """
         inputs, values = self._inputs(point), np.asarray(error, float)

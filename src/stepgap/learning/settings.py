@@ -15,7 +15,7 @@ AUTO: Final = "auto"
 """Name of the residual that selects the installed candidate with the best predictions."""
 
 LaggedInputs = Literal["none", "previous_error", "previous_step"]
-"""Quantities of the step before that are inputs: none, its error, or its error, applied command and state."""
+"""Quantities of the step before that are inputs: none, its error, or its error, requested command and state."""
 
 LAGGED_INPUTS: tuple[LaggedInputs, ...] = get_args(LaggedInputs)
 """All values of `LaggedInputs`."""
@@ -32,7 +32,8 @@ class LearningSettings:
         tolerance: Redeploying stops when the tracking error has not fallen by this fraction of the
             best so far; judged from the second redeployment on.
         lagged_inputs: Quantities of the step before that are inputs, too; `auto` selects those that predict best.
-        forgetting_time: Number of steps after which a step's influence has faded; inf: it never fades.
+        forgetting_time: Number of steps in which the influence of a step falls to 1/e; for a Gaussian process, length
+            scale of the time; inf: it never falls.
         early_stop: Whether redeploying stops before `iterations` when the error no longer falls.
         drift: Whether a correction is shifted during a deployment by its recent errors and those near the same yaw.
         remove_yaw_dependence: Whether the yaw-dependent part of the errors of earlier deployments is removed before a

@@ -22,8 +22,9 @@ _CHECK_EVERY = 1e-3
 class RealtimePlant(Plant):
     """Executes hops on a rig that does not wait for commands.
 
-    A step ends when the apex has just been passed. The command acts from the next mid-stance on, some 0.3 s later. A
-    command that comes later does not act, and the requested command in the record is zero.
+    A step ends when the apex has just been passed. The command acts from the next mid-stance on, some 0.3 s later; this
+    is the time in which the caller must give it. A hop whose command comes later is made without one, and the requested
+    command in its record is zero. If that happens twice in a row, the robot lands (`LoopSettings.missed_commands`).
 
     Args:
         setup: The rig and its control.
@@ -40,7 +41,7 @@ class RealtimePlant(Plant):
 
     @property
     def space(self) -> StepSpace:
-        """State [speed, height], command [fx, fy]."""
+        """State [speed, height] in [m/s, m], command [fx, fy] in [N]."""
         return self._space
 
     @property
@@ -49,7 +50,12 @@ class RealtimePlant(Plant):
         return self._fault
 
     def start(self) -> Array:
-        """Connects, takes the landing posture, waits until the robot is released, and hops once without command.
+        """Makes the first hop, without command, which begins when the robot, held in the air until then, is let go.
+
+        Before, the rig is connected without torque, a person consents, and the robot takes its landing posture.
+
+        Returns:
+            The state at the first apex, [speed, height] in [m/s, m]; shape (2,).
 
         Raises:
             RigFault: The rig cannot be connected, or the first hop failed.
@@ -72,6 +78,9 @@ class RealtimePlant(Plant):
 
     def take_step(self, command: Array) -> StepRecord:
         """Hops once; after a fall, a fault or a safety stop the record has no next state, and the robot lands.
+
+        Args:
+            command: [fx, fy] in [N], which is limited to the bounds; shape (2,).
 
         Raises:
             RigFault: The log of ticks cannot be written.
@@ -103,7 +112,7 @@ class RealtimePlant(Plant):
     def _await_hop(self, session: Session) -> FinishedHop:
         """Waits for the end of the present hop."""
         while (hop := session.board.hop(self._hop)) is None:
-            if session.over():
+            if session.over():  # the loop may have finished the hop since the last look
                 hop = session.board.hop(self._hop) or FinishedHop.stopped(self._hop)
                 break
             session.check_sink()
