@@ -110,7 +110,7 @@ def gap_of(shares: Array) -> RealityGap:
     return gap_of_shares(dict(zip(DRAWN, shares.tolist(), strict=True)))
 
 
-def slopes(stairs: Array, evaluate: Callable[..., Iterable[Array]]) -> tuple[Array, Array]:
+def preset_jacobian(stairs: Array, evaluate: Callable[..., Iterable[Array]]) -> tuple[Array, Array]:
     """Differences of the preset (47,), and their derivatives, per prior standard deviation of each share (47, 24)."""
     inwards = np.where(PRESET > (LOWEST + HIGHEST) / 2, -0.25, 0.25)
     moved = [PRESET + change * PRIOR_STD * unit for change, unit in zip(inwards, np.eye(len(PRESET)), strict=True)]
@@ -193,7 +193,7 @@ def main() -> None:
     options = parser.parse_args()
     stairs, numbers = hardware_stairs(options.digitised), [int(each) for each in options.members.split(",")]
     with ProcessPoolExecutor(options.processes) as pool:
-        at_preset, jacobian = slopes(stairs, pool.map)
+        at_preset, jacobian = preset_jacobian(stairs, pool.map)
         fits = list(pool.map(partial(fit_member, stairs=stairs, jacobian=jacobian), numbers))
         kept = [
             (member, shares, cost)
