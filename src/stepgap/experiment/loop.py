@@ -26,7 +26,7 @@ from stepgap.learning.step_log import LoggedStep, StepLog, as_past
 from stepgap.plants.plant import Plant
 from stepgap.records.model_files import write_model
 from stepgap.records.steps_csv import digest
-from stepgap.records.summary import Deployment, NoiseFloor, Summary, write_summary
+from stepgap.records.summary import Deployment, NoiseFloor, Summary
 from stepgap.step import Array, StepMap, StepSpace
 
 MeasureNoiseFloor = Callable[[StepMap, np.random.Generator, Callable[[int, int], None]], NoiseFloor]
@@ -98,7 +98,7 @@ def run_experiment(
     """
     reference.check(nominal.space)
     log, deployments = StepLog(nominal.space), list[Deployment]()
-    past, names, scale = as_past(known or log), nominal.space.state_names, nominal.space.state_scale
+    past, scale = as_past(known or log), nominal.space.state_scale
     with one_blas_thread(), Recording(folder, nominal.space, seed, past, replays) as recording:
         while True:
             iteration = len(deployments)
@@ -113,8 +113,7 @@ def run_experiment(
             floor = estimate_noise_floor(steps, reference)
             deployments.append(summarise(steps, reference, _residual_name(learner), learner.step_map(), floor.any_yaw))
             summary = _summary(deployments, log, floor, seed, past)
-            if recording.caught_up:
-                write_summary(folder / "summary.json", summary, names)
+            recording.write_summary(summary)
             observer.on_deployment(deployments[-1])
             if iteration == learning.iterations or not _goes_on(deployments, scale, learning):
                 break
@@ -126,7 +125,7 @@ def run_experiment(
                 progress = partial(observer.on_phase, "measuring the noise floor")
                 noise_floor = measure_noise_floor(last_map, random_stream(seed, iteration, 1), progress)
             summary = replace(summary, noise_floor=noise_floor, noise_floor_measured=True)
-            write_summary(folder / "summary.json", summary, names)
+            recording.write_summary(summary)
     return deployments
 
 

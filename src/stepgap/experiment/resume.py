@@ -9,7 +9,7 @@ from typing import Self
 from stepgap.experiment.deployment import Steps
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
-from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary
+from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
 from stepgap.step import StepSpace
 
 _REMEDY = "resume with the record, settings, versions and machine that it was started with"
@@ -53,11 +53,6 @@ class Recording:
     def __exit__(self, *exc_info: object) -> None:
         self._writer.close()
 
-    @property
-    def caught_up(self) -> bool:
-        """Whether all recorded steps have been used."""
-        return not self._recorded
-
     def steps(self, iteration: int, execute: Callable[[], Steps]) -> Steps:
         """Yields the steps of a deployment, each after it is on disk.
 
@@ -80,6 +75,15 @@ class Recording:
                 else:
                     self._writer.append(logged)
                 yield logged
+
+    def write_summary(self, summary: Summary) -> None:
+        """Writes `summary.json`, unless there are recorded steps of later deployments, whose summary it would remove.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        if not self._recorded:
+            write_summary(self._path.with_name("summary.json"), summary, self._writer.recorded.space.state_names)
 
     def check_finished(self) -> None:
         """Raises RecordError if there are recorded steps after the last deployment."""
