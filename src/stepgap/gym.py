@@ -56,7 +56,7 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
       costs `LARGEST_COST` for its own and each remaining step.
     - Terminated by a fall, truncated at the reference's end.
     - Info of a step: `command` and `applied` [command units]; `status`, `ok` or the reason why there is no next state;
-      `predicted`, the nominal map's next state for the applied command, if there is one; `yaw` after the step
+      `predicted`, the nominal map's next state for the requested command, if there is one; `yaw` after the step
       [rad], if the plant measures it; `fault`, the plant's message about a fault, if there is one.
 
     Args:

@@ -45,6 +45,10 @@ def test_a_tick_holds_the_torques(stepgap: Command) -> None:
     expected = SampledApexMap(tick=5e-4)([0.2, 0.58], [0, 0])
     assert numbers(result.out.splitlines()[0]) == pytest.approx(expected, abs=1e-6)
     refused(stepgap("map", "--tick", "0.1"), "--tick: tick = 0.1, but it must lie between")
+    refused(
+        stepgap("map", "--tick", "0.001", "--robot", "quadruped"),
+        "--tick: robot 'quadruped' has no map with torques that are held for a tick",
+    )
 
 
 def test_settings_change_the_map(stepgap: Command) -> None:

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -159,6 +160,12 @@ class TestEveryDegree:
 
 
 class TestRefused:
+    @pytest.mark.parametrize("name", ["points", "values", "centre", "scale"])
+    def test_a_single_number_is_no_array(self, name: str) -> None:
+        data = TrainingData(np.zeros((1, 3)), np.zeros(1), CENTRE, SCALE, VALUE_SCALE)
+        with pytest.raises(ValueError, match=rf"^{name}\.shape = \(\), but it must be \("):
+            replace(data, **{name: np.array(1.0)})
+
     @pytest.mark.parametrize(
         ("change", "named"),
         [

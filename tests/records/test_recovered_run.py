@@ -45,13 +45,14 @@ def damaged(whole: Path, folder: Path, line: int) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("size", "file"), [(100, "experiment.toml"), (500, "steps.csv")])
-def test_the_error_of_a_full_disk_names_the_new_file(whole: Path, tmp_path: Path, size: int, file: str) -> None:
+@pytest.mark.parametrize("file", ["experiment.toml", "models/iteration_1.json", "steps.csv"])
+def test_the_error_of_a_full_disk_names_the_new_file(whole: Path, tmp_path: Path, file: str) -> None:
     folder = damaged(whole, tmp_path / "run", len(REFERENCE) + 3)
     (folder / "experiment.toml").write_text("# " + 200 * "-")
-    (folder / "models" / "iteration_1.json").unlink()
-    (folder / "summary.json").unlink()
-    with largest_file(size), pytest.raises(InputError) as error:
+    before = {"experiment.toml": [], "models/iteration_1.json": ["experiment.toml"]}
+    for written in before.get(file, ["experiment.toml", "models/iteration_1.json", "summary.json"]):
+        (folder / written).unlink()
+    with largest_file(100), pytest.raises(InputError) as error:
         recover_file(folder, tmp_path / "out")
     assert str(error.value) == f"{tmp_path / 'out' / file}: {FILE_TOO_LARGE}"
 

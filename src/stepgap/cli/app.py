@@ -31,7 +31,7 @@ from stepgap.cli.run import run
 from stepgap.cli.settings import settings
 from stepgap.cli.steps import steps
 from stepgap.cli.sweep import sweep
-from stepgap.cli.terminal import discard_output, is_output_error, warn
+from stepgap.cli.terminal import discard_output, flush_output, is_output_error, warn
 from stepgap.cli.view import view
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
@@ -71,7 +71,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     debug = "--debug" in arguments
     try:
         _run_verb([argument for argument in arguments if argument != "--debug"], program)
-        sys.stdout.flush()  # at the end of the program an error could no longer be explained
     except KeyboardInterrupt as interrupt:
         warn(f"stopped{interrupt}")
         sys.exit(_STOPPED)
@@ -101,7 +100,12 @@ def _run_verb(arguments: Sequence[str], program: list[str]) -> None:
         bound.arguments["program"] = program
     elif program:
         raise InputError(f"-- {program[0]}: this command runs no other program")
-    verb(*bound.args, **bound.kwargs)
+    try:
+        verb(*bound.args, **bound.kwargs)
+    except SystemExit:  # of a verb with an exit code of its own
+        flush_output()
+        raise
+    flush_output()
 
 
 def _is_bad_input(error: Exception) -> bool:

@@ -15,10 +15,16 @@ def warn(message: str) -> None:
     print(f"stepgap: {' '.join(message.split())}", file=sys.stderr)
 
 
+def flush_output() -> None:
+    """Writes what standard output has buffered; at the end of the program an error could not be explained any more."""
+    if sys.stdout is not None:  # a shell can close it
+        sys.stdout.flush()
+
+
 def is_output_error(error: Exception) -> TypeGuard[OSError]:
     """Whether standard output cannot be written: its disk is full, or nobody reads it any more.
 
-    Errors of all other files name them, because they are written within `naming`.
+    Errors of all other files name them, because they are written within `naming` or `naming_cache`.
     """
     unwritable = (errno.ENOSPC, errno.EFBIG, errno.EPIPE)
     return isinstance(error, OSError) and error.errno in unwritable and error.filename is None
@@ -47,17 +53,17 @@ def check_consent(asked_by: str) -> None:
 
 
 def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
-    """Decorator that makes a verb announce compilation on stderr, unless it is quiet."""
+    """Decorator that makes a verb announce compilation on stderr, unless it is quiet, and name the folder of errors."""
 
     @wraps(verb)
     def announcing(*arguments: Any, **options: Any) -> None:
-        from stepgap.base.compiling import on_first_compilation
+        from stepgap.base.compiling import naming_cache, on_first_compilation
 
         def announce() -> None:
             if not _is_quiet(options):
                 warn("compiling for this machine; this takes about half a minute, once")
 
-        with on_first_compilation(announce):
+        with naming_cache(), on_first_compilation(announce):
             verb(*arguments, **options)
 
     return announcing

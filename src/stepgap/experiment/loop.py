@@ -115,7 +115,7 @@ def run_experiment(
             summary = _summary(deployments, log, floor, seed, past)
             recording.write_summary(summary)
             observer.on_deployment(deployments[-1])
-            if iteration == learning.iterations or not _goes_on(deployments, scale, learning):
+            if iteration == learning.iterations or not _continues(deployments, scale, learning):
                 break
         recording.check_finished()
         if measure_noise_floor:
@@ -177,7 +177,7 @@ def _summary(
     )
 
 
-def _goes_on(deployments: Sequence[Deployment], scale: Array, learning: LearningSettings) -> bool:
+def _continues(deployments: Sequence[Deployment], scale: Array, learning: LearningSettings) -> bool:
     """Whether a further deployment may reduce the tracking error, or is made in any case."""
     return not learning.early_stop or _still_improves(deployments, scale, learning.tolerance)
 

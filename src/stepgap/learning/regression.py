@@ -67,6 +67,8 @@ class TrainingData:
     timed: bool = False
 
     def __post_init__(self) -> None:
+        require(self.scale.ndim == 1, "scale.shape", self.scale.shape, "be (d,)")
+        require(self.points.ndim == 2, "points.shape", self.points.shape, "be (N, d)")
         size, inputs = len(self.points), len(self.scale)
         shapes = {"scale": (inputs,), "centre": (inputs,), "points": (size, inputs), "values": (size,)}
         for name, shape in shapes.items():

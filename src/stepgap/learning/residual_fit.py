@@ -43,7 +43,7 @@ def fit_residual(
         residual: Name of an installed model, `auto`, or a model itself.
         observations: Observations to learn from.
         lagged_inputs: Inputs from the step before; those that the model always has are added.
-        forgetting_time: Number of steps in which the influence of a step falls to 1/e; inf: it never falls.
+        forgetting_time: As in `HistoryInputs` [steps].
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
 
     Raises:

@@ -118,14 +118,14 @@ class SparseGaussianProcess(GaussianProcess):
         leverage = (self.posterior.factor.solve(features) ** 2).sum(axis=0) / ratio
         error = self.values - features.T @ self.posterior.mean
         kept = np.maximum(1 - leverage, np.finfo(float).tiny)
-        variance = self._unexplained(features) + ratio * leverage / kept
+        variance = self._conditional_variance(features) + ratio * leverage / kept
         return self.values - error / kept, np.hypot(signal * np.sqrt(variance), noise)
 
     def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
         """Leave-block-out predictions, at the same inducing points."""
         signal, noise, ratio = self.hyper_parameters.signal_std, self.hyper_parameters.noise_std, self._noise_ratio
         features, posterior = self._features(self.points), self.posterior
-        mean, variance = np.full(len(self.values), np.nan), self._unexplained(features)
+        mean, variance = np.full(len(self.values), np.nan), self._conditional_variance(features)
         for block in blocks:
             inside = features[:, block]
             others = WeightPosterior(
@@ -169,11 +169,11 @@ class SparseGaussianProcess(GaussianProcess):
     def _variance(self, query: Array) -> Array:
         features = self._features(query)
         # The last feature is the constant, which the factor eliminates last: without it, β is treated as exact.
-        return self._unexplained(features) + (self.posterior.factor.solve(features)[:-1] ** 2).sum(axis=0)
+        return self._conditional_variance(features) + (self.posterior.factor.solve(features)[:-1] ** 2).sum(axis=0)
 
     def _kriging_variance(self, query: Array) -> Array:
         features = self._features(query)
-        return self._unexplained(features) + (self.posterior.factor.solve(features) ** 2).sum(axis=0)
+        return self._conditional_variance(features) + (self.posterior.factor.solve(features) ** 2).sum(axis=0)
 
     def _half_variance_gradient(self, query: Array) -> Array:
         features = self._features(query)
@@ -197,7 +197,7 @@ class SparseGaussianProcess(GaussianProcess):
         """φ of queries (Q, d); shape (F, Q)."""
         return _features(self.covariance, self.inducing_factor, query)
 
-    def _unexplained(self, features: Array) -> Array:
+    def _conditional_variance(self, features: Array) -> Array:
         """Variance of f given f at the inducing points [signal²]; shape (Q,)."""
         return np.maximum(1 - (features[: len(self.inducing)] ** 2).sum(axis=0), 0)
 

@@ -71,12 +71,14 @@ def _recover_models(folder: Path, out: Path, steps: StepLog) -> list[str]:
     """Copies the models of the recorded deployments that can be read; returns the faults of the others."""
     faults = []
     for iteration in steps.iterations:
-        source, target = model_path(folder, iteration), model_path(out, iteration)
         try:
-            if read_model(folder, iteration, steps.space) is not None:
-                write_whole(target, source.read_bytes())
+            if read_model(folder, iteration, steps.space) is None:
+                continue
+            content = model_path(folder, iteration).read_bytes()
         except (ValueError, OSError) as error:
             faults.append(f"{error}; left out")
+        else:
+            write_whole(model_path(out, iteration), content)
     return faults
 
 

@@ -35,7 +35,7 @@ def curve_along(residual: Residual, space: StepSpace, point: Array, index: int) 
     Args:
         residual: Residual, conditioned on the history of the step if it has history inputs.
         space: Ranges of the coordinates; the curve covers the range and the point.
-        point: State and applied command of the present step; shape (n + m,).
+        point: State and requested command of the present step; shape (n + m,).
         index: Index of the varied coordinate.
     """
     quantity, present = (*space.state, *space.command)[index], point[index]

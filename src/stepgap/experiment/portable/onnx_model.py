@@ -246,8 +246,8 @@ def _process_std(graph: _Graph, part: Mapping[str, Any], kernel: str, linear: st
     features = graph.op("Concat", white, scaled, one, axis=-1)
     rows = np.linalg.inv(np.array(part["weight_factor"]))
     response = graph.times(features, (rows[:-1] if part["constant_is_exact"] else rows).T)
-    conditional = graph.op("Sub", graph.constant(1.0), graph.squares(white))
-    variance = graph.plus(graph.op("Max", conditional, graph.constant(0.0)), graph.squares(response))
+    conditional_variance = graph.op("Sub", graph.constant(1.0), graph.squares(white))
+    variance = graph.plus(graph.op("Max", conditional_variance, graph.constant(0.0)), graph.squares(response))
     return graph.op("Mul", graph.constant(float(part["signal_std"])), graph.op("Sqrt", variance))
 
 
