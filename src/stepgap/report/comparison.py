@@ -46,15 +46,7 @@ def comparison_html(records: Sequence[RunRecord]) -> str:
     Raises:
         ValueError: There are too few or too many runs, or their states differ.
     """
-    if not 2 <= len(records) <= MOST_RUNS:
-        raise ValueError(f"{len(records)} runs to compare, but there must be 2 to {MOST_RUNS}")
-    space = records[0].space
-    for record in records:
-        if record.space.state_names != space.state_names:
-            raise ValueError(
-                f"{record.folder}: its state is {', '.join(record.space.state_names)}, but that of "
-                f"{records[0].folder} is {', '.join(space.state_names)}; only runs of the same state can be compared"
-            )
+    _check(records)
     names = run_names([record.folder for record in records])
 
     def errors() -> object:
@@ -91,6 +83,19 @@ def comparison_html(records: Sequence[RunRecord]) -> str:
             section("settings", "Settings and versions that differ", _settings(records, names)),
         ],
     )
+
+
+def _check(records: Sequence[RunRecord]) -> None:
+    """Raises ValueError unless the runs can be compared."""
+    if not 2 <= len(records) <= MOST_RUNS:
+        raise ValueError(f"{len(records)} runs to compare, but there must be 2 to {MOST_RUNS}")
+    first = records[0]
+    for record in records:
+        if record.space.state_names != first.space.state_names:
+            raise ValueError(
+                f"{record.folder}: its state is {', '.join(record.space.state_names)}, but that of {first.folder} is "
+                f"{', '.join(first.space.state_names)}; only runs of the same state can be compared"
+            )
 
 
 def _side_by_side(tables: Sequence[str]) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 
 from stepgap.rigs.ethercat.distributed_clocks import SYNC0_ONLY
 from stepgap.rigs.ethercat.emulator.drive import ELMO_GOLD
@@ -81,36 +82,25 @@ def emulated_settings(
     rated = ring.rated_torque / 1000
     most = min(robot.torque_limit, rated * ring.largest_torque / 1000)
 
-    def motor(slave: str) -> Motor:
-        return Motor(
-            slave=slave,
-            counts_per_turn=sensor_model.motor_counts,
-            rated_torque=rated,
-            torque_limit=most,
-            temperature_unit=0.1,
-            temperature_warning=80.0,
-            temperature_limit=90.0,
-            bus_voltage=(30.0, 65.0),
-            sto_bits=(16, 17),
-            enable_bits=(18,),
-        )
-
+    drive = Motor(
+        slave="drive_1",
+        counts_per_turn=sensor_model.motor_counts,
+        rated_torque=rated,
+        torque_limit=most,
+        temperature_unit=0.1,
+        temperature_warning=80.0,
+        temperature_limit=90.0,
+        bus_voltage=(30.0, 65.0),
+        sto_bits=(16, 17),
+        enable_bits=(18,),
+    )
     return RigSettings(
         interface=interface,
         pivot_height=sensor_model.pivot_height,
-        slaves=tuple(
-            Slave(
-                name=name,
-                vendor=identity.vendor,
-                product=identity.product,
-                pdos=pdos,
-                assign_activate=SYNC0_ONLY if name in ring.clocks.need_sync0 else 0,
-            )
-            for name, identity, pdos in _DEVICES
-        ),
+        slaves=_slaves(ring),
         pdo_sets=(_DRIVE_PDOS,),
-        motor_1=motor("drive_1"),
-        motor_2=motor("drive_2"),
+        motor_1=drive,
+        motor_2=replace(drive, slave="drive_2"),
         boom_horizontal=Encoder(slave="boom_horizontal", counts_per_turn=sensor_model.boom_counts_horizontal),
         boom_vertical=Encoder(slave="boom_vertical", counts_per_turn=sensor_model.boom_counts_vertical),
         contact=Contact(
@@ -123,6 +113,20 @@ def emulated_settings(
         tick=sensor_model.tick,
         reply_timeout=PATIENT_REPLY if ring.lock_step else sensor_model.tick / 2,
         watchdog=PATIENT_WATCHDOG if ring.lock_step else 0.05,
+    )
+
+
+def _slaves(ring: RingSettings) -> tuple[Slave, ...]:
+    """The devices, with SYNC0 where the ring needs it."""
+    return tuple(
+        Slave(
+            name=name,
+            vendor=identity.vendor,
+            product=identity.product,
+            pdos=pdos,
+            assign_activate=SYNC0_ONLY if name in ring.clocks.need_sync0 else 0,
+        )
+        for name, identity, pdos in _DEVICES
     )
 
 
