@@ -20,7 +20,6 @@ from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_log import TickLog
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.steps_csv import RecordError, StepWriter, read_step_log
-from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.dynamics import masses_of
 from stepgap.robots.hopper.kinematics import TRUE_UNITS
 from stepgap.robots.hopper.leg import foot, four_bar
@@ -29,6 +28,7 @@ from stepgap.robots.hopper.tick import TICK_UNITS
 from stepgap.step import StepStatus
 from tests.quick_runs import leave_out_repeats, leave_out_report
 from tests.rig_ticks import LOG_UNITS, rig_rows
+from tests.rigs.ethercat.ring_process import skipping_without_network
 
 TARGETS = "speed,height\n0.1,0.56\n0.2,0.58\n0.2,0.58\n"
 
@@ -137,10 +137,8 @@ def test_a_deployment_that_ended_without_an_apex(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_repeats", "no_report")
 def test_a_run_on_the_ring_is_simulated_again_without_the_ring(tmp_path: Path) -> None:
     pytest.importorskip("pysoem", reason="pysoem is locked for Linux only")
-    try:
+    with skipping_without_network():
         run = run_of(tmp_path, "--plant", "emulated-ring", "--iterations", "0", "--debug")
-    except RigFault as fault:
-        pytest.skip(str(fault))
     assert set(replay(run, 0, every=100)["step"]) == {0, 1, 2, 3}
 
 

@@ -208,7 +208,11 @@ class RingRig(Rig):
         except NoNetwork as reason:
             raise RigFault(str(reason)) from None
         self._rig = hopper_on_ethercat(self._settings, self._robot)
-        self._running.enter_context(self._rig)
+        try:
+            self._running.enter_context(self._rig)
+        except BaseException:
+            self.close()  # or the ring would keep its interface
+            raise
 
     def read(self) -> Reading:
         """Reads the sensors as `EthercatRig.read` does."""
