@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib import rc_context
 from matplotlib.image import imread
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from stepgap.control.reference import paper_reference
 from stepgap.experiment.bands import interval_coverage
@@ -22,6 +23,7 @@ from stepgap.report.decimals import decimal
 from stepgap.report.drawing import LOOK
 from stepgap.report.figures import command_figure, error_figure, tracking_figure
 from stepgap.report.page import captions
+from stepgap.report.run_figures import draw_run_figures
 from stepgap.step import Quantity, StepSpace
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone, check_same_files
@@ -125,6 +127,19 @@ def test_writing_again_gives_the_same_bytes(written: Path, tmp_path: Path) -> No
     again = shutil.copytree(written, tmp_path / written.name, ignore=shutil.ignore_patterns("figures"))
     report_of(again)
     check_same_files(again, written, 4)
+
+
+def test_it_computes_with_one_thread_of_blas(written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    threads = set[int]()
+
+    def counted(*arguments: Any) -> Any:
+        threads.update(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
+        return draw_run_figures(*arguments)
+
+    monkeypatch.setattr("stepgap.report.draw_run_figures", counted)
+    with threadpool_limits(2, user_api="blas"):
+        report_of(shutil.copytree(written, tmp_path / "run"))
+    assert threads == {1}
 
 
 def test_curves_are_the_steps(written: Path) -> None:
