@@ -153,6 +153,7 @@ def live_ring(
         message = here.recv()
         if message:
             process.join()
+            assert "exists" not in message, f"another test left its ring: {message}"
             pytest.skip(message)
         try:
             yield LiveRing(here)
