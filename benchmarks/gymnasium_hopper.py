@@ -18,7 +18,7 @@ from time import perf_counter, process_time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.base.settled_heap import settled_heap
+from stepgap.base.garbage_collection import settled_heap
 from stepgap.control.cautious_controller import CautiousController
 from stepgap.experiment.deployment import tracking_plan
 from stepgap.experiment.nominal import load_nominal

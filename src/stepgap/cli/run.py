@@ -259,7 +259,7 @@ def _execute(
     ready: Prepared, plants: "Plants", recorder: "TickRecorder", live: "LiveView | None", display: Display
 ) -> None:
     """Runs the experiment and displays its progress."""
-    from stepgap.base.settled_heap import settled_heap
+    from stepgap.base.garbage_collection import settled_heap
     from stepgap.cli.progress import RunProgress, printing_events
     from stepgap.experiment.loop import run_experiment
 

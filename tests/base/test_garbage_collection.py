@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from stepgap.base.settled_heap import settled_heap
+from stepgap.base.garbage_collection import paused_collection, settled_heap
 
 
 @pytest.fixture(autouse=True)
@@ -45,3 +45,18 @@ def test_what_the_caller_froze_remains_frozen() -> None:
         assert gc.get_freeze_count() == count
     assert gc.get_freeze_count() == count
     gc.unfreeze()
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_a_pause_ends_as_it_began(enabled: bool) -> None:
+    def fail() -> None:
+        assert not gc.isenabled()
+        raise ZeroDivisionError
+
+    (gc.enable if enabled else gc.disable)()
+    try:
+        with pytest.raises(ZeroDivisionError), paused_collection():
+            fail()
+        assert gc.isenabled() == enabled
+    finally:
+        gc.enable()
