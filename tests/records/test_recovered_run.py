@@ -49,9 +49,9 @@ def damaged(whole: Path, folder: Path, line: int) -> Path:
 def test_the_error_of_a_full_disk_names_the_new_file(whole: Path, tmp_path: Path, file: str) -> None:
     folder = damaged(whole, tmp_path / "run", len(REFERENCE) + 3)
     (folder / "experiment.toml").write_text("# " + 200 * "-")
-    before = {"experiment.toml": [], "models/iteration_1.json": ["experiment.toml"]}
-    for written in before.get(file, ["experiment.toml", "models/iteration_1.json", "summary.json"]):
-        (folder / written).unlink()
+    order = ["experiment.toml", "models/iteration_1.json", "summary.json", "steps.csv"]
+    for written_before in order[: order.index(file)]:
+        (folder / written_before).unlink()
     with largest_file(100), pytest.raises(InputError) as error:
         recover_file(folder, tmp_path / "out")
     assert str(error.value) == f"{tmp_path / 'out' / file}: {FILE_TOO_LARGE}"

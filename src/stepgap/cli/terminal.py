@@ -53,7 +53,7 @@ def check_consent(asked_by: str) -> None:
 
 
 def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
-    """Decorator that makes a verb announce compilation on stderr, unless it is quiet, and name the folder of errors."""
+    """Decorator of a verb that may compile: it announces this on stderr, unless quiet; a cache error names the folder."""
 
     @wraps(verb)
     def announcing(*arguments: Any, **options: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stepgap.base.files import write_whole
+from stepgap.base.files import naming
 from stepgap.experiment.bands import hops_to_band, tracking_errors
 from stepgap.experiment.cases.case_folder import checked_name
 from stepgap.experiment.cases.plan import CaseOutput
@@ -43,7 +43,9 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
     with TemporaryDirectory(prefix="stepgap_") as name:
         folder = Path(name)
         for file, text in case["files"].items():
-            write_whole(folder / checked_name(file), text)
+            path = folder / checked_name(file)
+            with naming(path):
+                path.write_text(text, encoding="utf-8", newline="")
         settings = read_experiment(folder / "experiment.toml")
         nominal = load_nominal(settings).map
         reference, known = load_reference(settings, nominal.space), load_known(settings, nominal.space)

@@ -13,7 +13,7 @@ from typing import Final
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import write_whole
+from stepgap.base.files import naming
 from stepgap.experiment.portable.fmu.description import IDENTIFIER, FmiVersion, build_description, model_description
 from stepgap.step import StepSpace
 
@@ -103,7 +103,8 @@ def _compiled(texts: Mapping[str, str], main: str, suffix: str) -> bytes:
     with TemporaryDirectory() as name:
         folder = Path(name)
         for file, text in texts.items():
-            write_whole(folder / file, text)
+            with naming(folder / file):
+                (folder / file).write_text(text, "utf-8")
         target = folder / f"{IDENTIFIER}{suffix}"
         command = [compiler, *FLAGS, "-o", target.name, main, "controller.c", "-lm"]
         try:
