@@ -53,7 +53,7 @@ def check_consent(asked_by: str) -> None:
 
 
 def announces_compilation(verb: Callable[..., None]) -> Callable[..., None]:
-    """Decorator of a verb that may compile: it announces this on stderr, unless quiet; a cache error names the folder."""
+    """Decorator of a verb that may compile: it says so on stderr, unless quiet, and errors of the cache name it."""
 
     @wraps(verb)
     def announcing(*arguments: Any, **options: Any) -> None:
