@@ -15,7 +15,7 @@ from stepgap.plants.plant import RepeatablePlant
 from stepgap.plants.ticks.stream import OnTicks
 from stepgap.robots.mjcf.mjcf_gap import MjcfGap
 from stepgap.robots.mjcf.mjcf_kinematics import tick_row
-from stepgap.robots.mujoco_log import leave_out_log_file
+from stepgap.robots.mujoco_callbacks import set_mujoco_callbacks
 from stepgap.robots.robot import Simulation
 from stepgap.step import Array, StepRecord, StepSpace, StepStatus
 
@@ -37,7 +37,7 @@ class MjcfStepper:
 
     def __init__(self, robot: "MjcfRobot", gap: MjcfGap, rng: np.random.Generator):
         self._robot, self._gap, self._rng = robot, gap, rng
-        leave_out_log_file()
+        set_mujoco_callbacks()
         self._model = gap.of(robot.mjcf_model())
         self._data = mujoco.MjData(self._model)
         self._section, self._substeps = robot.section(), max(1, round(robot.tick / self._model.opt.timestep))

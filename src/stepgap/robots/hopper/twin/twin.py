@@ -35,7 +35,7 @@ from stepgap.robots.hopper.twin.run_ticks import NO_NUMBER, NO_TORQUE, run_ticks
 from stepgap.robots.hopper.twin.true_apex import TrueApex, update_apex
 from stepgap.robots.hopper.twin.true_state import TrueState, true_state
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
-from stepgap.robots.mujoco_log import leave_out_log_file
+from stepgap.robots.mujoco_callbacks import set_mujoco_callbacks
 from stepgap.step import Array
 
 LONGEST_STEP = 2.5e-4
@@ -106,7 +106,7 @@ class Twin(CompiledRig):
         self._substeps = max(FEWEST_STEPS, ceil(tick / LONGEST_STEP - 1e-9))
         self._ground = ground or GroundProfile(gap, robot.boom_length, rng)
         self._sensor_model = twin_sensor_model(robot, gap, tick)
-        leave_out_log_file()
+        set_mujoco_callbacks()
         self._model = build_model(robot, gap, tick / self._substeps)
         self._data = mujoco.MjData(self._model)
         self._bind()
