@@ -120,7 +120,7 @@ def test_a_rigs_motion_comes_from_its_tick_logs(
     kinematics = find_kinematics(Experiment())
     for iteration in (0, 1):
         ticks = replay(finished, iteration)
-        rows = rig_rows(ticks.selected(TICK_UNITS).rows, RigState.HOP)
+        rows = rig_rows(ticks.selected(TICK_UNITS).rows, RigState.STEP)
         with TickLog(Path(f"run/ticks/ticks-{iteration}.mcap"), LOG_UNITS) as log:
             log.append(rows)
     settings = Path("run/experiment.toml")

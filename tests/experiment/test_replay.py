@@ -146,7 +146,7 @@ def write_log(run: Path, replayed: TickTable, iteration: int) -> None:
     """Writes the log of a rig that moves like the twin: limp, held up, hopping, landing."""
     ticks = replayed.selected(TICK_UNITS).rows
     unread = np.array([ticks[-1, 0], *[np.nan] * (len(TICK_UNITS) - 1)])
-    parts = [(ticks[:30], RigState.READY), (ticks[:20], RigState.STAND), (ticks, RigState.HOP)]
+    parts = [(ticks[:30], RigState.READY), (ticks[:20], RigState.STAND), (ticks, RigState.STEP)]
     parts += [(ticks[-700:], RigState.STOP), (unread[None], RigState.FAULT)]
     rows = [rig_rows(part, state) for part, state in parts]
     path = run / "ticks" / f"ticks-{iteration}.mcap"

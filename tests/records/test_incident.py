@@ -39,7 +39,7 @@ def stopped_rows() -> np.ndarray:
     column = dict(zip(UNITS, rows.T, strict=True))
     column["time"][:] = 1e-3 * np.arange(COUNT)
     column["state"][:] = RigState.STAND
-    column["state"][2000:] = RigState.HOP
+    column["state"][2000:] = RigState.STEP
     column["state"][FAULT:] = RigState.FAULT
     column["phase"][2300:] = 1
     column["limited"][[2200, 2201]] = 1, 3
@@ -73,18 +73,18 @@ def test_the_changes_before_a_fault_are_listed_in_their_order(log: Path):
     found = read_incident(log, 1.0)
     assert (found.fault, found.time, found.begin) == (True, 2.5, 1.5)
     assert [(round(change.time, 6), change.text) for change in changes_of(found)] == [
-        (2.0, "state: STAND → HOP"),
+        (2.0, "state: STAND → STEP"),
         (2.2, "limited: torque, in 2 ticks"),
         (2.201, "limited: torque step, in 1 tick"),
         (2.3, "phase: FLIGHT → STANCE"),
         (2.4, "late by 2.50 ms"),
         (2.499, "drive_statusword: operation enabled → fault"),
-        (2.5, "state: HOP → FAULT"),
+        (2.5, "state: STEP → FAULT"),
         (2.5, "message: the speed is 8.5"),
     ]
     assert [change.text for change in changes_of(read_incident(log, 0.05))] == [
         "drive_statusword: operation enabled → fault",
-        "state: HOP → FAULT",
+        "state: STEP → FAULT",
         "message: the speed is 8.5",
     ]
 

@@ -76,7 +76,7 @@ def test_a_rigs_motion_comes_from_its_tick_log(copy: Path) -> None:
     source = Source(copy)
     source.settings = source.settings.__class__(plant="ethercat", rig="elsewhere.toml")
     with TickLog(copy / "ticks" / "ticks-0.mcap", LOG_UNITS) as log:
-        log.append(rig_rows(table.selected(TICK_UNITS).rows, RigState.HOP))
+        log.append(rig_rows(table.selected(TICK_UNITS).rows, RigState.STEP))
     hops = found(source, 0)
     for step, hop in enumerate(hops):
         time = table["time"][table["step"] == step]

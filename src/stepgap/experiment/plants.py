@@ -20,7 +20,7 @@ from stepgap.plants.commissioning.proof import proven
 from stepgap.plants.plant import Plant
 from stepgap.plants.process.line_channel import Child, Connection
 from stepgap.plants.process.process_plant import ProcessPlant
-from stepgap.plants.realtime.consent import hold_key_to_hop, supervised
+from stepgap.plants.realtime.consent import supervised
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.realtime_plant import RealtimePlant
@@ -110,7 +110,7 @@ def _of_rig(settings: Experiment, arm: bool, logs: Path) -> Plants:
             f"--plant {settings.plant}: gives torque only with --arm; `stepgap rig dry-run` tests all but torque"
         )
     simulated = require_limits(settings.rig, limits).simulated
-    loop, consent = supervised(LoopSettings(), hold_key_to_hop, simulated)
+    loop, consent = supervised(LoopSettings(), control.consent_request, simulated)
     setup = RealtimeSetup(make_rig, control, loop)
 
     def require_proofs() -> None:

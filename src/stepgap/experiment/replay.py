@@ -106,7 +106,7 @@ def logged_ticks(folder: Path, steps: Sequence[LoggedStep], settings: Experiment
     try:
         ticks = TickTable(*read_ticks(path))
         ends = control.step_ends(ticks)
-        ends = ends[ticks["state"][ends] == RigState.HOP]
+        ends = ends[ticks["state"][ends] == RigState.STEP]
     except (TickLogError, ValueError) as error:
         raise InputError(str(error)) from None
     step = np.searchsorted(ends, np.arange(len(ticks)))  # the tick that ends a step belongs to it

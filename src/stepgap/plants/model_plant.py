@@ -11,7 +11,7 @@ class ModelPlant(RepeatablePlant):
 
     Args:
         step_map: True map of the plant.
-        start_state: State at the first apex; shape (n,).
+        start_state: First state at the section; shape (n,).
         noise: Standard deviation of the noise that is added to every next state; shape (n,).
         rng: Random generator that draws the noise.
     """

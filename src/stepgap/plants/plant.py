@@ -11,8 +11,8 @@ from stepgap.step import Array, StepRecord, StepSpace
 class Plant(ABC):
     """Executes steps, one deployment at a time.
 
-    Use it as a context manager, which stops it in every case; inside, `start` returns the state at the first apex
-    and `take_step` runs from the present apex to the next.
+    Use it as a context manager, which stops it in every case; inside, `start` returns the first state at the
+    section (of a hopper, the apex), and `take_step` runs from there to the next.
     """
 
     @property
@@ -27,7 +27,7 @@ class Plant(ABC):
 
     @abstractmethod
     def start(self) -> Array:
-        """Releases the robot and returns the state at its first apex; shape (n,)."""
+        """Releases the robot and returns its first state at the section; shape (n,)."""
 
     @abstractmethod
     def take_step(self, command: Array) -> StepRecord:

@@ -15,8 +15,6 @@ STEP_ENDED, FAILED, _UNREADABLE = (
 )  # fmt: skip
 
 
-NO_TORQUES = (0.0, 0.0)
-
 TICKS_AT_ONCE = 32
 """Ticks of a compiled rig between two looks at Ctrl-C: about a millisecond of computing."""
 
@@ -53,7 +51,8 @@ class RigPlant(Plant):
         """Resets control and time for a new deployment."""
         self._control = self._robot_control.control(self._rig)
         self._time, self._status, self._fault, self._number = 0.0, StepStatus.OK, "", 0
-        self._applied: Torques | None = NO_TORQUES
+        self._no_torques = (0.0,) * self._control.motors
+        self._applied: Torques | None = self._no_torques
 
     @property
     def space(self) -> StepSpace:
@@ -66,10 +65,10 @@ class RigPlant(Plant):
         return self._fault
 
     def start(self) -> Array:
-        """Connects, holds the landing posture until the robot is released, and hops once without command.
+        """Connects, holds the posture until the robot is released, and takes a step without a command.
 
         Raises:
-            RigFault: The rig cannot be connected, or the first hop failed.
+            RigFault: The rig cannot be connected, or the first step failed.
         """
         self._rig.connect()
         self._begin()
@@ -77,13 +76,13 @@ class RigPlant(Plant):
         if self._status != StepStatus.OK:
             detail = f" ({self._fault})" if self._fault else ""
             raise RigFault(
-                f"the first hop failed: {self._status.label}{detail}: {ADVICE[self._status]}; "
-                "on the twin, check whether a robot with the differences in [gap] can hop"
+                f"the first step failed: {self._status.label}{detail}: {ADVICE[self._status]}; "
+                "on a simulated robot, check whether it can step with the differences in [gap]"
             )
         return self._state
 
     def take_step(self, command: Array) -> StepRecord:
-        """Hops once; after a fall, a fault or a safety stop the record has no next state, and torque is off."""
+        """Takes a step; after a fall, a fault or a safety stop the record has no next state, and torque is off."""
         command = np.asarray(command, float)
         within = np.clip(command, self._space.command_lower, self._space.command_upper)
         state = self._state
@@ -101,10 +100,10 @@ class RigPlant(Plant):
         self._rig.close()
 
     def _step(self, command: tuple[float, ...]) -> FinishedStep:
-        """Runs the ticks of one step, from just after an apex to just after the next; its result."""
+        """Runs the ticks of one step; its result."""
         control, order = self._control, Order(Mode.STEP, 1.0, command)
         while self._status == StepStatus.OK:
-            run = self._run(order, self._applied or NO_TORQUES)
+            run = self._run(order, self._applied or self._no_torques)
             self._time, self._applied = run.time, run.applied
             if self._on_ticks and len(run.rows):
                 self._on_ticks(run.rows, self._number)

@@ -7,7 +7,7 @@ hidden behind them.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -57,16 +57,12 @@ class Order(NamedTuple):
     Attributes:
         mode: Task of the robot.
         share: Fraction of the torque in POSTURE; fraction of the landing time that has passed in LAND. From 0 to 1.
-        command: Command of the step, within bounds; NaN while there is none. The first one that comes in time acts.
+        command: Command of the step within bounds, m numbers; NaN while there is none. The first one in time acts.
     """
 
     mode: Mode
     share: float
     command: tuple[float, ...]
-
-
-NO_COMMAND = (float("nan"), float("nan"))
-"""Command of an order without a command."""
 
 
 class FinishedStep(NamedTuple):
@@ -84,6 +80,22 @@ class FinishedStep(NamedTuple):
     lost: Array
     yaw: float
 
+    @classmethod
+    def stopped(cls, space: StepSpace) -> Self:
+        """Result of a step that was stopped before its end, without a command."""
+        no_command = np.full(len(space.command), np.nan)
+        return cls(np.full(len(space.state), np.nan), no_command, np.zeros(len(space.command)), np.nan)
+
+    @property
+    def requested(self) -> Array:
+        """Command that was requested of the control laws, zero if none came in time; shape (m,)."""
+        return np.nan_to_num(self.command)
+
+    @property
+    def applied(self) -> Array:
+        """Command that was actually applied; shape (m,)."""
+        return self.requested - self.lost
+
 
 class TickControl(ABC):
     """A robot's state estimator, control laws and safety function, with their state from tick to tick."""
@@ -92,6 +104,11 @@ class TickControl(ABC):
     @abstractmethod
     def units(self) -> Mapping[str, str]:
         """Fields of a row of the tick log, with their units; the first is the time."""
+
+    @property
+    @abstractmethod
+    def motors(self) -> int:
+        """Number of torques that a tick returns."""
 
     @abstractmethod
     def tick(
@@ -156,6 +173,11 @@ class RobotControl(ABC):
     @abstractmethod
     def units(self) -> Mapping[str, str]:
         """Fields of a row of the tick log, with their units; the first is the time."""
+
+    @property
+    @abstractmethod
+    def consent_request(self) -> str:
+        """What a person is asked before the motors get torque: where the robot must be, and what it is going to do."""
 
     @abstractmethod
     def meaning(self, rig: Rig) -> FieldMeaning:

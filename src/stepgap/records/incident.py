@@ -87,7 +87,7 @@ def read_incident(path: Path, seconds: float) -> Incident:
     states = ticks["state"]
     faults = np.flatnonzero(states == RigState.FAULT)
     time = float(ticks["time"][faults[0] if len(faults) else -1])
-    fault = bool(len(faults)) or states[-1] in (RigState.STAND, RigState.HOP)
+    fault = bool(len(faults)) or states[-1] in (RigState.STAND, RigState.STEP)
     return Incident(path, ticks, description, events, damage, fault, time, time - seconds)
 
 

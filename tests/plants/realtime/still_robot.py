@@ -5,7 +5,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import nan
 
 import numpy as np
 
@@ -19,6 +18,10 @@ from stepgap.rigs.still_rig import StillRig
 from stepgap.step import Quantity, StepSpace, StepStatus
 
 UNITS = {"time": "s", "position": "rad"}
+SPACE = StepSpace(
+    (Quantity("speed", "m/s", 0.0, 1.0),),
+    (Quantity("fx", "N", -1.0, 1.0), Quantity("fy", "N", -1.0, 1.0), Quantity("angle", "rad", -1.0, 1.0)),
+)
 
 
 class StillControl(TickControl):
@@ -30,6 +33,10 @@ class StillControl(TickControl):
     @property
     def units(self) -> Mapping[str, str]:
         return UNITS
+
+    @property
+    def motors(self) -> int:
+        return 1
 
     def tick(
         self,
@@ -50,7 +57,7 @@ class StillControl(TickControl):
         return self.failed_step(None)
 
     def failed_step(self, applied: Torques | None) -> FinishedStep:
-        return FinishedStep(np.full(2, nan), np.full(2, nan), np.zeros(2), nan)
+        return FinishedStep.stopped(SPACE)
 
     @property
     def status(self) -> StepStatus:
@@ -67,13 +74,15 @@ class StillRobot(RobotControl):
 
     @property
     def space(self) -> StepSpace:
-        return StepSpace(
-            (Quantity("speed", "m/s", 0.0, 1.0),), (Quantity("fx", "N", -1.0, 1.0), Quantity("fy", "N", -1.0, 1.0))
-        )
+        return SPACE
 
     @property
     def units(self) -> Mapping[str, str]:
         return UNITS
+
+    @property
+    def consent_request(self) -> str:
+        return "Hold the space bar."
 
     def meaning(self, rig: Rig) -> FieldMeaning:
         return FieldMeaning()

@@ -6,6 +6,7 @@ import sys
 import termios
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from io import StringIO
 from itertools import count
 from pathlib import Path
@@ -18,7 +19,7 @@ import pytest
 
 from stepgap.plants.realtime import consent
 from stepgap.plants.realtime.board import Board, Request
-from stepgap.plants.realtime.consent import hold_key, hold_key_to_hop, press_enter
+from stepgap.plants.realtime.consent import hold_key, press_enter
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.rigs.rig import RigFault
 from tests.plants.realtime.test_loop import COLUMN, Deployment
@@ -68,7 +69,7 @@ def pressing(terminal: int, key: bytes) -> Iterator[None]:
         finger.join()
 
 
-@pytest.mark.parametrize("ask", [hold_key_to_hop, press_enter])
+@pytest.mark.parametrize("ask", [partial(hold_key, "Hold the space bar."), press_enter])
 def test_without_a_terminal_nobody_is_asked_and_there_is_no_torque(
     ask: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,7 +150,7 @@ def torques(deployment: Deployment) -> np.ndarray:
 
 def test_without_the_key_there_is_no_torque_however_long_one_waits() -> None:
     with Deployment(release_time=RELEASE, hold=10.0) as deployment:
-        deployment.board.request = Request.HOP
+        deployment.board.request = Request.START
         for _ in range(2000):
             assert deployment.loop.tick()
         assert deployment.loop.state == RigState.READY
@@ -158,28 +159,28 @@ def test_without_the_key_there_is_no_torque_however_long_one_waits() -> None:
 
 def test_a_key_released_before_the_robot_hops_switches_torque_off() -> None:
     with Deployment(release_time=RELEASE) as deployment:
-        deployment.board.request = Request.HOP
+        deployment.board.request = Request.START
         assert not deployment.run(pressed_until(0.18, deployment))
         assert deployment.loop.state == RigState.FAULT
-        assert deployment.board.message == "the key was released before the robot hopped: torque is off"
+        assert deployment.board.message == "the key was released before the first step: torque is off"
         given = np.flatnonzero(torques(deployment).any(axis=1))
         assert 300 < given[-1] <= 1000 * (0.18 + RELEASE) + 1
 
 
 def test_a_key_released_while_the_robot_hops_lands_it() -> None:
     with Deployment(release_time=RELEASE, hold=0.9) as deployment:
-        deployment.board.request = Request.HOP
+        deployment.board.request = Request.START
         assert not deployment.run(pressed_until(1.6, deployment))
         assert deployment.board.message == "the key was released: the robot lands"
         states = [RigState(int(row[COLUMN["state"]])).name for row in deployment.rows]
-        assert list(dict.fromkeys(states)) == ["CALIBRATE", "READY", "STAND", "HOP", "STOP", "OFF"]
+        assert list(dict.fromkeys(states)) == ["CALIBRATE", "READY", "STAND", "STEP", "STOP", "OFF"]
         assert 1.6 + RELEASE <= 1e-3 * states.index("STOP") <= 1.6 + RELEASE + 2e-3
         assert deployment.rows[-1][COLUMN["measured_height"]] < 0.3, "it sits on the ground"
 
 
 def test_the_robot_hops_as_long_as_the_key_is_held() -> None:
     with Deployment(release_time=RELEASE) as deployment:
-        deployment.board.request = Request.HOP
+        deployment.board.request = Request.START
         press = pressed_until(60.0, deployment)
-        deployment.run(lambda: press() or deployment.board.hop(0) is not None)
-        assert deployment.loop.state == RigState.HOP
+        deployment.run(lambda: press() or deployment.board.finished(0) is not None)
+        assert deployment.loop.state == RigState.STEP

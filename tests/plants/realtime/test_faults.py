@@ -67,11 +67,11 @@ class Deployment:
     """A loop that hops the ring's robot, each hop with a command."""
 
     def __init__(self, rig):
-        self.rig, self.board, self.rows, self.ticks = rig, Board.create(), [], 0
+        self.rig, self.board, self.rows, self.ticks = rig, Board.create(2, 2), [], 0
         control = HopControl(rig.sensor_model, ROBOT, GAINS, rig.limits)
         times = LoopSettings(calibrate_time=0.05, stand_time=0.15, release_time=inf)
         self.loop = ControlLoop(rig, control, BOUNDS.space(), self.board, self.rows.append, times)
-        self.board.request = Request.HOP
+        self.board.request = Request.START
         self.hops = []
 
     def run(self, ticks):
@@ -79,9 +79,9 @@ class Deployment:
         for _ in range(ticks):
             if not self.loop.tick():
                 return False
-            if hop := self.board.hop(len(self.hops)):
+            if hop := self.board.finished(len(self.hops)):
                 self.hops.append(hop)
-                self.board.post_command(len(self.hops), *COMMAND)
+                self.board.post_command(len(self.hops), COMMAND)
         return True
 
 
@@ -157,7 +157,7 @@ def test_torque_is_off_for_good_and_the_log_explains_it_after(name, tmp_path):
         assert hopping.rows[-1][COLUMN["state"]] == RigState.FAULT
         check_torques(ring, hopping)
         explained = describe_incident(incident_of(hopping, tmp_path / "a.mcap"))
-        assert "state: HOP → FAULT\n" in explained
+        assert "state: STEP → FAULT\n" in explained
         assert expected in explained
         behind = ring.wait(round(WATCHDOG * 1000) + 5)
         assert behind.now == [0.0, 0.0]
@@ -180,7 +180,7 @@ def test_an_application_that_hangs_is_detected_by_the_motion():
 def test_a_command_that_is_not_finite_reaches_no_motor(bad):
     with deployment() as (ring, hopping):
         assert hopping.run(HOPPING)
-        hopping.board.post_command(len(hopping.hops), bad, 0.0)
+        hopping.board.post_command(len(hopping.hops), (bad, 0.0))
         hopping.hops.append(None)
         hopping.run(3000)
         check_torques(ring, hopping)

@@ -26,7 +26,7 @@ class Deployment:
     """A loop on the twin, and its log."""
 
     def __init__(self, alive=lambda: True, hold=1.0, limits=LIMITS, release_time=inf):
-        self.rows, self.board = [], Board.create()
+        self.rows, self.board = [], Board.create(2, 2)
         self.twin = Twin(ROBOT, RealityGap(), np.random.default_rng(0), hold=hold)
         self.twin.connect()
         control = HopControl(self.twin.sensor_model, ROBOT, GAINS, limits)
@@ -53,19 +53,19 @@ class Deployment:
     def hop(self, number):
         """Posts the command of a hop and runs ticks until it has ended."""
         if number:
-            self.board.post_command(number, *COMMAND)
-        self.run(lambda: self.board.hop(number) is not None)
+            self.board.post_command(number, COMMAND)
+        self.run(lambda: self.board.finished(number) is not None)
         return self.ended(number)
 
     def ended(self, number):
         """Result of a hop."""
-        hop = self.board.hop(number)
-        assert hop is not None
-        return hop
+        found = self.board.finished(number)
+        assert found is not None
+        return found
 
     def hopping(self):
         """Whether the first hop has ended."""
-        self.board.request = Request.HOP
+        self.board.request = Request.START
         return self.hop(0)
 
     def column(self, name):
@@ -90,13 +90,13 @@ def test_it_stands_gently_hops_as_commanded_and_lands():
         for number in (1, 2, 3):
             hop = deployment.hop(number)
             assert hop.status == StepStatus.OK
-            np.testing.assert_allclose((hop.applied_fx, hop.applied_fy), COMMAND, atol=0.5)
-            assert 0.5 < hop.height < 0.65
+            np.testing.assert_allclose(hop.result.applied, COMMAND, atol=0.5)
+            assert 0.5 < hop.result.state[1] < 0.65
         deployment.board.request = Request.STOP
         assert not deployment.run(lambda: False)
         states = deployment.column("state")
         assert [RigState(state).name for state in dict.fromkeys(states)] == [
-            "CALIBRATE", "READY", "STAND", "HOP", "STOP", "OFF",
+            "CALIBRATE", "READY", "STAND", "STEP", "STOP", "OFF",
         ]  # fmt: skip
         assert np.abs(deployment.torques).max() <= LIMITS.torque
         assert np.abs(np.diff(deployment.torques, axis=0)).max() <= LIMITS.torque_step * (1 + 1e-12)
@@ -105,7 +105,7 @@ def test_it_stands_gently_hops_as_commanded_and_lands():
         assert (np.abs(standing).max(axis=1) <= ramp + 1e-9).all()
         assert not deployment.torques[states == RigState.OFF].any()
         forces = deployment.column("contact_force")
-        assert forces[states == RigState.STOP].max() < forces[states == RigState.HOP].max(), "it lands softly"
+        assert forces[states == RigState.STOP].max() < forces[states == RigState.STEP].max(), "it lands softly"
         assert deployment.twin.true_state().hip[1] < 0.3, "it has sunk down"
 
 
@@ -113,10 +113,10 @@ def test_a_hop_without_a_command_has_none_and_two_in_a_row_land_the_robot():
     with Deployment() as deployment:
         deployment.hopping()
         assert deployment.hop(1).status == StepStatus.OK
-        deployment.run(lambda: deployment.board.hop(2) is not None)
+        deployment.run(lambda: deployment.board.finished(2) is not None)
         missed = deployment.ended(2)
         assert missed.status == StepStatus.OK
-        np.testing.assert_allclose((missed.applied_fx, missed.applied_fy), 0, atol=0.5)
+        np.testing.assert_allclose(missed.result.applied, 0, atol=0.5)
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.OFF
         assert "no command" in deployment.board.message
@@ -127,10 +127,10 @@ def test_a_command_after_mid_stance_counts_as_not_applied():
         deployment.hopping()
         pushing = 3
         deployment.run(lambda: deployment.rows[-1][COLUMN["phase"]] == pushing)
-        deployment.board.post_command(1, *COMMAND)
-        deployment.run(lambda: deployment.board.hop(1) is not None)
+        deployment.board.post_command(1, COMMAND)
+        deployment.run(lambda: deployment.board.finished(1) is not None)
         hop = deployment.ended(1)
-        np.testing.assert_allclose((hop.applied_fx, hop.applied_fy), 0, atol=0.5)
+        np.testing.assert_allclose(hop.result.applied, 0, atol=0.5)
 
 
 def test_the_robot_lands_if_the_learning_process_died():
@@ -138,7 +138,7 @@ def test_the_robot_lands_if_the_learning_process_died():
     with Deployment(alive=lambda: alive[0]) as deployment:
         deployment.hopping()
         alive[0] = False
-        deployment.board.post_command(1, *COMMAND)
+        deployment.board.post_command(1, COMMAND)
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.OFF
 
@@ -147,7 +147,7 @@ def test_the_robot_lands_if_the_learning_process_died():
 def test_a_command_that_is_not_finite_is_a_fault_without_torque(command):
     with Deployment() as deployment:
         deployment.hopping()
-        deployment.board.post_command(1, *command)
+        deployment.board.post_command(1, command)
         assert not deployment.run(lambda: False)
         assert deployment.loop.state == RigState.FAULT
         assert "must be finite" in deployment.board.message
@@ -158,11 +158,11 @@ def test_a_command_that_is_not_finite_is_a_fault_without_torque(command):
 def test_a_command_beyond_its_bounds_acts_at_the_bound():
     with Deployment() as deployment:
         deployment.hopping()
-        deployment.board.post_command(1, 1e9, -1e9)
-        deployment.run(lambda: deployment.board.hop(1) is not None)
+        deployment.board.post_command(1, (1e9, -1e9))
+        deployment.run(lambda: deployment.board.finished(1) is not None)
         hop = deployment.ended(1)
-        assert hop.applied_fx <= BOUNDS.fx_upper + 1
-        assert hop.applied_fy >= BOUNDS.fy_lower - 1
+        assert hop.result.applied[0] <= BOUNDS.fx_upper + 1
+        assert hop.result.applied[1] >= BOUNDS.fy_lower - 1
 
 
 def test_the_software_stop_takes_torque_off_at_the_next_tick_for_good():

@@ -76,7 +76,7 @@ def test_torque_is_off_without_a_brake_and_the_log_explains_it(name, tmp_path):
         assert last.fields["state"] == RigState.FAULT
         assert describe_devices(hopping.rig, last.fields)["motor_2_sto"] == ("open" if name == "STO" else "closed")
         explained = describe_incident(incident_of(hopping, tmp_path / "a.mcap"))
-        for text in (expected, shown, "state: HOP → FAULT", "motor_2_temperature", "torque was off 0 ms after"):
+        for text in (expected, shown, "state: STEP → FAULT", "motor_2_temperature", "torque was off 0 ms after"):
             assert text in explained
 
 

@@ -101,7 +101,7 @@ def test_it_hops_lands_and_keeps_every_tick(tmp_path):
     assert np.isin(yaws, rows[:, COLUMN["boom_horizontal"]] * 2 * np.pi / 5000).all()
     np.testing.assert_allclose(np.diff(rows[:, 0]), 1e-3)
     states = [RigState(state).name for state in dict.fromkeys(rows[:, COLUMN["state"]])]
-    assert states == ["CALIBRATE", "READY", "STAND", "HOP", "STOP", "OFF"]
+    assert states == ["CALIBRATE", "READY", "STAND", "STEP", "STOP", "OFF"]
     description, events = read_description(tmp_path / "ticks-0.mcap")
     assert description.settings == "as in rig.toml"
     assert [event.text for event in events] == [FIRST_TICKS]
@@ -221,5 +221,5 @@ def test_an_emergency_stop_from_the_learning_side(tmp_path):
         session.board.stop_at_once()
         assert plant.take_step(COMMAND).status == StepStatus.STOPPED
         assert "emergency stop" in plant.fault
-        assert session.board.request == Request.HOP
+        assert session.board.request == Request.START
         check_off(ring)

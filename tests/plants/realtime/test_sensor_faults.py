@@ -68,7 +68,7 @@ def ticks_to_torque_off(tick, *faults):
         before = len(hopping.hops)
         assert not hopping.run(3 * LONGEST_HOP), "nothing stopped the robot"
         assert hopping.loop.state == RigState.FAULT
-        hops = [*hopping.hops[before:], hopping.board.hop(len(hopping.hops))]
+        hops = [*hopping.hops[before:], hopping.board.finished(len(hopping.hops))]
         torques = np.array(hopping.rows)[tick - 1 :, COLUMN["applied_1"] : COLUMN["applied_2"] + 1]
         given = torques[np.isfinite(torques).all(axis=1) & torques.any(axis=1)]
         hopping.rig.close()

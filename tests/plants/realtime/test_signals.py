@@ -34,9 +34,9 @@ setup = replace(SETUP, loop=times)
 with terminated_as_interrupted():
     session = Session(setup, sink)
     try:
-        while session.board.state != RigState.HOP:
+        while session.board.state != RigState.STEP:
             session.check()
-            session.board.request = Request.HOP
+            session.board.request = Request.START
             sleep(0.01)
         started = Path("started.part")
         started.write_text(f"{session.process_id} {session.board.name} {session._ring.name}")

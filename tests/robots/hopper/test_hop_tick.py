@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose
 
 from stepgap.base.compiled import AS_WRITTEN
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.plants.tick_control import NO_COMMAND, Mode, Order, TickFlag
+from stepgap.plants.tick_control import Mode, Order, TickFlag
 from stepgap.rigs.rig import HEALTHY, LOST, Health
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.estimator import FlightFit, fitted_apex, with_sample
-from stepgap.robots.hopper.hop_control import HopControl, HopperControl
+from stepgap.robots.hopper.hop_control import NO_COMMAND, HopControl, HopperControl
 from stepgap.robots.hopper.hop_state import HopState
 from stepgap.robots.hopper.hop_tick import tick
 from stepgap.robots.hopper.limits import SafetyLimits
@@ -246,7 +246,7 @@ AT_THE_SAME_TIME = """
 from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from stepgap.robots.hopper import CommandBounds, Gains, RobotParameters
-from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.hop_control import NO_COMMAND, HopperControl
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 control = HopperControl(RobotParameters(), Gains(), CommandBounds())

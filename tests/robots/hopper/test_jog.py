@@ -95,16 +95,16 @@ class HangingTwin(Rig):
 def jogged(motor: int, wiring: Wiring = RIGHT, gap: RealityGap = DAMPED, seed: int = 0):
     """Ticks of the trial of a motor, the message, and the true largest speed of a link [rad/s]."""
     rows, control = [], HopperJog(HopperControl(ROBOT, Gains(), CommandBounds()), motor)
-    board = Board.create()
+    board = Board.create(2, 2)
     try:
         with HangingTwin(wiring, gap, seed) as rig:
             settings = LoopSettings(stand_time=0.01, landing_time=0.01, release_time=inf)
             loop = ControlLoop(rig, control.control(rig), control.space, board, rows.append, settings)
-            board.request = Request.HOP
+            board.request = Request.START
             for _ in range(5000):
                 if not loop.tick():
                     break
-                if board.hop(0):
+                if board.finished(0):
                     board.request = Request.STOP
             else:
                 pytest.fail("it did not end")

@@ -66,8 +66,8 @@ def ticks_of_step(setup: RealtimeSetup, consent: Consent, settings: str) -> tupl
         with terminated_as_interrupted():
             session.await_ready()
             with consent(session.board):
-                session.board.request = Request.HOP
-                while session.board.hop(0) is None and not ended(session):
+                session.board.request = Request.START
+                while session.board.finished(0) is None and not ended(session):
                     session.check_sink()
                     sleep(_LOOK_EVERY)
     finally:

@@ -43,7 +43,7 @@ class Ticks:
 
 
 def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
-    """Runs a rig for a number of ticks, without a request to hop.
+    """Runs a rig for a number of ticks, without a request to step.
 
     Raises:
         RigFault: There was no tick at all.

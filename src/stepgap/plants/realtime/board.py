@@ -1,15 +1,19 @@
 """Messages between the real-time process and the learning process, in shared memory; neither waits for the other.
 
-Every field is 8 bytes at a multiple of 8, which processors write atomically. A command or a finished hop has a number
+Every field is 8 bytes at a multiple of 8, which processors write atomically. A command or a finished step has a number
 that is written last and read twice, so that an incomplete one is never used. This requires that stores become visible
 in their order, as on x86-64; on ARM it holds in practice, since the interpreter executes much code between two stores.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum
-from math import nan
+from itertools import accumulate, pairwise
 from multiprocessing.shared_memory import SharedMemory
 from typing import NamedTuple, Self
 
+import numpy as np
+
+from stepgap.plants.tick_control import FinishedStep
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.plants.ticks.tick_ring import attached_memory, created_memory
 from stepgap.step import StepStatus
@@ -19,68 +23,42 @@ LONGEST_MESSAGE = 2048
 
 
 class Field(IntEnum):
-    """Offsets of the fields, in words of 8 bytes."""
+    """Offsets of the fields, in words of 8 bytes; after `YAW` follow the vectors of the robot, and the message."""
 
-    REQUEST = 0
-    EMERGENCY_STOP = 1
-    COMMAND_NUMBER = 2
-    FX = 3
-    FY = 4
-    STATE = 5
-    HOP_NUMBER = 6
-    SPEED = 7
-    HEIGHT = 8
-    REQUESTED_FX = 9
-    REQUESTED_FY = 10
-    APPLIED_FX = 11
-    APPLIED_FY = 12
+    STATES = 0
+    COMMANDS = 1
+    REQUEST = 2
+    EMERGENCY_STOP = 3
+    COMMAND_NUMBER = 4
+    RIG_STATE = 5
+    STEP_NUMBER = 6
+    STATUS = 7
+    TICKS = 8
+    MISSED_TICKS = 9
+    WORST_LATENESS = 10
+    PRESSES = 11
+    MESSAGE_LENGTH = 12
     YAW = 13
-    STATUS = 14
-    TICKS = 15
-    MISSED_TICKS = 16
-    WORST_LATENESS = 17
-    PRESSES = 18
-    MESSAGE_LENGTH = 19
-    MESSAGE = 20
 
 
 class Request(IntEnum):
     """Request of a person to the real-time process."""
 
     NOTHING = 0
-    HOP = 1
+    START = 1
     STOP = 2
 
 
-class FinishedHop(NamedTuple):
-    """Result of a hop.
+class StepEnd(NamedTuple):
+    """How a step ended.
 
     Attributes:
-        number: Number of the hop, from 0 for the one that begins when the robot is released.
-        speed: Speed at the apex [m/s]; NaN for a failed hop.
-        height: Height at the apex [m]; NaN for a failed hop.
-        requested_fx: Forward command force that was requested of the joints [N]; zero if none came in time.
-        requested_fy: Upward command force that was requested of the joints [N].
-        applied_fx: Forward command force that was actually applied [N].
-        applied_fy: Upward command force that was actually applied [N].
-        yaw: Yaw of the robot at the apex [rad]; NaN for a failed hop.
-        status: OK, or the reason why there is no apex.
+        result: Its result.
+        status: OK, or the reason why there is no next state.
     """
 
-    number: int
-    speed: float
-    height: float
-    requested_fx: float
-    requested_fy: float
-    applied_fx: float
-    applied_fy: float
-    yaw: float
+    result: FinishedStep
     status: StepStatus
-
-    @classmethod
-    def stopped(cls, number: int, status: StepStatus = StepStatus.STOPPED) -> Self:
-        """Returns the result of a hop that was stopped before its apex."""
-        return cls(number, nan, nan, 0.0, 0.0, 0.0, 0.0, nan, status)
 
 
 class Board:
@@ -88,26 +66,37 @@ class Board:
 
     Args:
         memory: The shared memory, which `create` and `attach` open.
+        states: Number of state coordinates of the robot, n.
+        commands: Number of command coordinates of the robot, m.
     """
 
-    def __init__(self, memory: SharedMemory):
+    def __init__(self, memory: SharedMemory, states: int, commands: int):
         assert memory.buf is not None  # until it is closed
         self._memory = memory
-        self._words = memory.buf[: 8 * Field.MESSAGE].cast("q")
-        self._numbers = memory.buf[: 8 * Field.MESSAGE].cast("d")
-        self._message = memory.buf[8 * Field.MESSAGE :][:LONGEST_MESSAGE]
+        ends = accumulate((commands, states, commands, commands), initial=len(Field))
+        self._command, self._state, self._acted, self._lost = (slice(*pair) for pair in pairwise(ends))
+        length = self._lost.stop
+        self._words = memory.buf[: 8 * length].cast("q")
+        self._numbers = memory.buf[: 8 * length].cast("d")
+        self._message = memory.buf[8 * length :][:LONGEST_MESSAGE]
 
     @classmethod
-    def create(cls) -> Self:
-        """Creates a board, everything zero: no request, OFF, no command."""
-        board = cls(created_memory(8 * Field.MESSAGE + LONGEST_MESSAGE))
-        board._words[Field.COMMAND_NUMBER] = board._words[Field.HOP_NUMBER] = -1
+    def create(cls, states: int, commands: int) -> Self:
+        """Creates a board, everything zero: no request, OFF, no command; arguments as of the class."""
+        length = len(Field) + states + 3 * commands
+        board = cls(created_memory(8 * length + LONGEST_MESSAGE), states, commands)
+        board._words[Field.STATES], board._words[Field.COMMANDS] = states, commands
+        board._words[Field.COMMAND_NUMBER] = board._words[Field.STEP_NUMBER] = -1
         return board
 
     @classmethod
     def attach(cls, name: str) -> Self:
         """Opens the board that another process created."""
-        return cls(attached_memory(name))
+        memory = attached_memory(name)
+        assert memory.buf is not None  # until it is closed
+        with memory.buf[: 8 * len(Field)].cast("q") as words:
+            sizes = words[Field.STATES], words[Field.COMMANDS]
+        return cls(memory, *sizes)
 
     @property
     def name(self) -> str:
@@ -141,45 +130,50 @@ class Board:
         """Requests the software stop: torque off at the next tick. Only a contactor or STO is an emergency stop."""
         self._words[Field.EMERGENCY_STOP] = 1
 
-    def post_command(self, number: int, fx: float, fy: float) -> None:
-        """Posts the command force of a hop [N]."""
+    def post_command(self, number: int, command: Sequence[float]) -> None:
+        """Posts the command of a step; m numbers."""
         self._words[Field.COMMAND_NUMBER] = -1
-        self._numbers[Field.FX], self._numbers[Field.FY] = fx, fy
+        self._write(self._command, command)
         self._words[Field.COMMAND_NUMBER] = number
 
-    def command(self, number: int) -> tuple[float, float] | None:
-        """The command force of a hop [N]; None if it has not been posted."""
-        words, numbers = self._words, self._numbers
+    def command(self, number: int) -> tuple[float, ...] | None:
+        """The command of a step, m numbers; None if it has not been posted."""
+        words = self._words
         if words[Field.COMMAND_NUMBER] != number:
             return None
-        command = numbers[Field.FX], numbers[Field.FY]
+        command = tuple(self._numbers[self._command].tolist())
         return command if words[Field.COMMAND_NUMBER] == number else None
 
     @property
     def state(self) -> RigState:
         """State of the real-time process."""
-        return RigState(self._words[Field.STATE])
+        return RigState(self._words[Field.RIG_STATE])
 
     @state.setter
     def state(self, state: RigState) -> None:
-        self._words[Field.STATE] = state
+        self._words[Field.RIG_STATE] = state
 
-    def post_hop(self, hop: FinishedHop) -> None:
-        """Posts the result of a hop."""
-        self._words[Field.HOP_NUMBER] = -1
-        for field, value in enumerate(hop[1:-1], start=Field.SPEED):
-            self._numbers[field] = value
-        self._words[Field.STATUS] = hop.status
-        self._words[Field.HOP_NUMBER] = hop.number
+    def post_step(self, number: int, end: StepEnd) -> None:
+        """Posts how a step ended; the number of the one that begins when the robot is released is 0."""
+        step = end.result
+        self._words[Field.STEP_NUMBER] = -1
+        for part, values in ((self._state, step.state), (self._acted, step.command), (self._lost, step.lost)):
+            self._write(part, values.tolist())
+        self._numbers[Field.YAW], self._words[Field.STATUS] = step.yaw, end.status
+        self._words[Field.STEP_NUMBER] = number
 
-    def hop(self, number: int) -> FinishedHop | None:
-        """Result of a hop; None before it has ended and after the next one has ended."""
+    def finished(self, number: int) -> StepEnd | None:
+        """How a step ended; None before its end and after the end of the next one."""
         words, numbers = self._words, self._numbers
-        if words[Field.HOP_NUMBER] != number:
+        if words[Field.STEP_NUMBER] != number:
             return None
-        values = numbers[Field.SPEED : Field.STATUS].tolist()
-        found = FinishedHop._make((number, *values, StepStatus(words[Field.STATUS])))
-        return found if words[Field.HOP_NUMBER] == number else None
+        state, command, lost = (np.array(numbers[part].tolist()) for part in (self._state, self._acted, self._lost))
+        found = StepEnd(FinishedStep(state, command, lost, numbers[Field.YAW]), StepStatus(words[Field.STATUS]))
+        return found if words[Field.STEP_NUMBER] == number else None
+
+    def _write(self, part: slice, values: Sequence[float]) -> None:
+        for word, value in zip(range(part.start, part.stop), values, strict=True):
+            self._numbers[word] = value
 
     def count_tick(self, late: float, missed: int) -> None:
         """Counts a tick with its delay [s], and the ticks that were missed before it."""

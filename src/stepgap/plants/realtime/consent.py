@@ -63,15 +63,6 @@ def hold_key(request: str, board: Board) -> Iterator[None]:
             reader.join()
 
 
-hold_key_to_hop: Consent = partial(
-    hold_key,
-    "The robot must hang from its cord with its foot off the ground, and nobody may be within its reach. "
-    "Hold the space bar: it takes its landing posture within half a second; then lower it to the ground. "
-    "It lands when you release the key.",
-)
-"""`hold_key` before a robot hops."""
-
-
 @contextmanager
 def press_enter(board: Board) -> Iterator[None]:
     """Waits until a person presses Enter, which suffices for a simulated robot.
@@ -88,9 +79,15 @@ def press_enter(board: Board) -> Iterator[None]:
     yield
 
 
-def supervised(loop: LoopSettings, held: Consent, simulated: bool) -> tuple[LoopSettings, Consent]:
-    """Settings of a loop and the consent that it needs: a key that is held, but Enter alone for a simulated robot."""
-    return (replace(loop, release_time=inf), press_enter) if simulated else (loop, held)
+def supervised(loop: LoopSettings, request: str, simulated: bool) -> tuple[LoopSettings, Consent]:
+    """Settings of a loop and the consent that it needs: a key that is held, but Enter alone for a simulated robot.
+
+    Args:
+        loop: Settings for a real robot.
+        request: What a person is asked for, as `RobotControl.consent_request`.
+        simulated: Whether the robot is a simulation.
+    """
+    return (replace(loop, release_time=inf), press_enter) if simulated else (loop, partial(hold_key, request))
 
 
 def _terminal() -> int:

@@ -2,16 +2,16 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite, isnan, nan
+from math import inf, isfinite, nan
 from types import MappingProxyType
 
 import numpy as np
 
-from stepgap.plants.realtime.board import Board, FinishedHop, Request
+from stepgap.plants.realtime.board import Board, Request, StepEnd
 from stepgap.plants.realtime.pace import Pace
 from stepgap.plants.realtime.states import MOVING, Signals, next_state
 from stepgap.plants.tick_clock import TickClock
-from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, TickControl, TickFlag
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickControl, TickFlag
 from stepgap.plants.ticks.log_description import FieldMeaning
 from stepgap.plants.ticks.rig_state import RigState
 from stepgap.rigs.rig import DoubtfulSensor, Health, Reading, Rig, RigFault
@@ -39,9 +39,9 @@ class LoopSettings:
 
     Attributes:
         calibrate_time: Time for which the limp robot's sensors must be plausible [s].
-        stand_time: Time in which torque increases from zero while the landing posture is taken [s].
-        landing_time: Time in which a robot that is to stop lands and lowers its leg, until torque is switched off [s].
-        missed_commands: Largest number of consecutive hops without a command.
+        stand_time: Time in which torque increases from zero while the posture for the release is taken [s].
+        landing_time: Time in which a robot that is to stop ends its steps softly, until torque is switched off [s].
+        missed_commands: Largest number of consecutive steps without a command.
         release_time: Time without a press of the key by which a person consents to torque, after which it counts as
             released [s]; infinite where nobody holds a key, as with a simulated robot.
         tick_silence: Longest time without a tick [s]; then the real-time process is killed, and the watchdog of the
@@ -65,7 +65,7 @@ class ControlLoop:
         rig: The rig, connected.
         control: Tick control of the robot.
         space: Step space with the bounds of the command.
-        board: Gives requests and commands, and takes the results of hops.
+        board: Gives requests and commands, and takes the results of steps.
         log: Takes the row of every tick: the fields of the control, the rig's diagnostics, and those in `LOOP_UNITS`.
         settings: Durations and limits.
         alive: Returns whether the learning process is alive.
@@ -83,11 +83,13 @@ class ControlLoop:
     ):
         self._rig, self._control, self._board, self._log = rig, control, board, log
         self._settings, self._alive, self._tick_time = settings, alive, rig.sensor_model.tick
+        self._space, self._no_command = space, (nan,) * len(space.command)
         self._lower, self._upper = space.command_lower.tolist(), space.command_upper.tolist()
-        self._clock, self._applied, self._written, self._flags = TickClock(self._tick_time), (0.0, 0.0), 0.0, 0
+        self._no_torques = self._applied = (0.0,) * control.motors
+        self._clock, self._written, self._flags = TickClock(self._tick_time), 0.0, 0
         self._state, self._entered, self._powered = RigState.CALIBRATE, 0.0, False
         self._presses, self._pressed = 0, -inf
-        self._hop, self._missed, self._count, self._stop_requested, self._took = 0, 0, 0, False, 0.0
+        self._step, self._missed, self._count, self._stop_requested, self._took = 0, 0, 0, False, 0.0
 
     @property
     def state(self) -> RigState:
@@ -143,14 +145,14 @@ class ControlLoop:
         torques, self._flags = control.tick(time, reading, self._order(), self._applied, health, age)
         if self._flags & _UNREADABLE:
             raise RigFault(f"a sensor value is not finite: {reading}")
-        self._applied = self._rig.write(torques if self._powered else (0.0,) * len(torques))
+        self._applied = self._rig.write(torques if self._powered else self._no_torques)
         self._written = time
         self._log((*control.row(self._applied), *self._rig.diagnostics, self._took, self._state, late))
         if self._flags & _STOPPED:
             self._fail(f"the safety function stopped the robot: {control.stopped}", control.status)
             return self._powered and bool(self._flags & _BRAKES)
-        if self._state == RigState.HOP:
-            self._judge_hop()
+        if self._state == RigState.STEP:
+            self._judge_step()
         return self._state != RigState.OFF
 
     def _signals(self) -> Signals:
@@ -162,7 +164,7 @@ class ControlLoop:
         return Signals(
             connected=True,
             calibrated=since >= self._settings.calibrate_time,
-            hop_requested=request == Request.HOP and self._key_is_held(),
+            start_requested=request == Request.START and self._key_is_held(),
             stop_requested=self._stop_requested or request == Request.STOP,
             stood=since >= self._settings.stand_time,
             at_rest=since >= self._settings.landing_time,
@@ -176,11 +178,11 @@ class ControlLoop:
         return time - self._pressed <= self._settings.release_time
 
     def _watch_key(self) -> None:
-        """After the release of the key, lands a hopping robot, and switches torque off before it hops."""
-        if self._state not in (RigState.STAND, RigState.HOP) or self._key_is_held() or self._stop_requested:
+        """After the release of the key, lands a stepping robot, and switches torque off before its first step."""
+        if self._state not in (RigState.STAND, RigState.STEP) or self._key_is_held() or self._stop_requested:
             return
         if self._state == RigState.STAND:
-            raise RigFault("the key was released before the robot hopped: torque is off")
+            raise RigFault("the key was released before the first step: torque is off")
         self._board.message = "the key was released: the robot lands"
         self._stop_requested = True
 
@@ -207,27 +209,25 @@ class ControlLoop:
         """Order for the robot in the present state; outside of `MOVING` its torques are only for the log."""
         since = self._clock.time - self._entered
         if self._state == RigState.STAND:
-            return Order(Mode.POSTURE, min(1.0, since / self._settings.stand_time), NO_COMMAND)
+            return Order(Mode.POSTURE, min(1.0, since / self._settings.stand_time), self._no_command)
         if self._state == RigState.STOP:
-            return Order(Mode.LAND, since / self._settings.landing_time, NO_COMMAND)
-        if self._state == RigState.HOP:
-            return Order(Mode.STEP, 1.0, self._command() if self._flags & _TAKES_COMMAND else NO_COMMAND)
-        return Order(Mode.LIMP, 0.0, NO_COMMAND)
+            return Order(Mode.LAND, since / self._settings.landing_time, self._no_command)
+        if self._state == RigState.STEP:
+            return Order(Mode.STEP, 1.0, self._command() if self._flags & _TAKES_COMMAND else self._no_command)
+        return Order(Mode.LIMP, 0.0, self._no_command)
 
-    def _command(self) -> tuple[float, float]:
-        """Command of this hop within its bounds, or `NO_COMMAND`."""
-        command = self._board.command(self._hop)
+    def _command(self) -> tuple[float, ...]:
+        """Command of this step within its bounds, or NaN if there is none; m numbers."""
+        command = self._board.command(self._step)
         if command is None:
-            return NO_COMMAND
-        if not (isfinite(command[0]) and isfinite(command[1])):
-            raise RigFault(f"the command must be finite, not {command[0]}, {command[1]}")
-        fx, fy = (
-            min(upper, max(lower, force)) for force, lower, upper in zip(command, self._lower, self._upper, strict=True)
-        )
-        return fx, fy
+            return self._no_command
+        if not all(map(isfinite, command)):
+            raise RigFault(f"the command must be finite, not {', '.join(map(str, command))}")
+        limited = zip(self._lower, command, self._upper, strict=True)
+        return tuple(min(upper, max(lower, value)) for lower, value, upper in limited)
 
-    def _judge_hop(self) -> None:
-        """Posts a hop that has ended; a failed hop, or too many hops without a command, stop the robot."""
+    def _judge_step(self) -> None:
+        """Posts a step that has ended; a failed step, or too many steps without a command, stop the robot."""
         if self._flags & _STEP_ENDED:
             finished = self._control.finished_step()
         elif self._flags & _FAILED:
@@ -235,20 +235,12 @@ class ControlLoop:
             self._stop_requested = True
         else:
             return
-        self._post(finished)
-        self._missed = self._missed + 1 if isnan(finished.command[0]) and self._hop > 0 else 0
+        self._board.post_step(self._step, StepEnd(finished, self._control.status))
+        self._missed = self._missed + 1 if np.isnan(finished.command).any() and self._step > 0 else 0
         if self._missed > self._settings.missed_commands:
-            self._board.message = f"{self._missed} hops in a row had no command: the learning process does not respond"
+            self._board.message = f"{self._missed} steps in a row had no command: the learning process does not respond"
             self._stop_requested = True
-        self._hop += 1
-
-    def _post(self, finished: FinishedStep) -> None:
-        """Posts the result of the hop for the learning process."""
-        speed, height = finished.state.tolist()
-        requested = np.nan_to_num(finished.command)  # without a command there was no force
-        forces = *requested.tolist(), *(requested - finished.lost).tolist()
-        hop = self._hop, speed, height, *forces, finished.yaw, self._control.status
-        self._board.post_hop(FinishedHop._make(hop))
+        self._step += 1
 
     def _repeat(self, now: float) -> bool:
         """Exchanges a frame between two ticks, at a time [s]; returns False if the rig fails."""
@@ -268,10 +260,10 @@ class ControlLoop:
         return False
 
     def _fail(self, message: str, status: StepStatus) -> None:
-        """Latches the fault; the message of the first one is kept, and the present hop is posted with the status."""
+        """Latches the fault; the message of the first one is kept, and the present step is posted with the status."""
         if self._state == RigState.FAULT:
             return
-        if self._state == RigState.HOP:
-            self._board.post_hop(FinishedHop.stopped(self._hop, status))
+        if self._state == RigState.STEP:
+            self._board.post_step(self._step, StepEnd(FinishedStep.stopped(self._space), status))
         self._board.message = message
         self._enter(next_state(self._state, Signals(fault=True)))

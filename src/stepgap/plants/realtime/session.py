@@ -79,7 +79,8 @@ class Session:
         with ExitStack() as stack:
             stack.callback(sink.close)
             try:
-                self.board = Board.create()
+                space = setup.robot_control.space
+                self.board = Board.create(len(space.state), len(space.command))
                 stack.callback(self.board.unlink)
                 stack.callback(self.board.close)
                 self._ring = stack.enter_context(TickRing.create(len(setup.units), KEPT_ROWS))

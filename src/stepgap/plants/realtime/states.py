@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from stepgap.plants.ticks.rig_state import RigState
 
-MOVING = frozenset({RigState.STAND, RigState.HOP, RigState.STOP})
+MOVING = frozenset({RigState.STAND, RigState.STEP, RigState.STOP})
 """States in which the control laws' torques are written."""
 
 
@@ -14,16 +14,16 @@ class Signals(NamedTuple):
     Attributes:
         connected: The bus is up and the drives accept torque commands.
         calibrated: The limp robot's sensors have been plausible for long enough.
-        hop_requested: A person has requested hopping.
+        start_requested: A person has requested that the robot takes steps.
         stop_requested: A person has requested the stop, or the learning process does not respond.
-        stood: The landing posture is held with full torque.
+        stood: The posture for the release is held with full torque.
         at_rest: The robot has had the time to land.
         fault: There is a fault.
     """
 
     connected: bool = False
     calibrated: bool = False
-    hop_requested: bool = False
+    start_requested: bool = False
     stop_requested: bool = False
     stood: bool = False
     at_rest: bool = False
@@ -43,8 +43,8 @@ def next_state(state: RigState, signals: Signals) -> RigState:
     may_continue = {
         RigState.CONNECT: signals.connected,
         RigState.CALIBRATE: signals.calibrated,
-        RigState.READY: signals.hop_requested,
+        RigState.READY: signals.start_requested,
         RigState.STAND: signals.stood,
-        RigState.HOP: False,
+        RigState.STEP: False,
     }
     return RigState(state + 1) if may_continue[state] else state

@@ -4,13 +4,13 @@ from enum import IntEnum
 
 
 class RigState(IntEnum):
-    """States of a deployment on hardware; torque is on only in STAND, HOP and STOP, and while a FAULT brakes."""
+    """States of a deployment on hardware; torque is on only in STAND, STEP and STOP, and while a FAULT brakes."""
 
     OFF = 0
     CONNECT = 1
     CALIBRATE = 2
     READY = 3
     STAND = 4
-    HOP = 5
+    STEP = 5
     STOP = 6
     FAULT = 7

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import degrees, inf
+from math import degrees, inf, nan
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numba import typeof
 from numba.core.compiler_lock import global_compiler_lock
 
 from stepgap.base.compiled_record import Record, as_record, from_record
-from stepgap.plants.tick_control import NO_COMMAND, FinishedStep, Mode, Order, RobotControl, TickControl
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickControl
 from stepgap.plants.ticks.log_description import FieldMeaning
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, RigFault, Torques
@@ -26,6 +26,9 @@ from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel, hopp
 from stepgap.robots.hopper.stage import Stage
 from stepgap.robots.hopper.tick import TICK_BITS, TICK_NAMES, TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
+
+NO_COMMAND = (nan, nan)
+"""Command of an order without a command."""
 
 _SCALARS = (*[0.0] * 7, False, False, 0, False, 0, *[0.0] * 5)
 """Arguments of `tick` after the arrays, by which their types are known; integer counts are converted to floats."""
@@ -72,6 +75,11 @@ class HopControl(TickControl):
     def units(self) -> Mapping[str, str]:
         """Fields of a row of the tick log."""
         return TICK_UNITS
+
+    @property
+    def motors(self) -> int:
+        """The two motors of the four-bar leg."""
+        return 2
 
     @property
     def state(self) -> HopState:
@@ -162,6 +170,15 @@ class HopperControl(RobotControl):
     def units(self) -> Mapping[str, str]:
         """Fields of a row of the tick log."""
         return TICK_UNITS
+
+    @property
+    def consent_request(self) -> str:
+        """What a person is asked before the robot hops."""
+        return (
+            "The robot must hang from its cord with its foot off the ground, and nobody may be within its reach. "
+            "Hold the space bar: it takes its landing posture within half a second; then lower it to the ground. "
+            "It lands when you release the key."
+        )
 
     def meaning(self, rig: Rig) -> FieldMeaning:
         """Names of phases and reasons, and the ranges of what the safety function judges."""

@@ -88,6 +88,11 @@ class JogControl(TickControl):
         """Fields of a row of the tick log."""
         return self._control.units
 
+    @property
+    def motors(self) -> int:
+        """Number of motors."""
+        return self._control.motors
+
     def tick(
         self,
         time: float,
@@ -173,6 +178,14 @@ class HopperJog(RobotControl):
     def units(self) -> Mapping[str, str]:
         """Fields of a row of the tick log."""
         return self.hopping.units
+
+    @property
+    def consent_request(self) -> str:
+        """What a person is asked before the motor gets torque."""
+        return (
+            "The robot must hang with its foot off the ground, and nobody may be within its reach. Hold the space bar: "
+            "the motor vibrates its link for a second or two. Torque goes off when you release the key."
+        )
 
     def meaning(self, rig: Rig) -> FieldMeaning:
         """As while it hops, with the limits of the jog."""

@@ -3,13 +3,12 @@
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from functools import partial
 from math import degrees
 from typing import Any
 
 from stepgap.plants.commissioning.jog import limp_robot, ticks_of_step
 from stepgap.plants.commissioning.limp import limp_setup
-from stepgap.plants.realtime.consent import hold_key, supervised
+from stepgap.plants.realtime.consent import supervised
 from stepgap.plants.realtime.loop import LoopSettings
 from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.rigs.limp_rig import FrameCount
@@ -19,12 +18,6 @@ from stepgap.robots.hopper.jog import HopperJog, link_angles
 from stepgap.robots.hopper.jog_findings import answer_of, hand_failure
 
 MOTORS = (1, 2)
-
-_HELD = partial(
-    hold_key,
-    "The robot must hang with its foot off the ground, and nobody may be within its reach. Hold the space bar: the "
-    "motor vibrates its link for a second or two. Torque goes off when you release the key.",
-)
 
 
 def try_motors(make_rig: Callable[[], Rig], control: HopperControl, simulated: bool, settings: str) -> dict[str, Any]:
@@ -83,9 +76,10 @@ def _try_motor(
 ) -> dict[str, Any]:
     """Answer of the links to the torque of a motor, and what is wrong with it."""
     print(f"Motor {motor}, with torque.", file=sys.stderr)
-    loop, consent = supervised(LoopSettings(stand_time=0.01, landing_time=0.01), _HELD, simulated)
+    jog = HopperJog(control, motor)
+    loop, consent = supervised(LoopSettings(stand_time=0.01, landing_time=0.01), jog.consent_request, simulated)
     try:
-        log, ticks = ticks_of_step(RealtimeSetup(make_rig, HopperJog(control, motor), loop), consent, settings)
+        log, ticks = ticks_of_step(RealtimeSetup(make_rig, jog, loop), consent, settings)
         answer = answer_of(ticks, motor)
     except (RigFault, ValueError) as fault:
         print(f"motor {motor}  not passed: {fault}")
