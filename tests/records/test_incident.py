@@ -121,7 +121,7 @@ def test_a_log_that_ends_while_the_robot_hops_has_a_fault(tmp_path: Path):
     found = read_incident(written(tmp_path / "b.mcap", stopped_rows()[:2400], LogDescription(meaning=MEANING)), 1.0)
     assert (found.fault, found.time) == (True, 2.399)
     assert reaction_of(found) == (inf, 3.0)
-    assert "fault: the log ends in the state HOP at 2.399 s\n" in describe_incident(found)
+    assert "fault: the log ends in the state STEP at 2.399 s\n" in describe_incident(found)
     assert "torque was off not until the end of the log" in describe_incident(found)
 
 
