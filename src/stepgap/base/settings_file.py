@@ -129,6 +129,20 @@ def build(kind: type[Any], table: Mapping[str, Any], locate: Locate, prefix: str
         raise located(error, locate, prefix) from None
 
 
+def build_from_file(kind: type[Any], path: Path, what: str) -> Any:
+    """Builds a dataclass from a TOML file, as `build` does from its table.
+
+    Args:
+        kind: The dataclass.
+        path: The file.
+        what: Description of the file with its article, for messages.
+
+    Raises:
+        InputError: The file cannot be read, or a setting is wrong; the message names file, key and rule.
+    """
+    return build(kind, read_toml(path, what), lambda name: f"{path}: {with_table(name)}")
+
+
 def to_table(settings: Any) -> dict[str, Any]:
     """Converts a dataclass to a TOML table, which `build` reads; an integral float remains a float."""
     types = get_type_hints(type(settings))

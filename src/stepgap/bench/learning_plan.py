@@ -9,7 +9,7 @@ import tomli_w
 
 from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
-from stepgap.base.settings_file import build, read_toml, to_table, with_table
+from stepgap.base.settings_file import build_from_file, to_table
 from stepgap.bench.learning import measure_twin
 from stepgap.bench.tasks import DEFAULT_TASK, tasks
 from stepgap.control.reference import parse_reference
@@ -74,8 +74,7 @@ def read_learning_plan(path: Path) -> LearningPlan:
     Raises:
         InputError: The file is not such a plan; the message names the file, the key and what would be right.
     """
-    table = read_toml(path, "the plan of a comparison")
-    return build(LearningPlan, table, lambda name: f"{path}: {with_table(name)}")
+    return build_from_file(LearningPlan, path, "the plan of a comparison")
 
 
 def measure_case(case: Mapping[str, Any]) -> CaseOutput:

@@ -1,65 +1,41 @@
 """The hopper on an EtherCAT bus: two drives, two boom encoders and a contact force, as `rig.toml` describes them."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite
 from pathlib import Path
 
 from stepgap.base.ranges import require
-from stepgap.base.settings_file import build, read_toml, with_table
+from stepgap.base.settings_file import build_from_file
 from stepgap.rigs.ethercat.distributed_clocks import COMPUTER
 from stepgap.rigs.ethercat.ethercat_rig import EthercatRig
-from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor, RigDevice
-from stepgap.robots.hopper.limits import SafetyLimits
+from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder, ForceSensor, Motor
+from stepgap.rigs.rig import SensorModel
 from stepgap.robots.hopper.parameters import RobotParameters, parameters_of
-from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
+from stepgap.robots.hopper.rig_settings import ContactThresholds, HopperRigSettings
 from stepgap.robots.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact(ForceSensor):
-    """Settings of the contact force sensor.
-
-    Attributes:
-        touchdown_force: Force above which the foot is on the ground [N] (Sec. 3.3).
-        takeoff_length: Leg length at which the leg leaves the ground [m] (Sec. 3.4).
-    """
-
-    touchdown_force: float
-    takeoff_length: float = inf
+class Contact(ContactThresholds, ForceSensor):
+    """Settings of the contact force sensor."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        force, length = self.touchdown_force, self.takeoff_length
-        require(0 <= force <= 1e6, "touchdown_force", force, "lie between 0 and 1e6")
-        require(length > 0, "takeoff_length", length, "be positive")
+        ForceSensor.__post_init__(self)
+        ContactThresholds.__post_init__(self)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RigSettings(BusSettings):
-    """Settings of the hopper's EtherCAT bus.
+class RigSettings(HopperRigSettings, BusSettings):
+    """Settings of the hopper's EtherCAT bus."""
 
-    Attributes:
-        pivot_height: Height of the boom's pivot above the ground [m].
-        motor_1: Motor of the top link at α₁ + α₂.
-        motor_2: Motor of the top link at α₁ − α₂.
-        boom_horizontal: Yaw of the boom.
-        boom_vertical: Pitch of the boom.
-        contact: Ground force.
-        limits: Limits of the safety function.
-    """
-
-    pivot_height: float
     motor_1: Motor
     motor_2: Motor
     boom_horizontal: Encoder
     boom_vertical: Encoder
     contact: Contact
-    limits: SafetyLimits
 
     def __post_init__(self) -> None:
-        require(isfinite(self.pivot_height), "pivot_height", self.pivot_height, "be finite")
-        super().__post_init__()
+        HopperRigSettings.__post_init__(self)
+        BusSettings.__post_init__(self)
         require(self.motor_2.slave != self.motor_1.slave, "motor_2.slave", self.motor_2.slave, "differ from motor 1's")
         require(
             self.boom_vertical.slave != self.boom_horizontal.slave,
@@ -75,38 +51,14 @@ class RigSettings(BusSettings):
         )
 
     @property
-    def devices(self) -> Mapping[str, RigDevice]:
-        """Motors, boom encoders and contact sensor in the order of a `HopperReading`."""
-        names = ("motor_1", "motor_2", "boom_horizontal", "boom_vertical", "contact")
-        return {name: getattr(self, name) for name in names}
+    def timing(self) -> SensorModel:
+        """Sensors are sampled by the frame of the last write."""
+        return SensorModel(tick=self.tick, frames_per_tick=self.frames_per_tick, sampled_at_write=True)
 
     @property
-    def budgets(self) -> SafetyLimits:
-        """Safety limits, which include the budgets of lost frames and bad ticks."""
-        return self.limits
-
-    def reading(self, values: Sequence[float]) -> HopperReading:
-        """Reading whose values have names."""
-        return HopperReading(*values)
-
-    def sensor_model(self, boom_length: float) -> HopperSensorModel:
-        """Sensor model for counts to which zeros and signs are already applied.
-
-        Args:
-            boom_length: Distance from pivot to hip [m].
-        """
-        return HopperSensorModel(
-            tick=self.tick,
-            boom_length=boom_length,
-            pivot_height=self.pivot_height,
-            motor_counts=self.motor_1.link_counts,
-            boom_counts_horizontal=self.boom_horizontal.counts_per_turn,
-            boom_counts_vertical=self.boom_vertical.counts_per_turn,
-            touchdown_force=self.contact.touchdown_force,
-            takeoff_length=self.contact.takeoff_length,
-            frames_per_tick=self.frames_per_tick,
-            sampled_at_write=True,
-        )
+    def motor_counts(self) -> float:
+        """Counts of a motor's encoder per turn of its top link."""
+        return self.motor_1.link_counts
 
 
 def read_rig_settings(path: Path) -> RigSettings:
@@ -115,7 +67,7 @@ def read_rig_settings(path: Path) -> RigSettings:
     Raises:
         InputError: A setting is wrong; the message names file, key and rule.
     """
-    return build(RigSettings, read_toml(path, "a rig"), lambda name: f"{path}: {with_table(name)}")
+    return build_from_file(RigSettings, path, "a rig")
 
 
 def hopper_on_ethercat(settings: RigSettings, robot: RobotParameters, folder: Path = Path()) -> EthercatRig:
