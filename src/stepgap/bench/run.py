@@ -31,6 +31,7 @@ from stepgap.plants.tick_control import Mode
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.hop_tick import tick
 from stepgap.robots.hopper.robot import as_hopper
+from stepgap.robots.hopper.tick import TICK_COLUMN
 from stepgap.robots.hopper.twin.twin import Twin
 
 _SAMPLING_PERIOD = 1e-3
@@ -203,11 +204,12 @@ def _repeat_ticks(memory, rows, command):
     """Computes the ticks of a log once more."""
     settings, state, row = memory
     for i in range(len(rows)):
-        time, motor_1, motor_2, yaw, pitch, force = rows[i, :6]
-        applied_1, applied_2 = rows[max(i - 1, 0), 11], rows[max(i - 1, 0), 12]
+        now, before = rows[i], rows[max(i - 1, 0)]
         tick(
-            settings, state, row, time, 0.0, motor_1, motor_2, yaw, pitch, force, False, False, 0, False, _STEP, 1.0,
-            command[0], command[1], applied_1, applied_2,
+            settings, state, row, now[TICK_COLUMN.time], 0.0, now[TICK_COLUMN.motor_1], now[TICK_COLUMN.motor_2],
+            now[TICK_COLUMN.boom_horizontal], now[TICK_COLUMN.boom_vertical], now[TICK_COLUMN.contact_force],
+            False, False, 0, False, _STEP, 1.0, command[0], command[1], before[TICK_COLUMN.applied_1],
+            before[TICK_COLUMN.applied_2],
         )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from stepgap.robots.hopper.limits import SafetyLimits
 from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel
-from stepgap.robots.hopper.tick import TICK_UNITS
+from stepgap.robots.hopper.tick import TICK_COLUMN
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepStatus
@@ -53,7 +53,6 @@ TIGHT = SafetyLimits(
 )
 LOOSE = SafetyLimits(torque=40.0, joint_speed=inf)
 
-COLUMN = {name: index for index, name in enumerate(TICK_UNITS)}
 
 STAGES = ((Mode.LAND, 7000, 2000), (Mode.STEP, 400, 6600), (Mode.POSTURE, 100, 200), (Mode.LIMP, 0, 100))
 """Mode, first tick and length of the stages of a deployment, the last one first."""
@@ -112,9 +111,9 @@ class Both:
 
     def _compare(self, asked, checked):
         row = self.tested.row((0.0, 0.0))
-        assert_near((row[COLUMN["asked_1"]], row[COLUMN["asked_2"]]), asked)
-        assert row[COLUMN["phase"]] == self.reference.phase
-        assert row[COLUMN["limited"]] == checked.limited
+        assert_near((row[TICK_COLUMN.asked_1], row[TICK_COLUMN.asked_2]), asked)
+        assert row[TICK_COLUMN.phase] == self.reference.phase
+        assert row[TICK_COLUMN.limited] == checked.limited
 
     def _compare_end(self, flags):
         finished = self.reference.finished_hop()

@@ -24,7 +24,7 @@ from stepgap.robots.hopper.phases import Phase
 from stepgap.robots.hopper.safety import JointMotion, Limited
 from stepgap.robots.hopper.sensors import HopperReading, HopperSensorModel, hopper_sensors
 from stepgap.robots.hopper.stage import Stage
-from stepgap.robots.hopper.tick import TICK_BITS, TICK_NAMES, TICK_UNITS
+from stepgap.robots.hopper.tick import TICK_BITS, TICK_COLUMN, TICK_NAMES, TICK_UNITS
 from stepgap.step import Array, StepSpace, StepStatus
 
 NO_COMMAND = (nan, nan)
@@ -114,7 +114,7 @@ class HopControl(TickControl):
     def row(self, applied: Torques) -> Sequence[float]:
         """The row of the last tick for the log."""
         row = self._row.tolist()
-        row[11], row[12] = applied
+        row[TICK_COLUMN.applied_1], row[TICK_COLUMN.applied_2] = applied
         return row
 
     def finished_step(self) -> FinishedStep:

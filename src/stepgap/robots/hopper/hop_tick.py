@@ -23,6 +23,7 @@ from stepgap.robots.hopper.reduced import uprightness
 from stepgap.robots.hopper.safety import DOUBTS, STOPS, brakes, check_torque
 from stepgap.robots.hopper.sensing import sense, update_flight, yaw_of
 from stepgap.robots.hopper.stage import stage_of
+from stepgap.robots.hopper.tick import TICK_COLUMN
 from stepgap.robots.hopper.tick_torque import lost_force, wanted_torque
 from stepgap.step import StepStatus
 
@@ -193,7 +194,7 @@ def tick(
         settings: Record of `TickSettings`.
         memory: Record of `HopState`, which is updated.
         row: Row of the tick log, which is filled with the fields of `TICK_UNITS` except the applied torques, not known
-            yet; shape (19,).
+            yet; shape (fields,).
         time: This and the other arguments are the fields of `TickInputs`.
 
     Returns:
@@ -207,19 +208,17 @@ def tick(
     )  # fmt: skip
     state, torques, flags = hop_tick(settings[0], loaded(memory[0], HopState), inputs)  # pyright: ignore[reportCallIssue]
     assign(memory[0], state)
-    row[0], row[1], row[2], row[3], row[4], row[5] = (
-        time,
-        motor_1,
-        motor_2,
-        boom_horizontal,
-        boom_vertical,
-        contact_force,
-    )
-    row[6], row[7], row[8] = state.phase, state.motion.alpha_1, state.motion.alpha_2
-    row[9], row[10], row[13] = state.asked_1, state.asked_2, state.limited
     motion = state.motion
-    row[14], row[15], row[16] = motion.rate_1, motion.rate_2, abs(motion.rate_1) + abs(motion.rate_2)
-    row[17], row[18] = motion.leg_length, motion.hip_height
+    row[TICK_COLUMN.time] = time
+    row[TICK_COLUMN.motor_1], row[TICK_COLUMN.motor_2] = motor_1, motor_2
+    row[TICK_COLUMN.boom_horizontal], row[TICK_COLUMN.boom_vertical] = boom_horizontal, boom_vertical
+    row[TICK_COLUMN.contact_force] = contact_force
+    row[TICK_COLUMN.phase], row[TICK_COLUMN.limited] = state.phase, state.limited
+    row[TICK_COLUMN.alpha_1], row[TICK_COLUMN.alpha_2] = motion.alpha_1, motion.alpha_2
+    row[TICK_COLUMN.asked_1], row[TICK_COLUMN.asked_2] = state.asked_1, state.asked_2
+    row[TICK_COLUMN.rate_1], row[TICK_COLUMN.rate_2] = motion.rate_1, motion.rate_2
+    row[TICK_COLUMN.joint_speed] = abs(motion.rate_1) + abs(motion.rate_2)
+    row[TICK_COLUMN.leg_length], row[TICK_COLUMN.measured_height] = motion.leg_length, motion.hip_height
     return torques, flags
 
 

@@ -1,5 +1,6 @@
 """Record of one tick of the control loop, for logs and viewers."""
 
+from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple, Self
@@ -36,6 +37,12 @@ TICK_UNITS: Mapping[str, str] = MappingProxyType(
 
 Angles, `joint_speed` = |α̇₁| + |α̇₂|, `leg_length` and the hip's `measured_height` are what the safety function judges.
 """
+
+TickRow = namedtuple("TickRow", TICK_UNITS)
+"""A log row whose numbers have names."""
+
+TICK_COLUMN = TickRow(*range(len(TICK_UNITS)))
+"""Index of each field in a log row; an attribute of it is a constant in compiled code."""
 
 TICK_NAMES: Mapping[str, Mapping[int, str]] = MappingProxyType({"phase": {phase.value: phase.name for phase in Phase}})
 """Names of the numbers of an enum in a field."""
@@ -82,17 +89,19 @@ class Tick(NamedTuple):
     @classmethod
     def of(cls, row: Sequence[float]) -> Self:
         """Converts a log row with the fields of `TICK_UNITS`."""
-        time, *rest = map(float, row)
-        reading, (phase, alpha_1, alpha_2, *torques, limited) = rest[:5], rest[5:13]
-        asked_1, asked_2, applied_1, applied_2 = torques
+        fields = TickRow(*map(float, row))
         return cls(
-            time,
-            HopperReading(*reading),
-            Phase(int(phase)),
-            alpha_1,
-            alpha_2,
-            (asked_1, asked_2),
-            (applied_1, applied_2),
-            Limited(int(limited)),
-            *rest[13:],
+            time=fields.time,
+            reading=HopperReading(*(getattr(fields, name) for name in HopperReading._fields)),
+            phase=Phase(int(fields.phase)),
+            alpha_1=fields.alpha_1,
+            alpha_2=fields.alpha_2,
+            asked=(fields.asked_1, fields.asked_2),
+            applied=(fields.applied_1, fields.applied_2),
+            limited=Limited(int(fields.limited)),
+            rate_1=fields.rate_1,
+            rate_2=fields.rate_2,
+            joint_speed=fields.joint_speed,
+            leg_length=fields.leg_length,
+            measured_height=fields.measured_height,
         )

@@ -14,6 +14,7 @@ from numba import types
 from stepgap.base.compiled import as_written
 from stepgap.plants.tick_control import TickFlag
 from stepgap.robots.hopper.hop_tick import UNREADABLE, tick
+from stepgap.robots.hopper.tick import TICK_COLUMN
 from stepgap.robots.hopper.twin.devices import READ, drive, read_counts
 from stepgap.robots.hopper.twin.true_apex import update_apex
 
@@ -45,7 +46,7 @@ def run_ticks(
         physics: Addresses of MuJoCo's model and data, and the number of physics steps in a tick.
         apex: Record of `TrueApex`.
         noise: Standard normal numbers for each tick and motor; shape (k, 2).
-        rows: Rows of the tick log, which are filled; shape (k, 14).
+        rows: Rows of the tick log, which are filled; shape (k, fields).
         time: When the first tick begins [s].
         tick_time: Time from one tick to the next [s].
         mode: This and the other arguments are fields of `TickInputs`.
@@ -75,7 +76,7 @@ def run_ticks(
         update_apex(apex, devices, views)
         time += tick_time
         rows[i] = row
-        rows[i, 11], rows[i, 12] = applied_1, applied_2
+        rows[i, TICK_COLUMN.applied_1], rows[i, TICK_COLUMN.applied_2] = applied_1, applied_2
         if flags & _ENDS_STEP:
             return i + 1, READ, flags, time, applied_1, applied_2
     return len(rows), READ, flags, time, applied_1, applied_2
