@@ -37,7 +37,7 @@ def measured(tick: float, seconds: float) -> str:
     """
     setup = limp_setup(partial(still_hopper, tick), Hopper().control(), FrameCount())
     ticks = ticks_of(setup, round(seconds / tick))
-    late, took = ticks.column("late"), ticks.column("took")
+    late, took = ticks.table["late"], ticks.table["took"]
     missed = int((late / tick).astype(int).sum())
     failed = f"; {ticks.fault}" if ticks.fault else ""
     return f"late {quantiles(late)}, took {quantiles(took)} µs, {missed} of {len(late)} missed; {ticks.refused}{failed}"

@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.plants.commissioning.clock_check import clock_check
-from stepgap.plants.commissioning.limp import Ticks
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import ClockLimits
 
 LIMITS = ClockLimits(usual=1.25e-4, window=2.5e-4, outside=20, difference=1e-6)
 NAMES = ("clock_offset", "clock_outside", "slave_1_clock_difference", "slave_3_clock_difference")
 
 
-def ticks(offsets: list[float], outside: int = 0, first: float = 0.0, third: float = -2e-8) -> Ticks:
+def ticks(offsets: list[float], outside: int = 0, first: float = 0.0, third: float = -2e-8) -> TickTable:
     columns = [np.array(offsets), *(np.full(len(offsets), value) for value in (outside, first, third))]
-    return Ticks(NAMES, np.column_stack(columns), "", "")
+    return TickTable(dict.fromkeys(NAMES, ""), np.column_stack(columns))
 
 
 @settings(deadline=None)
@@ -53,7 +53,7 @@ def test_numbers_are_those_of_the_ticks(offsets: list[float]) -> None:
     ],
     ids=["one late", "many late", "outside", "too many outside", "apart", "silent"],
 )
-def test_the_rule(rows: Ticks, expected: str) -> None:
+def test_the_rule(rows: TickTable, expected: str) -> None:
     found = clock_check(rows, LIMITS)
     assert found is not None
     failures = "; ".join(found.failures())

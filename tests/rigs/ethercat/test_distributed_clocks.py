@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.plants.commissioning.clock_check import ClockCheck, clock_check
-from stepgap.plants.commissioning.limp import Ticks
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.ethercat import bus
 from stepgap.rigs.ethercat.distributed_clocks import DcSettings, Steering, offset_from_grid
 from stepgap.rigs.ethercat.emulator.clock import ClockError
@@ -215,7 +215,7 @@ def checked(timed: TimedRig, late: Iterable[float]) -> ClockCheck:
     for each in late:
         timed.tick(each)
         rows.append(timed.rig.diagnostics)
-    found = clock_check(Ticks(tuple(timed.rig.diagnostic_units), np.array(rows), "", ""), timed.rig.clock_limits)
+    found = clock_check(TickTable(timed.rig.diagnostic_units, np.array(rows)), timed.rig.clock_limits)
     assert found is not None
     return found
 

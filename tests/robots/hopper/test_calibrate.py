@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
-from stepgap.plants.commissioning.limp import Ticks
+from stepgap.plants.commissioning.limp import LimpTicks
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.calibrate import (
     SENSORS,
@@ -104,11 +105,11 @@ def test_an_impossible_pose_is_refused(pose: Pose, message: str) -> None:
         expected_reading(SETTINGS, ROBOT, pose)
 
 
-def ticks_with(**columns: list[float]) -> Ticks:
+def ticks_with(**columns: list[float]) -> LimpTicks:
     rows = np.zeros((4, len(LOG_UNITS)))
     for name, values in columns.items():
         rows[:, list(LOG_UNITS).index(name)] = values
-    return Ticks(tuple(LOG_UNITS), rows, "", "")
+    return LimpTicks(TickTable(LOG_UNITS, rows), "", "")
 
 
 def test_a_robot_that_moves_is_refused_and_one_at_rest_is_averaged() -> None:

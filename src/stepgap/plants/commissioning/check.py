@@ -185,9 +185,10 @@ def measure(
         RigFault: There was no tick at all.
     """
     ticks = ticks_of(setup, round(seconds / tick))
-    timing = timing_of(ticks.column("late"), tick)
-    lost, clock = frames.lost, clock_check(ticks, clock_limits)
-    drives = describe_devices(setup.make_rig(), dict(zip(ticks.names, ticks.rows[-1].tolist(), strict=True)))
+    timing = timing_of(ticks.table["late"], tick)
+    lost, clock = frames.lost, clock_check(ticks.table, clock_limits)
+    last = dict(zip(ticks.table.units, ticks.table.rows[-1].tolist(), strict=True))
+    drives = describe_devices(setup.make_rig(), last)
     return Check(
         tick, limits.late_ticks, limits.simulated, timing, lost, ticks.refused, ticks.fault, clock=clock, drives=drives
     )

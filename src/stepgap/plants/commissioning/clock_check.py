@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stepgap.plants.commissioning.limp import Ticks
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.rig import CLOCK_DIFFERENCE, CLOCK_OFFSET, CLOCK_OUTSIDE, ClockLimits
 from stepgap.step import Array
 
@@ -92,17 +92,17 @@ class ClockCheck:
         )
 
 
-def clock_check(ticks: Ticks, limits: ClockLimits | None) -> ClockCheck | None:
+def clock_check(ticks: TickTable, limits: ClockLimits | None) -> ClockCheck | None:
     """Computes how frames and clocks followed the reference clock; None without distributed clocks.
 
     Args:
         ticks: Ticks of a rig that logs `CLOCK_OFFSET`.
         limits: What is allowed; None without distributed clocks.
     """
-    if limits is None or CLOCK_OFFSET not in ticks.names:
+    if limits is None or CLOCK_OFFSET not in ticks.units:
         return None
-    settled = replace(ticks, rows=ticks.rows[min(UNSETTLED, len(ticks.rows) // 2) :])
-    offsets = settled.column(CLOCK_OFFSET)
+    settled = replace(ticks, rows=ticks.rows[min(UNSETTLED, len(ticks) // 2) :])
+    offsets = settled[CLOCK_OFFSET]
     offsets = offsets[np.isfinite(offsets)]
     if not len(offsets):
         return ClockCheck(limits)
@@ -115,10 +115,10 @@ def clock_check(ticks: Ticks, limits: ClockLimits | None) -> ClockCheck | None:
         p99_9=p99_9,
         worst=float(distances.max()),
         jitter=float(np.quantile(changes, USUAL)) if len(changes) else 0.0,
-        outside=int(np.nanmax(ticks.column(CLOCK_OUTSIDE))),  # also at the beginning
+        outside=int(np.nanmax(ticks[CLOCK_OUTSIDE])),  # also at the beginning
         differences={
-            name.removesuffix(f"_{CLOCK_DIFFERENCE}").replace("_", " "): _largest(settled.column(name))
-            for name in ticks.names
+            name.removesuffix(f"_{CLOCK_DIFFERENCE}").replace("_", " "): _largest(settled[name])
+            for name in ticks.units
             if name.endswith(CLOCK_DIFFERENCE)
         },
     )

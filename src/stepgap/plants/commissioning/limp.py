@@ -13,6 +13,7 @@ from stepgap.plants.realtime.process import RealtimeSetup
 from stepgap.plants.realtime.session import Session, TickSink
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.rig_state import RigState
+from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.rigs.limp_rig import FrameCount, LimpRig
 from stepgap.rigs.rig import Rig, RigFault
 from stepgap.step import Array
@@ -22,27 +23,21 @@ _CHECK_EVERY = 0.05
 
 
 @dataclass(frozen=True)
-class Ticks:
-    """Ticks of a rig, from the first one on.
+class LimpTicks:
+    """Ticks of a rig without torque, from the first one on.
 
     Attributes:
-        names: Names of the fields of a row.
-        rows: One tick per row; shape (k, fields), k at least 1.
+        table: The ticks, at least one.
         refused: The requests that the kernel refused; empty if there were none.
         fault: Why there are fewer ticks than requested; empty if there are not.
     """
 
-    names: tuple[str, ...]
-    rows: Array
+    table: TickTable
     refused: str
     fault: str
 
-    def column(self, name: str) -> Array:
-        """One field of all ticks; shape (k,)."""
-        return self.rows[:, self.names.index(name)]
 
-
-def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
+def ticks_of(setup: RealtimeSetup, count: int) -> LimpTicks:
     """Runs a rig for a number of ticks, without a request to step.
 
     Raises:
@@ -61,7 +56,7 @@ def ticks_of(setup: RealtimeSetup, count: int) -> Ticks:
         session.close()
     if not kept.count:
         raise RigFault(fault)
-    return Ticks(tuple(setup.units), np.concatenate(kept.blocks)[:count], refused, fault)
+    return LimpTicks(TickTable(setup.units, np.concatenate(kept.blocks)[:count]), refused, fault)
 
 
 def ended(session: Session) -> str:

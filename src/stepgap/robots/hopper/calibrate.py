@@ -11,7 +11,7 @@ import numpy as np
 
 from stepgap.base.errors import InputError
 from stepgap.base.settings_file import parse_toml
-from stepgap.plants.commissioning.limp import Ticks
+from stepgap.plants.commissioning.limp import LimpTicks
 from stepgap.rigs.rig import RigFault
 from stepgap.robots.hopper.ethercat import RigSettings, read_rig_settings
 from stepgap.robots.hopper.leg import knee_angle, leg_of
@@ -110,7 +110,7 @@ def with_zeros(settings: RigSettings, zeros: Mapping[str, int]) -> RigSettings:
     return replace(settings, **tables)
 
 
-def mean_reading(settings: RigSettings, ticks: Ticks) -> dict[str, float]:
+def mean_reading(settings: RigSettings, ticks: LimpTicks) -> dict[str, float]:
     """Mean of the readings, by field of `HopperReading`.
 
     Raises:
@@ -119,17 +119,17 @@ def mean_reading(settings: RigSettings, ticks: Ticks) -> dict[str, float]:
     """
     if ticks.fault:
         raise RigFault(ticks.fault)
-    contact = settings.contact
+    table, contact = ticks.table, settings.contact
     most = dict.fromkeys(HopperReading._fields, float(MOST_COUNTS))
     most["contact_force"] = max(contact.touchdown_force, MOST_COUNTS * abs(contact.newton_per_count))
     for name in HopperReading._fields:
-        span, unit = float(np.ptp(ticks.column(name))), "N" if name == "contact_force" else "counts"
+        span, unit = float(np.ptp(table[name])), "N" if name == "contact_force" else "counts"
         if span > most[name]:
             raise InputError(
                 f"{name} varied by {span:g} {unit}, more than the {most[name]:g} of a robot at rest; "
                 "hold the robot still and try again"
             )
-    return {name: float(ticks.column(name).mean()) for name in HopperReading._fields}
+    return {name: float(table[name].mean()) for name in HopperReading._fields}
 
 
 def replaced_zeros(text: str, zeros: Mapping[str, int]) -> str:
