@@ -114,7 +114,7 @@ class WatchedRig(StillRig):
 
     def __init__(self, found: list[WatchdogTimes | str | None]):
         super().__init__(SensorModel(tick=TICK), ())
-        self.found, self.closed = found, 0
+        self.found, self.closed, self.documents_read = found, 0, 0
 
     def watchdog_times(self) -> WatchdogTimes | None:
         result = self.found.pop(0)
@@ -123,6 +123,7 @@ class WatchedRig(StillRig):
         return result
 
     def findings(self) -> tuple[Finding, ...]:
+        self.documents_read += 1
         return (Finding("its file has another revision", is_error=False),)
 
     def close(self) -> None:
@@ -144,7 +145,7 @@ def test_the_shortest_measurement_of_a_watchdog_counts(found: Any, watchdog: Wat
     rig, count = WatchedRig(list(found)), len(found)
     check = with_watchdog(GOOD, lambda: rig)
     assert (check.watchdog, check.watchdog_fault) == (watchdog, fault)
-    assert (rig.found, rig.closed) == ([], count)
+    assert (rig.found, rig.closed, rig.documents_read) == ([], count, 1)
     assert check.remarks == (() if fault else ("its file has another revision",))
     assert with_watchdog(replace(GOOD, fault="a drive failed"), lambda: rig).fault == "a drive failed"
 

@@ -203,19 +203,20 @@ def with_watchdog(check: Check, make_rig: Callable[[], Rig]) -> Check:
     """
     if check.fault:
         return check
-    best = check
+    remarks, findings, shortest = tuple[str, ...](), None, None
     for _ in range(_WATCHDOG_ATTEMPTS):
         try:
             with make_rig() as rig:
-                best, found = replace(best, remarks=rig.remarks), rig.watchdog_times()
-                best = with_findings(best, rig.findings())  # which takes time: when frames have ended
+                remarks, found = rig.remarks, rig.watchdog_times()
+                if findings is None:
+                    findings = rig.findings()  # which takes time: when frames have ended
         except RigFault as fault:
             return replace(check, watchdog_fault=str(fault))
-        if found and (best.watchdog is None or _longest_time(found) < _longest_time(best.watchdog)):
-            best = replace(best, watchdog=found)
+        if found and (shortest is None or _longest_time(found) < _longest_time(shortest)):
+            shortest = found
         if not _slow_watchdogs(found):
             break
-    return best
+    return with_findings(replace(check, remarks=remarks, watchdog=shortest), findings or ())
 
 
 def with_findings(check: Check, findings: Sequence[Finding]) -> Check:
