@@ -70,12 +70,6 @@ class LossyHopper(ClosedFormMap):
         fy = (np.sqrt(root) - self.stroke) / (2 * self.curve) if root >= 0 else np.nan
         return np.array([fx, fy])
 
-    def fixed_state(self, command: Array) -> Array:
-        """Closed-form fixed state of a constant command."""
-        speed = (self.push * command[0] + self.drift) / (1 - self.keep)
-        energy = self.stroke * (self.force + command[1]) + self.curve * command[1] ** 2 - self.drag * speed**2
-        return np.array([speed, self.ground + energy / (self.mass * self.gravity * self.loss)])
-
 
 @dataclass(frozen=True)
 class StumblingHopper(LossyHopper):

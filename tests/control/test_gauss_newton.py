@@ -25,7 +25,7 @@ def test_a_minimum_is_found_from_which_gauss_newton_diverges(curvature: float, s
     def jacobian(point: Array) -> Array:
         return np.array([[1.0], [2 * curvature * point[0] + 1]])
 
-    found = minimise(function, jacobian, np.array([start]), 1.0)
+    found = minimise(function, jacobian, np.array([start]))
     assert found.converged
     assert found.point == pytest.approx([0], abs=2e-5)
     assert found.distance == pytest.approx(np.sqrt(2), abs=1e-9)

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from stepgap.control.limit_cycle import fixed_point, floquet_multipliers, free_fixed_point, reachable_set
+from stepgap.control.limit_cycle import fixed_point, floquet_multipliers, reachable_set
 from stepgap.step import Array, Codes, Quantity, StepFailed, StepSpace, StepStatus
 from tests.control.maps import FX, ClosedFormMap, LossyHopper, NeverWorks, RedundantMap, ScalarMap, StumblingHopper
 
@@ -38,7 +40,9 @@ def test_multipliers_are_those_of_the_closed_form():
 
 @pytest.mark.parametrize(("stretch", "stable"), [(0.9, True), (1.1, False)])
 def test_complex_multipliers_decide_stability(stretch, stable):
-    cycle = free_fixed_point(Spiral(stretch), [0.5])
+    spiral = Spiral(stretch)
+    cycle = fixed_point(spiral, np.linalg.solve(np.eye(2) - spiral.matrix, [0.05, 0.0]))
+    np.testing.assert_allclose(cycle.command, [0.5], atol=1e-8)
     assert cycle.held
     assert cycle.stable is stable
     np.testing.assert_allclose(sorted(cycle.floquet_multipliers, key=np.imag), stretch * np.exp([-1j, 1j]), atol=1e-8)
@@ -69,32 +73,9 @@ def test_more_commands_than_states_hold_too():
     np.testing.assert_allclose(cycle.floquet_multipliers, [0.6, 0.6], atol=1e-8)
 
 
-@pytest.mark.parametrize("command", [(0, 0), (3, 8), (-4, -3)])
-@pytest.mark.parametrize("guess", [None, (0.0, 0.5)])
-def test_free_fixed_point_is_that_of_the_closed_form(command, guess):
-    step_map = LossyHopper()
-    cycle = free_fixed_point(step_map, command, guess)
-    assert cycle.held
-    np.testing.assert_allclose(cycle.state, step_map.fixed_state(np.array(command)), atol=1e-8)
-
-
-def test_free_fixed_point_may_lie_outside_the_range_of_use():
-    step_map = LossyHopper(keep=0.8, drag=0.0)
-    cycle = free_fixed_point(step_map, [10, 0])
-    assert cycle.state[0] == pytest.approx(0.26 / 0.2)
-
-
-def test_map_without_fixed_point_gives_the_least_drift():
-    cycle = free_fixed_point(LossyHopper(keep=1.0, drag=0.0), [3, 0])
-    assert not cycle.held
-    assert cycle.next_state[0] - cycle.state[0] == pytest.approx(0.12)
-    assert cycle.next_state[1] == pytest.approx(cycle.state[1], abs=1e-6)
-
-
 def test_without_a_working_command_the_step_fails():
-    for search in (lambda: fixed_point(NeverWorks(), [0.2, 0.58]), lambda: free_fixed_point(NeverWorks(), [0, 0])):
-        with pytest.raises(StepFailed):
-            search()
+    with pytest.raises(StepFailed):
+        fixed_point(NeverWorks(), [0.2, 0.58])
 
 
 def test_multipliers_next_to_failing_steps_are_nan():
@@ -122,7 +103,7 @@ def test_reachable_set_contains_the_grid_and_marks_failures():
 def test_boundary_goes_around_the_command_bounds_once():
     step_map, state = LossyHopper(), np.array([0.2, 0.58])
     reachable = reachable_set(step_map, state, samples=6)
-    walk = reachable.boundary_commands
+    walk = replace(reachable, next_states=reachable.commands).boundary
     assert walk.shape == (20, 2)
     assert len(np.unique(walk, axis=0)) == 20
     closed = np.vstack([walk, walk[:1]])

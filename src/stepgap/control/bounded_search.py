@@ -14,12 +14,9 @@ BASINS = 3
 ZOOM_ROUNDS = 12
 
 
-def solve(function: Function, jacobian: Jacobian, start: Array, bound: float) -> Solution:
-    """Searches the zero, or else the least norm, of a function within |point| ≤ bound; it may miss the global minimum.
-
-    The grid of the search covers |point| ≤ 1, also for a larger bound.
-    """
-    best = minimise(function, jacobian, start, bound)
+def solve(function: Function, jacobian: Jacobian, start: Array) -> Solution:
+    """Searches the zero, or else the least norm, of a function within |point| ≤ 1; it may miss the global minimum."""
+    best = minimise(function, jacobian, start)
     if best.distance <= REACHED:
         return best
     points, distance = _sample(function, len(start))
@@ -27,10 +24,10 @@ def solve(function: Function, jacobian: Jacobian, start: Array, bound: float) ->
     for index in _basins(distance)[:BASINS]:
         known = np.abs(points[index] - best.point).max() <= spacing and distance[index] >= best.distance
         if not known:
-            best = min(best, minimise(function, jacobian, points[index], bound), key=lambda solution: solution.distance)
+            best = min(best, minimise(function, jacobian, points[index]), key=lambda solution: solution.distance)
         if best.distance <= REACHED:
             return best
-    return best if best.converged or np.isinf(best.distance) else _zoom(function, best, spacing, bound)
+    return best if best.converged or np.isinf(best.distance) else _zoom(function, best, spacing)
 
 
 def _sample(function: Function, k: int) -> tuple[Array, Array]:
@@ -58,12 +55,12 @@ def local_minima(values: Array, k: int) -> NDArray[np.bool_]:
     return (values == neighbours.min(axis=tuple(range(values.ndim, values.ndim + k)))) & np.isfinite(values)
 
 
-def _zoom(function: Function, best: Solution, width: float, bound: float) -> Solution:
+def _zoom(function: Function, best: Solution, width: float) -> Solution:
     """Searches on finer and finer grids around a point without convergence, such as one at the border of the domain."""
     point, distance = best.point, best.distance
     offsets = box_grid(5, len(point)).reshape(-1, len(point))
     for _ in range(ZOOM_ROUNDS):
-        points = np.clip(point + width * offsets, -bound, bound)
+        points = np.clip(point + width * offsets, -1.0, 1.0)
         distances = norms(function(points))
         if distances.min() < distance:
             point, distance = points[np.argmin(distances)], float(distances.min())

@@ -143,9 +143,7 @@ class CautiousController:
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
             return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
 
-        return space.command_at(
-            minimise(deviations, jacobian, space.point_of(start), bound=1.0, improvement=IMPROVEMENT).point
-        )
+        return space.command_at(minimise(deviations, jacobian, space.point_of(start), improvement=IMPROVEMENT).point)
 
     def _best(self, state: Array, target: Array, commands: Array) -> Array | None:
         """The safe command of least expected squared distance among commands (k, m); None if none is safe."""

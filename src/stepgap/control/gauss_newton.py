@@ -73,17 +73,16 @@ class Solution:
     converged: bool
 
 
-def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float, improvement: float = FLAT) -> Solution:
-    """Searches a local minimum of the norm within |point| ≤ bound; the result is never worse than the start.
+def minimise(function: Function, jacobian: Jacobian, start: Array, improvement: float = FLAT) -> Solution:
+    """Searches a local minimum of the norm within |point| ≤ 1; the result is never worse than the start.
 
     Args:
         function: Of a point.
         jacobian: Of the function.
         start: Shape (k,).
-        bound: Half the width of the box.
         improvement: The search ends where the squared norm can fall by no more than this fraction.
     """
-    point = np.clip(start, -bound, bound)
+    point = np.clip(start, -1.0, 1.0)
     value, matrix, origin, damping = function(point), jacobian(point), point, 0.0
     if not (np.isfinite(value).all() and np.isfinite(matrix).all()):
         return Solution(point, float(norms(value)), converged=False)
@@ -92,7 +91,7 @@ def minimise(function: Function, jacobian: Jacobian, start: Array, bound: float,
         if cost <= TOLERANCE**2 or damping > MOST_DAMPING * size:
             break
         damping = damping if damping > NO_DAMPING * size else 0.0
-        step = box_step(matrix, value, -bound - point, bound - point, damping)
+        step = box_step(matrix, value, -1.0 - point, 1.0 - point, damping)
         change = matrix @ step
         linear = _square(value + change)
         expected = cost - linear - damping * _square(step)

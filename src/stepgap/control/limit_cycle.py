@@ -6,13 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.ranges import require
-from stepgap.control.bounded_search import solve
-from stepgap.control.gauss_newton import REACHED
 from stepgap.control.step_controller import StepController, as_vector
 from stepgap.step import Array, Codes, StepMap, StepStatus
-
-STATE_BOUND = 10.0
-"""Largest distance from the middle of the range of use at which a free fixed point is sought, in half ranges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +62,10 @@ class ReachableSet:
         Raises:
             ValueError: There are not two commands, so the border is no polygon.
         """
-        return _border(self.next_states, self.statuses.ndim)
-
-    @property
-    def boundary_commands(self) -> Array:
-        """Commands of `boundary`; shape (4 (s - 1), 2)."""
-        return _border(self.commands, self.statuses.ndim)
+        grid, commands = self.next_states, self.statuses.ndim
+        if commands != 2:
+            raise ValueError(f"the border is a polygon for two commands, not for {commands}")
+        return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])
 
 
 def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = None) -> FixedPoint:
@@ -95,41 +88,6 @@ def fixed_point(step_map: StepMap, target: ArrayLike, guess: ArrayLike | None = 
         plan.reached,
         plan.distance,
         floquet_multipliers(step_map, state, plan.command),
-    )
-
-
-def free_fixed_point(step_map: StepMap, command: ArrayLike, guess: ArrayLike | None = None) -> FixedPoint:
-    """Finds the state that a constant command holds, X₀ = map(X₀, U₀), or else the one that changes least.
-
-    The search extends beyond the range of use of the state, to `STATE_BOUND`.
-
-    Args:
-        step_map: The map.
-        command: The command U₀; shape (m,).
-        guess: State to start from; the middle of the range of use if none. Shape (n,).
-
-    Raises:
-        StepFailed: With this command no state that was searched makes a step.
-    """
-    space = step_map.space
-    n, scale = len(space.state), space.state_scale
-    command = as_vector("command", command, len(space.command))
-    centre = space.state_centre
-    start = np.zeros(n) if guess is None else (as_vector("guess", guess, n) - centre) / scale
-
-    def change(point: Array) -> Array:
-        state = centre + scale * point
-        return (step_map.evaluate(state, command).next_state - state) / scale
-
-    def jacobian(point: Array) -> Array:
-        matrix = step_map.jacobian(centre + scale * point, command)[:, :n]
-        return matrix * scale / scale[:, None] - np.eye(n)
-
-    state = centre + scale * solve(change, jacobian, start, bound=STATE_BOUND).point
-    next_state = step_map(state, command)
-    distance = float(np.linalg.norm((next_state - state) / scale))
-    return FixedPoint(
-        state, command, next_state, distance <= REACHED, distance, floquet_multipliers(step_map, state, command)
     )
 
 
@@ -157,10 +115,3 @@ def reachable_set(step_map: StepMap, state: ArrayLike, samples: int = 21) -> Rea
     commands = space.command_grid(samples)
     next_states, statuses = step_map.evaluate(state, commands)
     return ReachableSet(commands, np.where((statuses == StepStatus.OK)[..., None], next_states, np.nan), statuses)
-
-
-def _border(grid: Array, dimension: int) -> Array:
-    """Border of a grid (s, s, …) as one counter-clockwise path (4 (s - 1), …)."""
-    if dimension != 2:
-        raise ValueError(f"the border is a polygon for two commands, not for {dimension}")
-    return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])

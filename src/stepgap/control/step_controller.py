@@ -82,7 +82,7 @@ class StepController:
             matrix = self.step_map.jacobian(state, command_at(point))[:, n:]
             return matrix * space.command_scale / state_scale[:, None]
 
-        solution = solve(error, jacobian, space.point_of(start), bound=1.0)
+        solution = solve(error, jacobian, space.point_of(start))
         command = command_at(solution.point)
         predicted = next_states.get(solution.point.tobytes())
         if predicted is None:

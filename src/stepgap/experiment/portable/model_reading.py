@@ -40,19 +40,6 @@ def read_portable(path: Path) -> PortableController:
     Raises:
         InputError: It is not such a file, of another schema, or its numbers do not follow from its data.
     """
-    return _read(path)[0]
-
-
-def read_last_filter(path: Path) -> DisturbanceFilter | None:
-    """Reads the disturbance filter after the last step of the deployment; None if the file has none.
-
-    Raises:
-        InputError: As of `read_portable`.
-    """
-    return _read(path)[1]
-
-
-def _read(path: Path) -> tuple[PortableController, DisturbanceFilter | None]:
     try:
         text = read_text(path, LARGEST_PORTABLE)
         if text is None:
@@ -62,8 +49,8 @@ def _read(path: Path) -> tuple[PortableController, DisturbanceFilter | None]:
             raise ValueError(f'format must be "{FORMAT}"')
         if saved.get("schema") != MODEL_SCHEMA:
             raise ValueError(f"schema must be {MODEL_SCHEMA}, not {saved.get('schema')!r:.40}")
-        controller, last = _controller(saved), _last_filter(saved)
-        _check_same(saved, model_document(controller, last))
+        controller = _controller(saved)
+        _check_same(saved, model_document(controller, _last_filter(saved)))
     except InputError:
         raise
     except OSError as error:
@@ -71,7 +58,7 @@ def _read(path: Path) -> tuple[PortableController, DisturbanceFilter | None]:
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         short = " ".join(str(error).split())[:160]
         raise InputError(f"{path}: not a model file ({short}); export the run again") from None
-    return controller, last
+    return controller
 
 
 def _controller(saved: Mapping[str, Any]) -> PortableController:

@@ -18,7 +18,7 @@ from stepgap.step import Array, Outcome, StepMap, StepSpace
 @final
 @dataclass(frozen=True, eq=False)
 class LogMap(StepMap):
-    """A regression of the next state in state and command; made by `fit_log_map`. No step fails on it.
+    """A linear regression of the next state in state and command; made by `fit_log_map`. No step fails on it.
 
     It is a nominal map, so it has no standard deviation, and may be corrected.
 
@@ -42,7 +42,7 @@ class LogMap(StepMap):
         return self.fitted.jacobian(state, command)
 
 
-def fit_log_map(log: StepLog, kind: str = "linear") -> LogMap:
+def fit_log_map(log: StepLog) -> LogMap:
     """Fits a nominal map to recorded steps.
 
     Where commands were chosen by a controller, they and the states vary together, and their effects are known only
@@ -50,7 +50,6 @@ def fit_log_map(log: StepLog, kind: str = "linear") -> LogMap:
 
     Args:
         log: Steps of the robot, at least two more than there are coordinates of state and command.
-        kind: Name of a residual model.
 
     Raises:
         StepGapError: There are too few steps.
@@ -60,4 +59,4 @@ def fit_log_map(log: StepLog, kind: str = "linear") -> LogMap:
     if len(log.completed()) < n + m + 2:
         raise StepGapError(f"{len(log.completed())} completed steps, but a map needs at least {n + m + 2}")
     flat = AffineMap(space, space.state_centre, space.command_centre, space.state_centre, np.zeros((n, n + m)))
-    return LogMap(CorrectedMap(flat, fit_residual(kind, observe(log, flat))))
+    return LogMap(CorrectedMap(flat, fit_residual("linear", observe(log, flat))))

@@ -2,7 +2,7 @@
 
 from ctypes import c_longlong
 from dataclasses import dataclass, field
-from math import cos, sin, tau
+from math import cos, tau
 from multiprocessing import RawArray
 from struct import pack_into, unpack_from
 from typing import Any
@@ -40,10 +40,6 @@ class ClockError:
         """Time by which the clock is ahead after a true time [s]."""
         wave = self.wander * self.period / tau * (1 - cos(tau * time / self.period))
         return 1e-6 * (self.rate * time + wave)
-
-    def rate_at(self, time: float) -> float:
-        """Error of the rate at a true time [ppm]."""
-        return self.rate + self.wander * sin(tau * time / self.period)
 
 
 NO_ERROR = ClockError()

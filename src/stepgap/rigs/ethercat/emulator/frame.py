@@ -67,11 +67,6 @@ class Datagram(NamedTuple):
     flags: int = 0
     event: int = 0
 
-    @property
-    def logical_address(self) -> int:
-        """Logical address of LRD, LWR and LRW."""
-        return self.offset << 16 | self.address
-
 
 class Frame(NamedTuple):
     """An Ethernet frame of EtherCAT datagrams."""

@@ -78,11 +78,6 @@ class EmulatedSlave:
         self._travel_behind = 0
         self.power_on()
 
-    @property
-    def status_code(self) -> int:
-        """Reason why the last change of state was refused, or a state was lost."""
-        return unpack_from("<H", self.memory, reg.AL_STATUS_CODE)[0]
-
     def power_on(self) -> None:
         """Resets the slave to its state after power-up."""
         self.memory = bytearray(reg.MEMORY_SIZE)

@@ -31,7 +31,6 @@ class TrueState:
         foot: Position of the foot in MuJoCo's frame; shape (3,) [m].
         ground_height: Height of the ground under the foot [m].
         contact_force: Vertical ground force on the foot [N].
-        closure_error: Distance between the two bottom links at their common joint [m].
         qpos: MuJoCo's coordinates, for a viewer.
     """
 
@@ -46,7 +45,6 @@ class TrueState:
     foot: NDArray[np.float64]
     ground_height: float
     contact_force: float
-    closure_error: float
     qpos: NDArray[np.float64]
 
 
@@ -67,7 +65,6 @@ def true_state(model: Any, scratch: Any, devices: Record, views: Views, time: fl
     hip, hip_rate = true_hip(devices, data.qpos, data.qvel)
     motors = [rig["motor_1"], rig["motor_2"]]
     foot = data.geom("foot").xpos.copy()
-    opening = data.site("front_joint").xpos - data.site("rear_joint").xpos
     return TrueState(
         time=time,
         held=held,
@@ -80,6 +77,5 @@ def true_state(model: Any, scratch: Any, devices: Record, views: Views, time: fl
         foot=foot,
         ground_height=ground_under(devices, views.waves, foot),
         contact_force=views.touch[0],
-        closure_error=float(np.linalg.norm(opening)),
         qpos=data.qpos.copy(),
     )
