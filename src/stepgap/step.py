@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
+from math import inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -105,10 +106,9 @@ class Quantity:
     upper: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.lower) and np.isfinite(self.upper)):
-            raise ValueError(f"bounds of {self.name} must be finite, not [{self.lower}, {self.upper}]")
-        if not self.lower < self.upper:
-            raise ValueError(f"bounds of {self.name} are reversed: lower {self.lower} is not below upper {self.upper}")
+        require(isfinite(self.lower), "lower", self.lower, f"be finite ({self.name})")
+        rule = f"be finite and exceed lower = {self.lower:g} ({self.name})"
+        require(self.lower < self.upper < inf, "upper", self.upper, rule)
 
 
 @dataclass(frozen=True)

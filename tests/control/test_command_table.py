@@ -194,7 +194,7 @@ def contents(file: Path) -> dict[str, np.ndarray]:
         ({"commands": np.array([1.0])}, "commands has shape"),
         ({"commands": np.array([object()])}, "allow_pickle"),
         ({"commands": np.array(["a"])}, "commands has entries of type"),
-        ({"ranges": np.full((4, 2), np.nan)}, "bounds of speed must be finite"),
+        ({"ranges": np.full((4, 2), np.nan)}, r"lower = nan, but it must be finite \(speed\)"),
         ({"ranges": np.zeros((3, 2))}, "units and ranges"),
         ({"reached": np.zeros((3, 3), bool)}, "the grid has shape"),
         ({"statuses": np.full((POINTS,) * 4, 99)}, "statuses must be values of StepStatus"),

@@ -230,8 +230,10 @@ def test_the_settings_of_the_page(tmp_path: Path) -> None:
 WRONG_CUSTOM = {
     "": "[quantities] state = 0, but it must be at least one [[quantities.state]] with name, unit, lower, upper",
     "[[quantities.state]]\nname = 'x'\nunit = 'm'\nlower = 0": "upper: missing; it must be given",
-    "[[quantities.state]]\nname = 'x'\nunit = 'm'\nlower = 1\nupper = 0": "upper = 0.0, but it must exceed lower = 1",
-    "[[quantities.state]]\nname = 'x y'\nunit = 'm'\nlower = 0\nupper = 1": "name = 'x y', but it must consist of",
+    "[[quantities.state]]\nname = 'x'\nunit = 'm'\nlower = 1\nupper = 0": "[quantities.state 1] upper = 0.0, but it "
+    "must be finite and exceed lower = 1 (x)",
+    "[[quantities.state]]\nname = 'x y'\nunit = 'm'\nlower = 0\nupper = 1": "[quantities.state 1] name = 'x y', but it "
+    "must consist of letters",
     "[[quantities.state]]\nname = 'x'\nunit = 'm'\nlower = 0\nupper = 1\n"
     "[[quantities.command]]\nname = 'x'\nunit = 'm'\nlower = 0\nupper = 1": "but it must have different names",
     "quantities = 3": "quantities = 3, but it must be a table",

@@ -1,39 +1,11 @@
 """A robot that is described in `experiment.toml` alone: it needs no equations and no Python."""
 
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import ClassVar, final
 
 from stepgap.base.ranges import require
 from stepgap.robots.robot import Robot
 from stepgap.step import Quantity, StepSpace
-
-
-@dataclass(frozen=True)
-class Coordinate:
-    """A coordinate of the state or the command.
-
-    Attributes:
-        name: Name, as in files and in the lines of a program.
-        unit: SI unit.
-        lower: Lower end of the range of use; of a command, a hard bound.
-        upper: Upper end.
-    """
-
-    name: str
-    unit: str
-    lower: float
-    upper: float
-
-    def __post_init__(self) -> None:
-        require(self.name.isidentifier(), "name", self.name, "consist of letters, digits and underscores")
-        require(isfinite(self.lower), "lower", self.lower, "be finite")
-        require(isfinite(self.upper) and self.lower < self.upper, "upper", self.upper, f"exceed lower = {self.lower:g}")
-
-    @property
-    def quantity(self) -> Quantity:
-        """The same for a `StepSpace`."""
-        return Quantity(self.name, self.unit, self.lower, self.upper)
 
 
 @dataclass(frozen=True)
@@ -45,8 +17,8 @@ class Quantities:
         command: Coordinates of the command.
     """
 
-    state: tuple[Coordinate, ...] = ()
-    command: tuple[Coordinate, ...] = ()
+    state: tuple[Quantity, ...] = ()
+    command: tuple[Quantity, ...] = ()
 
 
 @final
@@ -65,16 +37,16 @@ class CustomRobot(Robot):
     @property
     def space(self) -> StepSpace:
         """Names, units and ranges of the settings."""
-        return StepSpace(
-            tuple(each.quantity for each in self.quantities.state),
-            tuple(each.quantity for each in self.quantities.command),
-        )
+        return StepSpace(self.quantities.state, self.quantities.command)
 
     def check(self) -> None:
-        """Raises ValueError where a coordinate is missing or named twice."""
-        names = [each.name for each in (*self.quantities.state, *self.quantities.command)]
+        """Raises ValueError where a coordinate is missing, is named twice, or has a name that is no identifier."""
         for kind in ("state", "command"):
-            given = len(getattr(self.quantities, kind))
+            given = getattr(self.quantities, kind)
             wanted = f"be at least one [[quantities.{kind}]] with name, unit, lower, upper"
-            require(given > 0, f"quantities.{kind}", given, wanted)
-        require(len(set(names)) == len(names), "quantities", names, "have different names")
+            require(len(given) > 0, f"quantities.{kind}", len(given), wanted)
+            for number, each in enumerate(given, start=1):
+                rule = "consist of letters, digits and underscores"
+                require(each.name.isidentifier(), f"quantities.{kind} {number}.name", each.name, rule)
+        names = self.space.names
+        require(len(set(names)) == len(names), "quantities", list(names), "have different names")
