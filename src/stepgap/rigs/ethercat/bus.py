@@ -4,13 +4,13 @@ import os
 import socket
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
 from struct import Struct
 from time import monotonic, perf_counter, sleep
 from typing import Any
 
 from stepgap.rigs.ethercat.clock_start import clock_difference, start_clocks, synchronise
 from stepgap.rigs.ethercat.distributed_clocks import Steering
+from stepgap.rigs.ethercat.interface import claimed, open_sockets
 from stepgap.rigs.ethercat.pdo import Packing
 from stepgap.rigs.ethercat.pdo_mapping import configure_pdos
 from stepgap.rigs.ethercat.rig_settings import BusSettings
@@ -92,7 +92,7 @@ class Bus:
         """
         self._soem = _pysoem()
         self._limit_waiting(REPLY_TIMEOUT, REQUEST_TIMEOUT)
-        self._claim = _claimed(self._settings.interface)
+        self._claim = claimed(self._settings.interface)
         try:
             self._bring_up(self._open(), prepare)
         except (self._soem.SdoError, self._soem.MailboxError, self._soem.PacketError, self._soem.WkcError) as error:
@@ -106,7 +106,7 @@ class Bus:
         """Opens the master on its interface."""
         master = self._soem.Master()
         master.always_release_gil = True  # an emulated ring may live in this process
-        before = _sockets()
+        before = open_sockets()
         try:
             master.open(self._settings.interface)
         except ConnectionError:
@@ -114,7 +114,7 @@ class Bus:
                 f"interface {self._settings.interface} cannot be opened: "
                 "it must exist, and raw Ethernet needs root or the capability CAP_NET_RAW"
             ) from None
-        self._master, self._sockets = master, _sockets() - before
+        self._master, self._sockets = master, open_sockets() - before
         return master
 
     def _bring_up(self, master: Any, prepare: Callable[[], None]) -> None:
@@ -185,9 +185,13 @@ class Bus:
 
         Raises:
             MissingObject: The slave lacks it.
-            RigFault: The slave refuses.
+            RigFault: The slave refuses, or the object has another size.
         """
-        return self._read(number, index, subindex, layout)
+        data = self._transfer(number, index, subindex, lambda device: device.sdo_read(index, subindex))
+        if len(data) != layout.size:
+            name = f"object 0x{index:04X}:{subindex:02X}"
+            raise RigFault(f"{self.label(number)}: {name} must have {layout.size} bytes, not {len(data)}")
+        return layout.unpack(data)[0]
 
     def write_object(self, number: int, index: int, layout: Struct, value: float, subindex: int = 0) -> None:
         """Writes an object of a slave by SDO; too slow for a tick.
@@ -195,7 +199,8 @@ class Bus:
         Raises:
             RigFault: The slave refuses.
         """
-        self._write(number, index, subindex, layout, value)
+        data = layout.pack(value)
+        self._transfer(number, index, subindex, lambda device: device.sdo_write(index, subindex, data))
 
     def in_operation(self) -> bool | None:
         """Whether every slave reports OP, None if not all of them answer; costs one more frame.
@@ -342,17 +347,6 @@ class Bus:
         reason = f" (0x{device.al_status:04X}: {self._soem.al_status_code_to_string(device.al_status)})"
         return names.get(device.state & 0x0F, "is in an unknown state") + (reason if device.al_status else "")
 
-    def _read(self, number: int, index: int, subindex: int, layout: Struct) -> int:
-        data = self._transfer(number, index, subindex, lambda device: device.sdo_read(index, subindex))
-        if len(data) != layout.size:
-            name = f"object 0x{index:04X}:{subindex:02X}"
-            raise RigFault(f"{self.label(number)}: {name} must have {layout.size} bytes, not {len(data)}")
-        return layout.unpack(data)[0]
-
-    def _write(self, number: int, index: int, subindex: int, layout: Struct, value: float) -> None:
-        data = layout.pack(value)
-        self._transfer(number, index, subindex, lambda device: device.sdo_write(index, subindex, data))
-
     def _transfer(self, number: int, index: int, subindex: int, transfer: Any) -> Any:
         soem = self._soem
         try:
@@ -384,33 +378,5 @@ def _pysoem() -> Any:
         raise RigFault("an EtherCAT rig needs pysoem: pip install 'stepgap[ethercat]'") from None
 
 
-def _claimed(interface: str) -> socket.socket:
-    """Claims an interface for this process, until it closes the returned socket or ends in any way.
-
-    The claim is a name of an abstract Unix socket, which belongs to the network namespace, as the interface does.
-    """
-    claim = socket.socket(socket.AF_UNIX)
-    try:
-        claim.bind(f"\0stepgap-master-of-{interface}")
-    except OSError:
-        claim.close()
-        raise RigFault(
-            f"another process is already the master of {interface}; end it first, since a bus can have only one master"
-        ) from None
-    return claim
-
-
 def _identity(vendor: int, product: int) -> str:
     return f"vendor 0x{vendor:08X} product 0x{product:08X}"
-
-
-def _sockets() -> set[int]:
-    """Descriptors of this process that are sockets; pysoem does not report which one it opened."""
-    found = set()
-    for link in Path("/proc/self/fd").iterdir():
-        try:
-            if str(link.readlink()).startswith("socket:"):
-                found.add(int(link.name))
-        except FileNotFoundError:  # the descriptor that lists the folder
-            continue
-    return found
