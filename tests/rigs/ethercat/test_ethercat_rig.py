@@ -129,7 +129,7 @@ def test_the_bus_is_released_if_a_bring_up_is_aborted(monkeypatch: pytest.Monkey
         raise KeyboardInterrupt
 
     with live_ring() as ring:
-        for method in ("_check_drives", "_transition", "_update_reading"):
+        for method in ("_prepare", "_transition", "_update_reading"):
             with monkeypatch.context() as patch:
                 patch.setattr(EthercatRig, method, interrupted)
                 with pytest.raises(KeyboardInterrupt):

@@ -17,13 +17,11 @@ from stepgap.rigs.ethercat.cia402 import (
     next_controlword,
     state_of,
 )
+from stepgap.rigs.ethercat.drive_setup import check_modes, prepare_slaves
 from stepgap.rigs.ethercat.esi.comparison import compare_with_esi, labelled
 from stepgap.rigs.ethercat.esi.reader import read_esi
-from stepgap.rigs.ethercat.pdo import Packing
-from stepgap.rigs.ethercat.reactions import secure_reactions
 from stepgap.rigs.ethercat.rig_settings import BusSettings, Encoder
 from stepgap.rigs.ethercat.sensor_channels import EncoderChannel, ForceChannel
-from stepgap.rigs.ethercat.startup import StartupObject, write_startup
 from stepgap.rigs.ethercat.watched_drives import WatchedDrives
 from stepgap.rigs.host_time import COMPUTER, HostTime
 from stepgap.rigs.limits import RigLimits
@@ -45,9 +43,8 @@ from stepgap.rigs.rig import (
     WatchdogTimes,
 )
 
-_ERROR_CODE, _STATUSWORD, _LARGEST_TORQUE, _RATED_TORQUE = 0x603F, 0x6041, 0x6072, 0x6076
-_MODE, _MODE_DISPLAY = 0x6060, 0x6061
-_U16, _U32, _I8 = Struct("<H"), Struct("<I"), Struct("<b")
+_ERROR_CODE, _STATUSWORD = 0x603F, 0x6041
+_U16 = Struct("<H")
 
 CLOCK_DIAGNOSTICS = {CLOCK_OFFSET: "s", "clock_correction": "s", CLOCK_OUTSIDE: "frames"}
 """Values of the synchronisation with the reference clock that are logged, with their units."""
@@ -92,11 +89,6 @@ class EthercatRig(Rig):
             EncoderChannel(settings, device) if isinstance(device, Encoder) else ForceChannel(settings, device)
             for device in settings.devices.values()
         )
-        self._values = {
-            drive: {*Packing(pdos.outputs).names, *Packing(pdos.inputs).names}
-            for drive in self._drives
-            for pdos in [settings.pdo_set(settings.slaves[drive])]
-        }
         self._watched = WatchedDrives(settings, self._bus.label, self._bus.inputs)
         synchronised = [number for number, slave in enumerate(settings.slaves) if slave.assign_activate]
         self._differences, self._next_clock = dict.fromkeys(synchronised, nan), cycle(synchronised)
@@ -209,7 +201,7 @@ class EthercatRig(Rig):
         try:
             self._transition(Wanted.RESET, lambda states: State.FAULT not in states)
             self._transition(Wanted.ENABLED, lambda states: set(states) == {State.ENABLED})
-            self._check_modes()
+            check_modes(self._bus, self._settings)
             self._watched.restart()
             self._update_reading()
         except BaseException:
@@ -295,36 +287,7 @@ class EthercatRig(Rig):
         self._bus.close()
 
     def _prepare(self) -> None:
-        """Writes the objects that the settings demand, and prepares the drives, in PREOP."""
-        for number, slave in enumerate(self._settings.slaves):
-            for wanted in slave.startup_objects:
-                write_startup(self._bus, number, wanted)
-        self._remarks = []
-        for drive, motor in zip(self._drives, self._motors, strict=True):
-            if not motor.keep_reactions:
-                self._remarks += secure_reactions(self._bus, drive)
-            if "mode" not in self._values[drive]:
-                write_startup(self._bus, drive, StartupObject(_MODE, 0, "INT8", CYCLIC_TORQUE))
-        self._check_drives()
-
-    def _check_modes(self) -> None:
-        """Ensures that enabled drives which do not report their mode in each frame are in that of torque."""
-        for drive in self._drives:
-            if "mode_display" not in self._values[drive]:
-                mode = self._bus.read_object(drive, _MODE_DISPLAY, _I8)
-                if mode != CYCLIC_TORQUE:
-                    raise RigFault(f"{self._bus.label(drive)} is in mode {mode} (0x6061), not in {CYCLIC_TORQUE}")
-
-    def _check_drives(self) -> None:
-        """Compares the drives' rated torques with the settings and sets the drives' torque limits."""
-        for drive, motor in zip(self._drives, self._motors, strict=True):
-            rated = self._bus.read_object(drive, _RATED_TORQUE, _U32)
-            if rated != motor.rated_units:
-                raise RigFault(
-                    f"{self._bus.label(drive)} has a rated torque of {rated * motor.rated_torque_unit:g} N·m (0x6076), "
-                    f"but the settings have {motor.rated_torque:g}"
-                )
-            self._bus.write_object(drive, _LARGEST_TORQUE, _U16, motor.most_units)
+        self._remarks = prepare_slaves(self._bus, self._settings)
 
     def _transition(self, wanted: Wanted, arrived: Callable[[tuple[State, ...]], bool]) -> None:
         """Exchanges frames without torque until the drives have arrived at the wanted state."""
