@@ -1,6 +1,5 @@
 """A slave controller: registers, FMMUs, sync managers, mailbox, watchdog, states (ETG.1000.4 §6, ETG.1000.6 §6.4)."""
 
-from collections import deque
 from struct import pack_into, unpack_from
 from typing import NamedTuple
 
@@ -10,6 +9,7 @@ from stepgap.rigs.ethercat.emulator.device import EmulatedDevice
 from stepgap.rigs.ethercat.emulator.dictionary import ASSIGN_INPUTS, ASSIGN_OUTPUTS, Image
 from stepgap.rigs.ethercat.emulator.frame import Command
 from stepgap.rigs.ethercat.emulator.mailbox import answer
+from stepgap.rigs.ethercat.emulator.outgoing_mail import OutgoingMail, mailbox_area
 from stepgap.rigs.ethercat.emulator.registers import AlState, StatusCode
 from stepgap.rigs.ethercat.emulator.sii import (
     INPUT_CONTROL,
@@ -91,8 +91,7 @@ class EmulatedSlave:
         pack_into("<H", self.memory, reg.PDI_WATCHDOG_TIME, 1000)
         self.memory[reg.WATCHDOG_STATUS] = 1
         self._fmmus: list[_Fmmu] = []
-        self._mail: deque[bytes] = deque()
-        self._sent, self._mail_counter, self._request_counter = b"", 0, 0
+        self._mail, self._request_counter = OutgoingMail(self.memory), 0
         self._time = self._written = 0
         self._outputs, self._inputs, self._outputs_at, self._inputs_at = NO_IMAGE, NO_IMAGE, 0, 0
         self._set_state(AlState.INIT)
@@ -144,9 +143,8 @@ class EmulatedSlave:
                 self._outputs.unpack(bytes(self.memory[start : start + self._outputs.length]))
             self.device.update(operational)
         if self.device.messages:
-            self._mail += self.device.messages
+            self._mail.add(self.device.messages)
             self.device.messages.clear()
-            self._load_mail()
 
     def give_inputs(self, reading: Reading, time: int) -> None:
         """Updates the inputs from the sensors, and the ring's time [ns], after a tick of the machine."""
@@ -205,7 +203,7 @@ class EmulatedSlave:
         end = offset + len(data)
         if end > reg.MEMORY_SIZE or not data:
             return 0
-        start, length, full = self._mailbox(1)
+        start, length, full = mailbox_area(self.memory, 1)
         mail = start <= offset < start + length
         if mail and not full:
             return 0
@@ -214,8 +212,7 @@ class EmulatedSlave:
         found = self.memory[offset:end]
         data[:] = bytes(a | b for a, b in zip(data, found, strict=True)) if combine else found
         if mail and end >= start + length:
-            self.memory[reg.SYNC_MANAGER + reg.SYNC_MANAGER_SIZE + 5] &= ~reg.MAILBOX_FULL
-            self._load_mail()
+            self._mail.taken()
         return 1
 
     def _write(self, offset: int, data: bytes) -> int:
@@ -247,7 +244,7 @@ class EmulatedSlave:
         if touches(reg.FMMU, reg.FMMU_SLOTS * reg.FMMU_SIZE):
             self._fmmus = [fmmu for slot in range(reg.FMMU_SLOTS) if (fmmu := self._read_fmmu(slot))]
         if touches(reg.SYNC_MANAGER, reg.SYNC_MANAGER_SLOTS * reg.SYNC_MANAGER_SIZE):
-            self._repeat_mail()
+            self._mail.repeat()
         if touches(reg.DC_RECEIVE_TIME, 4):
             self.clock.latch(self._travel_behind)
         if touches(reg.DC_SPEED_COUNTER, 2):
@@ -261,17 +258,17 @@ class EmulatedSlave:
             self._written = self._time
             self.memory[reg.WATCHDOG_STATUS] = 1
             self._watch_sync()
-        first, length, _ = self._mailbox(0)
+        first, length, _ = mailbox_area(self.memory, 0)
         if self.device.dictionary and start < first + length <= end and self.state is not AlState.INIT:
             request = bytes(self.memory[first : first + length])
             counter = request[5] >> 4 & 7 if length > 5 else 0
             if counter and counter == self._request_counter:
                 return  # a master that repeats a message repeats its counter (ETG.1000.4, mailbox header)
             self._request_counter = counter
-            reply = answer(self.device.dictionary, request, self.state is AlState.PREOP, self._mailbox(1)[1])
+            room = mailbox_area(self.memory, 1)[1]
+            reply = answer(self.device.dictionary, request, self.state is AlState.PREOP, room)
             if reply is not None:
-                self._mail.append(reply)
-                self._load_mail()
+                self._mail.add([reply])
 
     def _read_fmmu(self, slot: int) -> _Fmmu | None:
         """Reads the mapping of a slot; None if it is not active or not within memory."""
@@ -280,38 +277,6 @@ class EmulatedSlave:
         if not active & 1 or physical < reg.PROCESS_RAM or physical + length > reg.MEMORY_SIZE:
             return None
         return _Fmmu(start, start + length, physical, bool(kind & 1), bool(kind & 2))
-
-    # ---- mailbox (ETG.1000.4 §5.6)
-
-    def _mailbox(self, number: int) -> tuple[int, int, bool]:
-        """Start, length and full flag of sync manager 0 or 1; length 0 if it is off or not in free memory."""
-        base = reg.SYNC_MANAGER + number * reg.SYNC_MANAGER_SIZE
-        start, length, _, status, active = unpack_from("<HHBBB", self.memory, base)
-        on = active & reg.SYNC_MANAGER_ENABLED and reg.PROCESS_RAM <= start <= reg.MEMORY_SIZE - length
-        return start, length if on else 0, bool(status & reg.MAILBOX_FULL)
-
-    def _load_mail(self) -> None:
-        """Puts the next message into an empty outgoing mailbox."""
-        start, length, full = self._mailbox(1)
-        if self._mail and length and not full:
-            message = bytearray(self._mail.popleft())
-            self._mail_counter = self._mail_counter % 7 + 1
-            message[5] |= self._mail_counter << 4
-            self._put_mail(bytes(message), start, length)
-
-    def _put_mail(self, message: bytes, start: int, length: int) -> None:
-        self._sent = message
-        self.memory[start : start + length] = message.ljust(length, b"\0")[:length]
-        self.memory[reg.SYNC_MANAGER + reg.SYNC_MANAGER_SIZE + 5] |= reg.MAILBOX_FULL
-
-    def _repeat_mail(self) -> None:
-        """Repeats the last answer if the master toggled the repeat bit, since it lost that answer; echoes the bit."""
-        base = reg.SYNC_MANAGER + reg.SYNC_MANAGER_SIZE
-        if (self.memory[base + 6] ^ self.memory[base + 7]) & reg.REPEAT:
-            start, length, _ = self._mailbox(1)
-            if length and self._sent:
-                self._put_mail(self._sent, start, length)
-            self.memory[base + 7] ^= reg.REPEAT
 
     # ---- EEPROM
 
