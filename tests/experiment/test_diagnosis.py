@@ -60,7 +60,7 @@ def varying(state: Array, before: Array, rng: np.random.Generator) -> Array:
 def test_without_memory_there_is_rarely_a_finding() -> None:
     found = [diagnosis(200, seed, plain) for seed in range(60)]
     assert np.mean([np.any(list(one.gains.values())) for one in found]) <= 0.05
-    assert np.mean([(one.noise_ratio > 1).any() for one in found]) <= 0.05
+    assert np.mean([(one.heteroscedasticity > 1).any() for one in found]) <= 0.05
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -73,7 +73,7 @@ def test_memory_is_found_in_the_coordinate_that_has_it_with_its_gain(seed: int) 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_that_depends_on_the_state_is_found(seed: int) -> None:
-    ratio = diagnosis(227, seed, varying).noise_ratio
+    ratio = diagnosis(227, seed, varying).heteroscedasticity
     assert ratio[0] > 1.5
     assert ratio[1] == 1
 

@@ -48,20 +48,20 @@ class Diagnosis:
         steps: Number of steps with a known error.
         gains: By group of history inputs, the part of the error that they explain beyond chance, leave-one-out; 0
             where the F test does not confirm it; shape (n,).
-        noise_ratio: Standard deviation of the unexplained error where it is predicted to be large (upper third) in that
-            where it is predicted to be small; 1 where the test does not confirm a dependence; shape (n,).
+        heteroscedasticity: Standard deviation of the unexplained error where it is predicted to be large (upper third),
+            in that where it is predicted to be small; 1 where the test does not confirm a dependence; shape (n,).
         authority: Half the range over which each command moves the next state, in half ranges of use; shape (n, m).
     """
 
     steps: int
     gains: dict[str, Array]
-    noise_ratio: Array
+    heteroscedasticity: Array
     authority: Array
 
     @property
     def known(self) -> bool:
         """Whether the steps were enough to judge lagged inputs and noise."""
-        return bool(np.isfinite(self.noise_ratio).all())
+        return bool(np.isfinite(self.heteroscedasticity).all())
 
 
 def diagnose(observed: Observations, step_map: StepMap) -> Diagnosis:
@@ -80,8 +80,8 @@ def diagnose(observed: Observations, step_map: StepMap) -> Diagnosis:
     for name in HISTORY:
         inputs = HistoryInputs(name).of(observed.history, n)
         gains[name] = _gains(plain, fit_linear(np.hstack([basis, inputs]), observed.error))
-    noise_ratio = np.array([_noise_ratio(_scaled(observed), residual) for residual in plain.residual.T])
-    return Diagnosis(len(observed), gains, noise_ratio, authority)
+    heteroscedasticity = np.array([_heteroscedasticity(_scaled(observed), residual) for residual in plain.residual.T])
+    return Diagnosis(len(observed), gains, heteroscedasticity, authority)
 
 
 def part_at_bounds(observed: Observations) -> Array:
@@ -130,7 +130,7 @@ def _gains(plain: LinearFit, more: LinearFit) -> Array:
     return np.where(fdtrc(added, free, statistic) > CONFIDENT, 0.0, np.maximum(reduced, 0.0))
 
 
-def _noise_ratio(points: Array, residual: Array) -> float:
+def _heteroscedasticity(points: Array, residual: Array) -> float:
     """How much the unexplained error varies with state and command; 1 if a test does not confirm that it does."""
     squares = residual**2
     total = np.sum((squares - squares.mean()) ** 2)

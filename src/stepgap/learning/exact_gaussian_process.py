@@ -63,7 +63,7 @@ class ExactGaussianProcess(GaussianProcess):
         points, values = np.concatenate([self.points, new_point]), np.concatenate([self.values, new_value])
         row = self._whiten(new_point)[:, 0]
         prior = self.covariance.prior_variance(points)
-        noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2 + solved.factor.jitter
+        noise = hyper_parameters.noise_variance + solved.factor.jitter
         squared_pivot = float(prior[-1] + noise - row @ row)
         if not is_safe(squared_pivot, prior):
             return condition(points, values, self.input_scale, hyper_parameters, self.kernel)
@@ -164,7 +164,7 @@ def condition(
     points, values, input_scale = checked_data(points, values, input_scale)
     check_sizes(hyper_parameters, input_scale)
     covariance = hyper_parameters.covariance(kernel, points, input_scale)
-    noise = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2
-    matrix = covariance_matrix(covariance.correlation_of_centres(), covariance.centre_features, noise)
+    linear_features, noise = covariance.centre_features, hyper_parameters.noise_variance
+    matrix = covariance_matrix(covariance.correlation_of_centres(), linear_features, noise)
     least_squares = fit_least_squares(factorise(matrix), values)
     return ExactGaussianProcess(points, values, input_scale, hyper_parameters, kernel, least_squares)

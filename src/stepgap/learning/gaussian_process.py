@@ -53,6 +53,11 @@ class HyperParameters:
             std = getattr(self, name)
             require(std == 0 or _positive(std), name, std, "be non-negative and finite")
 
+    @property
+    def noise_variance(self) -> float:
+        """Variance of the noise of one value [signal²]."""
+        return (self.noise_std / self.signal_std) ** 2
+
     def covariance(self, kernel: Kernel, centres: Array, input_scale: Array) -> Covariance:
         """Covariance of queries and fixed centres (M, d).
 

@@ -4,7 +4,7 @@ The model is that of `gaussian_process`, with the best approximation of its post
 points only (Titsias, Variational Learning of Inducing Variables in Sparse Gaussian Processes, 2009, Eqs. 6, 10).
 With the features φ = (L⁻¹k, linear features, 1) of a point, where k is its covariance with the inducing points and
 L Lᵀ that of these among each other, it is a linear regression on φ (RW Sec. 2.1) with the precision
-A = diag(1, …, 1, 0) + Σφφᵀ/ν, where ν = (noise/signal)².
+A = diag(1, …, 1, 0) + Σφφᵀ/ν, where ν is the variance of the noise [signal²].
 """
 
 from collections.abc import Mapping, Sequence
@@ -99,10 +99,10 @@ class SparseGaussianProcess(GaussianProcess):
     def append(self, point: ArrayLike, value: float) -> "SparseGaussianProcess":
         """Conditions the process on one more point, at the same inducing points, in O(M³), independent of N."""
         new_point, new_value, _ = checked_data(np.asarray(point, float)[None], np.asarray([value]), self.input_scale)
-        features, old = self._features(new_point)[:, 0], self.posterior
+        features, noise = self._features(new_point)[:, 0], self.hyper_parameters.noise_variance
         posterior = WeightPosterior(
-            old.precision + np.outer(features, features) / self._noise_ratio,
-            old.moment + features * new_value[0] / self._noise_ratio,
+            self.posterior.precision + np.outer(features, features) / noise,
+            self.posterior.moment + features * new_value[0] / noise,
         )
         return replace(
             self,
@@ -113,27 +113,25 @@ class SparseGaussianProcess(GaussianProcess):
 
     def leave_one_out(self) -> tuple[Array, Array]:
         """Leave-one-out predictions, at the same inducing points."""
-        signal, noise, ratio = self.hyper_parameters.signal_std, self.hyper_parameters.noise_std, self._noise_ratio
-        features = self._features(self.points)
-        leverage = (self.posterior.factor.solve(features) ** 2).sum(axis=0) / ratio
+        found, features = self.hyper_parameters, self._features(self.points)
+        leverage = (self.posterior.factor.solve(features) ** 2).sum(axis=0) / found.noise_variance
         error = self.values - features.T @ self.posterior.mean
         kept = np.maximum(1 - leverage, np.finfo(float).tiny)
-        variance = self._conditional_variance(features) + ratio * leverage / kept
-        return self.values - error / kept, np.hypot(signal * np.sqrt(variance), noise)
+        variance = self._conditional_variance(features) + found.noise_variance * leverage / kept
+        return self.values - error / kept, found.std(variance, include_noise=True)
 
     def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
         """Leave-block-out predictions, at the same inducing points."""
-        signal, noise, ratio = self.hyper_parameters.signal_std, self.hyper_parameters.noise_std, self._noise_ratio
-        features, posterior = self._features(self.points), self.posterior
+        features, posterior, noise = self._features(self.points), self.posterior, self.hyper_parameters.noise_variance
         mean, variance = np.full(len(self.values), np.nan), self._conditional_variance(features)
         for block in blocks:
             inside = features[:, block]
             others = WeightPosterior(
-                posterior.precision - inside @ inside.T / ratio, posterior.moment - inside @ self.values[block] / ratio
+                posterior.precision - inside @ inside.T / noise, posterior.moment - inside @ self.values[block] / noise
             )
             mean[block] = others.mean @ inside
             variance[block] += (others.factor.solve(inside) ** 2).sum(axis=0)
-        return mean, np.hypot(signal * np.sqrt(variance), noise)
+        return mean, self.hyper_parameters.std(variance, include_noise=True)
 
     def to_dict(self) -> dict[str, Any]:
         """Converts data, hyper-parameters and inducing points to JSON-ready numbers."""
@@ -156,11 +154,6 @@ class SparseGaussianProcess(GaussianProcess):
     @property
     def _centres(self) -> Array:
         return self.inducing
-
-    @property
-    def _noise_ratio(self) -> float:
-        """ν, variance of the noise [signal²]."""
-        return (self.hyper_parameters.noise_std / self.hyper_parameters.signal_std) ** 2
 
     def _solve_weights(self) -> tuple[Array, Array]:
         size, weights = len(self.inducing), self.posterior.mean
@@ -231,10 +224,10 @@ def condition_sparse(
     covariance = hyper_parameters.covariance(kernel, inducing, input_scale)
     factor = factorise(covariance_matrix(covariance.correlation_of_centres(), np.zeros((len(inducing), 0)), 0.0))
     features = _features(covariance, factor, points)
-    ratio = (hyper_parameters.noise_std / hyper_parameters.signal_std) ** 2
-    precision = features @ features.T / ratio
+    noise = hyper_parameters.noise_variance
+    precision = features @ features.T / noise
     precision[np.diag_indices(len(precision) - 1)] += 1
-    posterior = WeightPosterior(np.ascontiguousarray(precision), features @ values / ratio)
+    posterior = WeightPosterior(np.ascontiguousarray(precision), features @ values / noise)
     return SparseGaussianProcess(points, values, input_scale, hyper_parameters, kernel, inducing, factor, posterior)
 
 

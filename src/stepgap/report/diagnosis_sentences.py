@@ -77,7 +77,7 @@ def _noise(found: Diagnosis, space: StepSpace) -> list[str]:
         f"The unexplained error of {quantity.name} depends on state and command: in some parts of their range it is "
         f"{ratio:.1f} times as large as in others. The learned model has one noise level, so its intervals are too "
         "narrow in the former and too wide in the latter."
-        for quantity, ratio in zip(space.state, found.noise_ratio, strict=True)
+        for quantity, ratio in zip(space.state, found.heteroscedasticity, strict=True)
         if ratio > WORTH_MENTION
     ]
 
