@@ -47,11 +47,6 @@ class ExactGaussianProcess(GaussianProcess):
         """β by generalised least squares [unit of the values]."""
         return self.least_squares.coefficient
 
-    @property
-    def log_likelihood(self) -> float:
-        """Logarithm of p(values) at these hyper-parameters and this β (RW Eq. 2.30)."""
-        return self.least_squares.log_likelihood(self.hyper_parameters.signal_std)
-
     def append(self, point: ArrayLike, value: float) -> "ExactGaussianProcess":
         """Conditions the process on one more point (d,) and value, at the same hyper-parameters, in O(N²).
 

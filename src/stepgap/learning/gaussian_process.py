@@ -162,22 +162,18 @@ class GaussianProcess(ABC):
         """
         return self.hyper_parameters.std(self.covariance.blockwise(self._kriging_variance, point), include_noise)
 
-    def std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """∂std/∂point; shape (…, d) [unit of the values per unit of each input]; see `kriging_std_gradient`."""
-        half = self.covariance.blockwise(self._half_variance_gradient, point)
-        return self.hyper_parameters.std_gradient(half, self.std(point, include_noise=include_noise))
-
-    def kriging_std_gradient(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
-        """∂kriging_std/∂point; shape (…, d) [unit of the values per unit of each input].
+    def std_gradient(self, point: ArrayLike) -> Array:
+        """∂std/∂point without noise; shape (…, d) [unit of the values per unit of each input].
 
         At points without uncertainty the standard deviation has a kink; zero is returned there.
-
-        Args:
-            point: Shape (…, d).
-            include_noise: As for `kriging_std`.
         """
+        half = self.covariance.blockwise(self._half_variance_gradient, point)
+        return self.hyper_parameters.std_gradient(half, self.std(point))
+
+    def kriging_std_gradient(self, point: ArrayLike) -> Array:
+        """∂kriging_std/∂point without noise, as `std_gradient`; shape (…, d)."""
         half = self.covariance.blockwise(self._half_kriging_variance_gradient, point)
-        return self.hyper_parameters.std_gradient(half, self.kriging_std(point, include_noise=include_noise))
+        return self.hyper_parameters.std_gradient(half, self.kriging_std(point))
 
     def to_dict(self) -> dict[str, Any]:
         """Kernel, data and hyper-parameters for JSON, which define the process."""

@@ -127,7 +127,7 @@ def _outliers_of(residual: Residual, observations: Observations) -> NDArray[np.b
     return outliers_among(np.stack(error, axis=1) / scale, std / scale, (same == 0) & (next_one == 1))
 
 
-def held_out_score(residual: Residual, observations: Observations, folds: int = SELECTION_FOLDS) -> float:
+def held_out_score(residual: Residual, observations: Observations) -> float:
     """Score of a residual in cross-validation: each error is predicted from those outside its part of the record.
 
     The parts are contiguous because neighbouring steps are alike: a flexible model would predict a single held-out step
@@ -135,13 +135,12 @@ def held_out_score(residual: Residual, observations: Observations, folds: int = 
 
     Args:
         residual: Residual fitted to the observations.
-        observations: N steps.
-        folds: Number of parts; at most N.
+        observations: The N observations; with fewer than `SELECTION_FOLDS` each is a part.
 
     Returns:
         Mean log predictive density of an error, summed over the coordinates; −inf where a prediction is missing.
     """
-    parts = np.array_split(np.arange(len(observations)), min(folds, len(observations)))
+    parts = np.array_split(np.arange(len(observations)), min(SELECTION_FOLDS, len(observations)))
     blocks, score = [slice(part[0], part[-1] + 1) for part in parts], 0.0
     for regression, error in zip(residual.regressions, observations.error.T, strict=True):
         mean, std = regression.left_out(blocks)
