@@ -31,14 +31,7 @@ QUERIES = training_data(7, seed=1).points
 
 
 class ResidualContract:
-    """Tests of the residual model that the fixture `model` gives.
-
-    Attributes:
-        overconfident: Whether its standard deviations treat fitted coefficients as exact; those of `left_out` may then
-            be slightly larger than those of a fit to the others.
-    """
-
-    overconfident = False
+    """Tests of the residual model that the fixture `model` gives."""
 
     @pytest.fixture(params=[False, True], ids=["untimed", "timed"])
     def data(self, request: pytest.FixtureRequest) -> TrainingData:
@@ -124,11 +117,7 @@ class ResidualContract:
             others = {key: np.delete(saved[key], block, axis=0).tolist() for key in ("points", "values")}
             mean, std = model.from_dict({**saved, **others}).predict(regression.points[block])
             np.testing.assert_allclose(found.mean[block], mean, rtol=1e-6, atol=1e-9 * VALUE_SCALE)
-            if self.overconfident:
-                assert (found.std[block] >= std * (1 - 1e-9)).all()
-                np.testing.assert_allclose(found.std[block], std, rtol=0.1)
-            else:
-                np.testing.assert_allclose(found.std[block], std, rtol=1e-6)
+            np.testing.assert_allclose(found.std[block], std, rtol=1e-6)
 
     def test_a_single_value_is_enough(self, model: ResidualModel) -> None:
         regression = model.fit(training_data(1), None)

@@ -111,7 +111,7 @@ class TestEveryResidual:
             assert not np.allclose(grown.mean(points(QUERIES)), residual.mean(points(QUERIES)), rtol=1e-6)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in FITTED if kind not in ("none", "fitrgp")])
+@pytest.mark.parametrize("kind", [kind for kind in FITTED if kind != "none"])
 @pytest.mark.parametrize("forgetting_time", [inf, 30.0])
 def test_left_out_is_conditioning_on_the_others(kind: str, forgetting_time: float) -> None:
     """By `to_dict`, so that the hyper-parameters do not change."""

@@ -9,19 +9,11 @@ from tests.learning.residual_contract import ResidualContract
 MODELS = {model.name: model for model in residual_models()}
 
 
-@pytest.mark.parametrize("name", [name for name in MODELS if name != "fitrgp"])
+@pytest.mark.parametrize("name", MODELS)
 class TestInstalled(ResidualContract):
     @pytest.fixture
     def model(self, name: str) -> ResidualModel:
         return MODELS[name]
-
-
-class TestFitrgp(ResidualContract):
-    overconfident = True
-
-    @pytest.fixture
-    def model(self) -> ResidualModel:
-        return MODELS["fitrgp"]
 
 
 def test_they_are_sorted_from_simple_to_complex() -> None:

@@ -92,8 +92,8 @@ def test_leave_out_is_the_prediction_without_the_block(hyper_parameters) -> None
     for block in blocks:
         others = np.delete(points, block, axis=0), np.delete(values, block)
         without = condition_sparse(*others, SCALE, hyper_parameters, inducing)
-        std = without.kriging_std(points[block], include_noise=True)
-        np.testing.assert_allclose([part[block] for part in found], [without.mean(points[block]), std], rtol=1e-7)
+        stds = (std(points[block], include_noise=True) for std in (without.std, without.kriging_std))
+        np.testing.assert_allclose([part[block] for part in found], [without.mean(points[block]), *stds], rtol=1e-7)
     singles = [slice(row, row + 1) for row in range(30)]
     for process in (
         condition(points, values, SCALE, hyper_parameters),
@@ -106,11 +106,12 @@ def test_leave_out_is_the_prediction_without_the_block(hyper_parameters) -> None
 def test_leave_one_out_is_the_prediction_without_the_point(hyper_parameters) -> None:
     points, values = sample(30)
     inducing, _ = sample(8, seed=2)
-    mean, std = condition_sparse(points, values, SCALE, hyper_parameters, inducing).leave_one_out()
+    mean, std, kriging_std = condition_sparse(points, values, SCALE, hyper_parameters, inducing).leave_one_out()
     for i, rest in enumerate(~np.eye(30, dtype=bool)):
         process = condition_sparse(points[rest], values[rest], SCALE, hyper_parameters, inducing)
         assert mean[i] == pytest.approx(process.mean(points[i]), rel=1e-8)
-        assert std[i] == pytest.approx(process.kriging_std(points[i], include_noise=True), rel=1e-8)
+        assert std[i] == pytest.approx(process.std(points[i], include_noise=True), rel=1e-8)
+        assert kriging_std[i] == pytest.approx(process.kriging_std(points[i], include_noise=True), rel=1e-8)
 
 
 @BOTH

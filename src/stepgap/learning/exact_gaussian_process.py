@@ -15,6 +15,7 @@ from stepgap.learning.covariance import covariance_matrix
 from stepgap.learning.gaussian_process import (
     GaussianProcess,
     HyperParameters,
+    LeftOut,
     check_kernel,
     check_sizes,
     checked_data,
@@ -65,32 +66,36 @@ class ExactGaussianProcess(GaussianProcess):
         least_squares = append_value(solved, row, math.sqrt(squared_pivot), float(new_value[0]))
         return ExactGaussianProcess(points, values, self.input_scale, hyper_parameters, self.kernel, least_squares)
 
-    def leave_one_out(self) -> tuple[Array, Array]:
+    def leave_one_out(self) -> LeftOut:
         """Leave-one-out predictions; for a single value the mean is NaN and the standard deviation infinite.
 
-        β is estimated without the value, too: RW Eq. 5.12, with K⁻¹ − K⁻¹1 1ᵀK⁻¹ / 1ᵀK⁻¹1 for K⁻¹.
+        RW Eq. 5.12 for the variance at the β of the others; with K⁻¹ − K⁻¹1 1ᵀK⁻¹ / 1ᵀK⁻¹1 for K⁻¹, as β is estimated
+        without the value, too, for the mean and the variance of universal kriging.
         """
-        solved = self.least_squares
+        solved, signal = self.least_squares, self.hyper_parameters.signal_std
         if len(self.values) == 1:
-            return np.array([np.nan]), np.array([np.inf])
+            return LeftOut(np.array([np.nan]), np.array([np.inf]), np.array([np.inf]))
         K_inv, _ = _potri(solved.factor.assembled(), lower=1)
         K_inv_1 = solved.factor.solve_transposed(solved.basis)
         precision = K_inv.diagonal() - K_inv_1**2 / K_inv_1.sum()
-        return self.values - solved.weights / precision, self.hyper_parameters.signal_std / np.sqrt(precision)
+        mean = self.values - solved.weights / precision
+        return LeftOut(mean, signal / np.sqrt(K_inv.diagonal()), signal / np.sqrt(precision))
 
-    def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
-        """Leave-block-out predictions: RW Eq. 5.12 for blocks of values."""
+    def leave_out(self, blocks: Sequence[slice]) -> LeftOut:
+        """Leave-block-out predictions: as `leave_one_out`, for blocks of values."""
         solved, values = self.least_squares, self.values
-        mean, variance = np.full(len(values), np.nan), np.full(len(values), np.inf)
+        mean, variance, kriging_variance = (np.full(len(values), each) for each in (np.nan, np.inf, np.inf))
         whitened = solved.factor.solve(np.eye(len(values)))
         basis = solved.basis / np.linalg.norm(solved.basis)
-        whitened -= np.outer(basis, basis @ whitened)
+        without_basis = np.subtract(whitened, np.outer(basis, basis @ whitened), order="F")
         for block in blocks:
             if len(values[block]) < len(values):
-                covariance = np.linalg.inv(whitened[:, block].T @ whitened[:, block])
+                variance[block] = np.linalg.inv(whitened[:, block].T @ whitened[:, block]).diagonal()
+                covariance = np.linalg.inv(without_basis[:, block].T @ without_basis[:, block])
                 mean[block] = values[block] - covariance @ solved.weights[block]
-                variance[block] = covariance.diagonal()
-        return mean, self.hyper_parameters.signal_std * np.sqrt(variance)
+                kriging_variance[block] = covariance.diagonal()
+        signal = self.hyper_parameters.signal_std
+        return LeftOut(mean, signal * np.sqrt(variance), signal * np.sqrt(kriging_variance))
 
     @staticmethod
     def from_dict(data: Mapping[str, Any], kernel: Kernel = MATERN_52) -> "ExactGaussianProcess":

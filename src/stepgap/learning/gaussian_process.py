@@ -17,7 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,6 +78,20 @@ class HyperParameters:
         return np.divide(half, std[..., None], out=np.zeros_like(half), where=std[..., None] != 0)
 
 
+class LeftOut(NamedTuple):
+    """Predictions of values from others, with the same hyper-parameters; shapes (N,) [unit of the values].
+
+    Attributes:
+        mean: Expected values.
+        std: Standard deviations as `GaussianProcess.std(…, include_noise=True)`, with the β of the others.
+        kriging_std: Standard deviations as `GaussianProcess.kriging_std(…, include_noise=True)`.
+    """
+
+    mean: Array
+    std: Array
+    kriging_std: Array
+
+
 @dataclass(frozen=True, eq=False)
 class GaussianProcess(ABC):
     """A Gaussian process conditioned on data.
@@ -109,16 +123,11 @@ class GaussianProcess(ABC):
         """The process conditioned on one more point (d,) and value, with the same hyper-parameters."""
 
     @abstractmethod
-    def leave_one_out(self) -> tuple[Array, Array]:
-        """Predicts each value from all others, with the same hyper-parameters.
-
-        Returns:
-            Means and standard deviations, the latter as `kriging_std(…, include_noise=True)`; shapes (N,) and (N,)
-            [unit of the values].
-        """
+    def leave_one_out(self) -> LeftOut:
+        """Predicts each value from all others, from which β is estimated, too."""
 
     @abstractmethod
-    def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
+    def leave_out(self, blocks: Sequence[slice]) -> LeftOut:
         """Predicts each value from the values outside its block, as `leave_one_out` does for single values.
 
         Args:
@@ -146,6 +155,8 @@ class GaussianProcess(ABC):
 
     def std(self, point: ArrayLike, *, include_noise: bool = False) -> Array:
         """Standard deviation with β taken as known (RW Eq. 2.26); shape (…) [unit of the values].
+
+        With slopes, β is the value at the first centre, and the standard deviation depends on this choice.
 
         Args:
             point: Shape (…, d).

@@ -64,9 +64,9 @@ class GaussianProcessRegression(Regression):
 
     def left_out(self, blocks: Sequence[slice]) -> Prediction:
         """Predictions, with noise, of each value from those outside its block (RW Eq. 5.12 for blocks)."""
-        if len(blocks) == len(self.values):
-            return Prediction(*self.process.leave_one_out())
-        return Prediction(*self.process.leave_out(blocks))
+        single = len(blocks) == len(self.values)
+        found = self.process.leave_one_out() if single else self.process.leave_out(blocks)
+        return Prediction(found.mean, found.std if self.plug_in else found.kriging_std)
 
     def append(self, point: ArrayLike, value: float) -> "GaussianProcessRegression":
         """Conditions the process on one more value, in O(N²); in O(M³) if sparse."""

@@ -24,6 +24,7 @@ from stepgap.learning.exact_gaussian_process import ExactGaussianProcess
 from stepgap.learning.gaussian_process import (
     GaussianProcess,
     HyperParameters,
+    LeftOut,
     check_kernel,
     check_sizes,
     checked_data,
@@ -111,27 +112,34 @@ class SparseGaussianProcess(GaussianProcess):
             posterior=posterior,
         )
 
-    def leave_one_out(self) -> tuple[Array, Array]:
+    def leave_one_out(self) -> LeftOut:
         """Leave-one-out predictions, at the same inducing points."""
         found, features = self.hyper_parameters, self._features(self.points)
-        leverage = (self.posterior.factor.solve(features) ** 2).sum(axis=0) / found.noise_variance
+        conditional, squares = self._conditional_variance(features), self.posterior.factor.solve(features) ** 2
+        stds = []
+        for terms in (squares[:-1], squares):  # without and with the constant, as in the variances below
+            leverage = terms.sum(axis=0) / found.noise_variance
+            kept = np.maximum(1 - leverage, np.finfo(float).tiny)
+            stds.append(found.std(conditional + found.noise_variance * leverage / kept, include_noise=True))
         error = self.values - features.T @ self.posterior.mean
-        kept = np.maximum(1 - leverage, np.finfo(float).tiny)
-        variance = self._conditional_variance(features) + found.noise_variance * leverage / kept
-        return self.values - error / kept, found.std(variance, include_noise=True)
+        return LeftOut(self.values - error / kept, *stds)
 
-    def leave_out(self, blocks: Sequence[slice]) -> tuple[Array, Array]:
+    def leave_out(self, blocks: Sequence[slice]) -> LeftOut:
         """Leave-block-out predictions, at the same inducing points."""
         features, posterior, noise = self._features(self.points), self.posterior, self.hyper_parameters.noise_variance
         mean, variance = np.full(len(self.values), np.nan), self._conditional_variance(features)
+        kriging_variance = variance.copy()
         for block in blocks:
             inside = features[:, block]
             others = WeightPosterior(
                 posterior.precision - inside @ inside.T / noise, posterior.moment - inside @ self.values[block] / noise
             )
             mean[block] = others.mean @ inside
-            variance[block] += (others.factor.solve(inside) ** 2).sum(axis=0)
-        return mean, self.hyper_parameters.std(variance, include_noise=True)
+            squares = others.factor.solve(inside) ** 2
+            variance[block] += squares[:-1].sum(axis=0)
+            kriging_variance[block] += squares.sum(axis=0)
+        stds = (self.hyper_parameters.std(each, include_noise=True) for each in (variance, kriging_variance))
+        return LeftOut(mean, *stds)
 
     def to_dict(self) -> dict[str, Any]:
         """Converts data, hyper-parameters and inducing points to JSON-ready numbers."""
