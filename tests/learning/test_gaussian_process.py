@@ -15,13 +15,12 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, Matern
 
 from stepgap.learning.cholesky import LONGEST_TAIL
+from stepgap.learning.evidence import Criterion, Evidence, LogParameters, MaximumAPosteriori, MaximumLikelihood
 from stepgap.learning.exact_gaussian_process import ExactGaussianProcess, condition
 from stepgap.learning.gaussian_process import HyperParameters
 from stepgap.learning.gaussian_process_fit import (
     COLD_START_SIZE,
     Basis,
-    Evidence,
-    LogParameters,
     fit_gaussian_process,
     fit_like_fitrgp,
 )
@@ -333,21 +332,21 @@ class TestEvidence:
     POINTS, VALUES = sample(25)
     HERE, THERE = logs([1.0, 2.0, 3.0, 4.0], 0.3, 0.6), logs([2.0, 1.5, 5.0, 0.8], 0.9, 2.0)
 
-    def evidence(self, value_scale: float | None = 0.2, least_noise: float = 1e-9, length_scales: int = 4) -> Evidence:
-        return Evidence(self.POINTS / SCALE, self.VALUES, length_scales, least_noise, value_scale)
+    def evidence(self, criterion: Criterion, least_noise: float = 1e-9, length_scales: int = 4) -> Evidence:
+        return Evidence(self.POINTS / SCALE, self.VALUES, criterion, length_scales, least_noise)
 
-    @pytest.mark.parametrize("value_scale", [None, 0.2])
+    @pytest.mark.parametrize("criterion", [MaximumLikelihood(), MaximumAPosteriori(0.2)], ids=["likelihood", "prior"])
     @pytest.mark.parametrize("least_noise", [1e-9, 0.05], ids=["free", "binding"])
     @pytest.mark.parametrize("ratios", [(0.4,), (0.4, 0.6)], ids=["constant", "linear"])
     @pytest.mark.parametrize("kernel", [MATERN_52, SQUARED_EXPONENTIAL], ids=lambda kernel: kernel.name)
     def test_gradient_is_the_derivative_of_the_loss(
-        self, kernel: Kernel, ratios: tuple[float, ...], least_noise: float, value_scale: float | None
+        self, kernel: Kernel, ratios: tuple[float, ...], least_noise: float, criterion: Criterion
     ) -> None:
-        evidence = replace(self.evidence(value_scale, least_noise), kernel=kernel)
+        evidence = replace(self.evidence(criterion, least_noise), kernel=kernel)
         self.check_gradient(evidence, logs([2.0] * 4, *ratios))
 
     def test_gradient_with_one_common_length_scale(self) -> None:
-        self.check_gradient(self.evidence(None, length_scales=1), logs([2.0], 0.4))
+        self.check_gradient(self.evidence(MaximumLikelihood(), length_scales=1), logs([2.0], 0.4))
 
     def check_gradient(self, evidence: Evidence, centre: LogParameters) -> None:
         generator, size = np.random.default_rng(4), len(centre.vector)
@@ -360,7 +359,7 @@ class TestEvidence:
             np.testing.assert_allclose(gradient.vector, expected, rtol=1e-6, atol=1e-6)
 
     def test_loss_is_the_negative_log_posterior(self) -> None:
-        evidence = self.evidence()
+        evidence = self.evidence(MaximumAPosteriori(0.2))
 
         def expected(log_parameters: LogParameters) -> float:
             found = evidence.hyper_parameters(log_parameters)
@@ -378,7 +377,7 @@ class TestEvidence:
         assert difference == pytest.approx(expected(self.HERE) - expected(self.THERE), rel=1e-9)
 
     def test_without_priors_the_signal_and_the_constant_are_the_most_likely_ones(self) -> None:
-        found = self.evidence(None).hyper_parameters(self.HERE)
+        found = self.evidence(MaximumLikelihood()).hyper_parameters(self.HERE)
         process = condition(self.POINTS, self.VALUES, SCALE, found)
         for factor in (0.99, 1.01):
             stds = {name: factor * getattr(found, name) for name in ("signal_std", "noise_std", "slope_std")}
@@ -391,8 +390,7 @@ class TestEvidence:
     @pytest.mark.parametrize("quadratic_form", [0.0, 1e-30, 1e-4, 3.0, 1e8])
     @pytest.mark.parametrize("size", [1, 2, 30, 300])
     def test_the_signal_is_the_most_probable_one(self, size: int, quadratic_form: float) -> None:
-        evidence = Evidence(np.zeros((size, 1)), np.zeros(size), 1, 0.0, 0.2)
-        signal = evidence.signal(quadratic_form)
+        signal = MaximumAPosteriori(0.2).signal(quadratic_form, size)
 
         def slope(log_signal: float) -> float:
             return quadratic_form * np.exp(-2 * log_signal) - (size - 1) - (log_signal - np.log(0.05))
@@ -420,7 +418,7 @@ class TestFit:
         points, noise = sample(size, seed=12)
         values = np.sin(9 * (points - CENTRE)[:, decisive] / SCALE[decisive]) + noise
         hyper_parameters = fit_gaussian_process(points, values, SCALE).hyper_parameters
-        evidence = Evidence(points / SCALE, values, 4, 1e-9, np.ptp(values) / 2)
+        evidence = Evidence(points / SCALE, values, MaximumAPosteriori(float(np.ptp(values)) / 2), 4, 1e-9)
         ratio = hyper_parameters.noise_std / hyper_parameters.signal_std
         at = LogParameters(np.log(hyper_parameters.length_scale), math.log(ratio))
         found, gradient = evidence.loss(at)

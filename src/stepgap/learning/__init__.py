@@ -11,7 +11,7 @@ compares them on held-out steps, and `corrected_map` adds a residual to the nomi
 
 The Gaussian processes consist of `kernel`, `covariance`, `cholesky` and `least_squares` (the mathematics),
 `gaussian_process` (the interface), `exact_gaussian_process` (for hundreds of steps), `sparse_gaussian_process` (for
-thousands), and `gaussian_process_fit` (their hyper-parameters).
+thousands), `evidence` and `gaussian_process_fit` (their hyper-parameters).
 
 `linear_regression`, with its leave-one-out residuals, is for nominal maps and diagnoses that need no prior.
 """
