@@ -8,9 +8,8 @@ import numpy as np
 
 from stepgap.learning.background import Deferred
 from stepgap.learning.corrected_map import CorrectedMap
-from stepgap.learning.disturbance import DisturbanceFilter
+from stepgap.learning.disturbance_estimator import DisturbanceEstimator
 from stepgap.learning.observations import error_of, history_after, next_history, observe
-from stepgap.learning.outliers import is_improbable
 from stepgap.learning.residual import Residual, join_points, no_residual
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
@@ -91,7 +90,6 @@ class Learner:
         disturbance: Estimate of the error that depends on time and yaw, not on state and command.
         monitor: Comparison of the correction with the nominal map.
         outliers: Deployment and number of each step of this deployment that was an outlier when it was executed.
-        improbable: Whether the error of the latest step was improbable.
         refit: The fit that is running, if there is one.
         refit_from: Number of known steps from which the next fit may begin.
     """
@@ -104,10 +102,9 @@ class Learner:
     history: Array
     failures: Array
     steps_to_learn: float
-    disturbance: DisturbanceFilter
+    disturbance: DisturbanceEstimator
     monitor: Monitor
     outliers: tuple[tuple[int, int], ...]
-    improbable: bool
     refit: Refit | None
     refit_from: float
 
@@ -140,10 +137,11 @@ class Learner:
             history=next_history(log, nominal, iteration),
             failures=np.array(failures).reshape(len(failures), len(space.state) + len(space.command)),
             steps_to_learn=settings.steps_to_learn(iteration),
-            disturbance=DisturbanceFilter.initial(len(space.state)),
+            disturbance=DisturbanceEstimator.start(
+                nominal.space.state_scale, drift=settings.drift, reject_outliers=settings.reject_outliers
+            ),
             monitor=Monitor(),
             outliers=(),
-            improbable=False,
             refit=None,
             refit_from=max(1.0, REFIT_GROWTH * len(log)),
         )
@@ -168,8 +166,8 @@ class Learner:
         """Returns the map that plans the next step."""
         if self.settings.monitor and self.monitor.worse:
             return CorrectedMap(self.nominal, no_residual(*self.model.sizes))
-        residual, offset, share = self.residual, self.disturbance.offset(self.yaw), self.disturbance.std(self.yaw)
-        return CorrectedMap(self.nominal, residual, offset, share * residual.noise_std)
+        residual = self.residual
+        return CorrectedMap(self.nominal, residual, *self.disturbance.predict(residual, self.yaw))
 
     def after(self, logged: LoggedStep) -> "Learner":
         """Returns the learner after the step just executed."""
@@ -185,26 +183,16 @@ class Learner:
         if not np.isfinite(error).all():
             return learner._with_refit()
         residual, scale = self.residual, self.nominal.space.state_scale
-        remaining = error - residual.mean(point)
-        innovation = remaining - self.disturbance.offset(self.yaw)  # of the deployed correction, with its offset
-        improbable = self._is_improbable(innovation, residual.std(point))
-        monitor = self.monitor.updated(error / scale, innovation / scale)
-        learner = replace(learner, improbable=improbable, monitor=monitor)
-        if improbable and not self.improbable:
+        remaining, std = error - residual.mean(point), residual.std(point, include_noise=True)
+        offset, _ = self.disturbance.predict(residual, self.yaw)
+        monitor = self.monitor.updated(error / scale, (remaining - offset) / scale)  # of what was deployed
+        disturbance = self.disturbance.after(residual, remaining, std, self.yaw)
+        learner = replace(learner, disturbance=disturbance, monitor=monitor)
+        if disturbance.outlier:
             return replace(learner, outliers=(*self.outliers, (logged.iteration, logged.step)))._with_refit()
-        if self.settings.drift and residual.kind != "none":
-            learner = replace(learner, disturbance=self.disturbance.updated(remaining, self.yaw))
         if self.steps_to_learn > 0:
             learner = learner._updated(self.history, point, error)
         return learner._with_refit()
-
-    def _is_improbable(self, innovation: Array, std: Array) -> bool:
-        """Whether a step is improbable, given its innovation and the standard deviation of the residual (n,)."""
-        residual, scale = self.residual, self.nominal.space.state_scale
-        if not self.settings.reject_outliers or residual.kind == "none":
-            return False
-        total = np.sqrt(std**2 + (1 + self.disturbance.std(self.yaw) ** 2) * residual.noise_std**2)
-        return is_improbable(innovation / scale, total / scale, len(residual.regressions[0].points))
 
     def _updated(self, history: Array, point: Array, error: Array) -> "Learner":
         """Learns a step: it updates the present residual or that of a fit that is due, or ends with a fit to all."""

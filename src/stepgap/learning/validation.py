@@ -5,7 +5,7 @@ standard errors count blocks, not steps.
 
 What is held out is treated as a further deployment of a run: the residual is fitted to the other steps as `Learner`
 fits it, without the yaw-dependent part of their errors; then the held-out steps are predicted one after another, each
-with the disturbance that was estimated from the held-out steps before it.
+with the disturbance that a `DisturbanceEstimator`, as that of `Learner`, finds in the held-out steps before it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,9 +19,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from stepgap.base.normal import INTERVAL_95, log_density
-from stepgap.learning.disturbance import DisturbanceFilter
+from stepgap.learning.disturbance_estimator import DisturbanceEstimator
 from stepgap.learning.observations import Observations
-from stepgap.learning.outliers import is_improbable
 from stepgap.learning.residual import Residual, join_points
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
@@ -313,14 +312,11 @@ def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -
     if not learning.drift or residual.kind == "none":
         return mean, std
     yaw = np.full(len(steps), np.nan) if steps.yaw is None else steps.yaw
-    disturbance = DisturbanceFilter.initial(mean.shape[1])
-    remaining, offset, total = steps.error - mean, np.empty_like(mean), np.empty_like(mean)
-    known, scale, improbable = len(residual.regressions[0].points), steps.space.state_scale, False
+    disturbance = DisturbanceEstimator.start(
+        steps.space.state_scale, drift=learning.drift, reject_outliers=learning.reject_outliers
+    )
+    remaining, offset, offset_std = steps.error - mean, np.empty_like(mean), np.empty_like(mean)
     for row in range(len(steps)):
-        offset[row] = disturbance.offset(yaw[row])
-        total[row] = np.hypot(std[row], disturbance.std(yaw[row]) * residual.noise_std)
-        before, innovation = improbable, remaining[row] - offset[row]
-        improbable = learning.reject_outliers and is_improbable(innovation / scale, total[row] / scale, known)
-        if before or not improbable:
-            disturbance = disturbance.updated(remaining[row], yaw[row])
-    return mean + offset, total
+        offset[row], offset_std[row] = disturbance.predict(residual, yaw[row])
+        disturbance = disturbance.after(residual, remaining[row], std[row], yaw[row])
+    return mean + offset, np.hypot(std, offset_std)

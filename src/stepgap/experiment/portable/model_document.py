@@ -21,11 +21,12 @@ from stepgap.learning.disturbance import (
     SWITCHING_PENALTY,
     DisturbanceFilter,
 )
+from stepgap.learning.disturbance_estimator import DisturbanceEstimator
 from stepgap.learning.gaussian_process_regression import GaussianProcessRegression
 from stepgap.learning.kernel import MATERN_52, SQUARED_EXPONENTIAL
 from stepgap.learning.learner import MONITORED_STEPS, SIGNIFICANCE
 from stepgap.learning.observations import error_of
-from stepgap.learning.outliers import IMPROBABLE, LEAST_STD, improbable_errors
+from stepgap.learning.outliers import IMPROBABLE, LEAST_STD
 from stepgap.learning.polynomial import Polynomial, monomials
 from stepgap.learning.regression import Regression
 from stepgap.learning.residual import join_points
@@ -89,20 +90,17 @@ def model_text(controller: PortableController, last: DisturbanceFilter | None = 
 
 def filter_after(controller: PortableController, steps: Iterable[LoggedStep]) -> DisturbanceFilter:
     """The disturbance filter after the steps of one deployment, as an exported controller computes it."""
-    corrected, yaw, improbable = controller.map, nan, False
-    found, scale = DisturbanceFilter.initial(len(controller.space.state)), controller.space.state_scale
+    residual, yaw = controller.map.residual, nan
+    disturbance = DisturbanceEstimator.start(
+        controller.space.state_scale, drift=controller.drift, reject_outliers=controller.reject_outliers
+    )
     for record in (step.record for step in steps):
         point = join_points(record.state, record.requested)
-        error = error_of(record, corrected.nominal) - corrected.residual.mean(point)
+        error = error_of(record, controller.map.nominal) - residual.mean(point)
         if np.isfinite(error).all():
-            spread = np.hypot(1, found.std(yaw)) * corrected.noise_std
-            std = np.hypot(corrected.residual.std(point), spread)
-            before, innovation = improbable, (error - found.offset(yaw)) / scale
-            improbable = controller.reject_outliers and bool(improbable_errors(innovation, std / scale).any())
-            if before or not improbable:
-                found = found.updated(error, yaw)
+            disturbance = disturbance.after(residual, error, residual.std(point, include_noise=True), yaw)
         yaw = record.yaw_after
-    return found
+    return disturbance.filter
 
 
 def _quantity(quantity: Quantity) -> dict[str, Any]:
