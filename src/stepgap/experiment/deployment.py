@@ -30,8 +30,8 @@ class AdaptiveMap(Protocol):
         ...
 
     @property
-    def residual(self) -> Residual:
-        """Model of actual − nominal for the next step."""
+    def conditioned_residual(self) -> Residual:
+        """Model of actual − nominal for the next step, a function of state and command."""
         ...
 
     @property
@@ -126,7 +126,7 @@ def deploy(
             if number < 1:
                 present = controller.present
                 goals = goals_of(reference, present.step_map)
-                plan = exploration_plan(present, controller.learner.residual, state, goals)
+                plan = exploration_plan(present, controller.learner.conditioned_residual, state, goals)
             else:
                 plan = controller.plan(state, reference.targets[number - 1])
             background.compute(controller.learner.pending)  # after the command, so that it causes no delay

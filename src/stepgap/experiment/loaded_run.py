@@ -54,14 +54,14 @@ class LoadedRun:
         if not 0 <= number <= after:
             raise InputError(f"{self.folder}: has no deployment {number}; it may be 0 to {after}, the next one")
         try:
-            model = read_model(self.folder, number, self.nominal.space, self.nominal)
+            residual = read_model(self.folder, number, self.nominal.space, self.nominal)
         except (ValueError, OSError) as error:
             raise InputError(message_of(error)) from None
         before = (logged for logged in self.steps if logged.iteration < number)
         log = StepLog(self.nominal.space, [*self.known, *before])
-        if model is None and number < after and len(log):
+        if residual is None and number < after and len(log):
             raise InputError(f"{self.folder}: there is no models/iteration_{number}.json, so the model is unknown")
-        return Learner.start(self.nominal, log, self.settings.learning, number, model)
+        return Learner.start(self.nominal, log, self.settings.learning, number, residual)
 
     def corrected(self, iteration: int | None = None) -> CorrectedMap:
         """The map with which a deployment began: nominal map and residual.

@@ -83,8 +83,8 @@ class Learner:
         settings: Which residual model is used, and whether steps of this deployment are learned from.
         iteration: Number of the deployment.
         log: All steps known.
-        model: The residual without the history of the next step.
-        history: That history, as `observations` defines it; shape (2n + m + 1,).
+        residual: The fitted residual, which may depend on the history of a step, too.
+        history: History of the next step, as `observations` defines it; shape (2n + m + 1,).
         failures: Points (state, command) of the steps that failed; shape (k, n + m).
         steps_to_learn: Number of further steps of this deployment that will be learned from.
         disturbance: Estimate of the error that depends on time and yaw, not on state and command.
@@ -98,7 +98,7 @@ class Learner:
     settings: LearningSettings
     iteration: int
     log: StepLog
-    model: Residual
+    residual: Residual
     history: Array
     failures: Array
     steps_to_learn: float
@@ -115,7 +115,7 @@ class Learner:
         log: StepLog,
         settings: LearningSettings,
         iteration: int,
-        model: Residual | None = None,
+        residual: Residual | None = None,
     ) -> Self:
         """Returns the learner before a deployment.
 
@@ -124,7 +124,7 @@ class Learner:
             log: Steps known before the deployment.
             settings: Which residual model is used, and whether steps of this deployment are learned from.
             iteration: Number of the deployment.
-            model: The residual that was fitted to these steps; None to fit it.
+            residual: The residual that was fitted to these steps; None to fit it.
         """
         space = log.space
         failures = [_point_of(step.record) for step in log if step.record.status not in _NO_FAILURE]
@@ -133,7 +133,7 @@ class Learner:
             settings=settings,
             iteration=iteration,
             log=log,
-            model=_fitted(nominal, log, settings, iteration, None) if model is None else model,
+            residual=_fitted(nominal, log, settings, iteration, None) if residual is None else residual,
             history=next_history(log, nominal, iteration),
             failures=np.array(failures).reshape(len(failures), len(space.state) + len(space.command)),
             steps_to_learn=settings.steps_to_learn(iteration),
@@ -147,9 +147,9 @@ class Learner:
         )
 
     @property
-    def residual(self) -> Residual:
-        """Model of actual − nominal for the next step."""
-        return self.model.conditioned_on(self.history)
+    def conditioned_residual(self) -> Residual:
+        """The residual of the next step, a function of state and command."""
+        return self.residual.conditioned_on(self.history)
 
     @property
     def yaw(self) -> float:
@@ -165,8 +165,8 @@ class Learner:
     def step_map(self) -> CorrectedMap:
         """Returns the map that plans the next step."""
         if self.settings.monitor and self.monitor.worse:
-            return CorrectedMap(self.nominal, no_residual(*self.model.sizes))
-        residual = self.residual
+            return CorrectedMap(self.nominal, no_residual(*self.residual.sizes))
+        residual = self.conditioned_residual
         return CorrectedMap(self.nominal, residual, *self.disturbance.predict(residual, self.yaw))
 
     def after(self, logged: LoggedStep) -> "Learner":
@@ -182,7 +182,7 @@ class Learner:
         )
         if not np.isfinite(error).all():
             return learner._with_refit()
-        residual, scale = self.residual, self.nominal.space.state_scale
+        residual, scale = self.conditioned_residual, self.nominal.space.state_scale
         remaining, std = error - residual.mean(point), residual.std(point, include_noise=True)
         offset, _ = self.disturbance.predict(residual, self.yaw)
         monitor = self.monitor.updated(error / scale, (remaining - offset) / scale)  # of what was deployed
@@ -202,22 +202,22 @@ class Learner:
 
         remaining = self.steps_to_learn - 1
         if remaining == 0:
-            model = _fitted(self.nominal, self.log, self.settings, self.iteration, self.model)
-            return replace(self, steps_to_learn=0, model=model, refit=None)
+            fitted = _fitted(self.nominal, self.log, self.settings, self.iteration, self.residual)
+            return replace(self, steps_to_learn=0, residual=fitted, refit=None)
         learner = replace(self, steps_to_learn=remaining)
         if self.refit is None:
-            return replace(learner, model=update(self.model))
+            return replace(learner, residual=update(self.residual))
         pending = self.refit.residual.then(update)
         if len(self.log) >= self.refit.due:
-            return replace(learner, model=pending.result(), refit=None)
-        return replace(learner, model=update(self.model), refit=Refit(pending, self.refit.due))
+            return replace(learner, residual=pending.result(), refit=None)
+        return replace(learner, residual=update(self.residual), refit=Refit(pending, self.refit.due))
 
     def _with_refit(self) -> "Learner":
         """Begins a new fit if the number of steps has grown enough and no other fit is pending."""
         count = len(self.log)
         if self.refit or self.steps_to_learn == 0 or count < self.refit_from:
             return self
-        known = self.nominal, self.log, self.settings, self.iteration, self.model
+        known = self.nominal, self.log, self.settings, self.iteration, self.residual
         due = count + 1 + count // FITTED_PER_HOP
         refit = Refit(Deferred(lambda: _fitted(*known)), due)
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))

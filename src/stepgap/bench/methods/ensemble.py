@@ -171,5 +171,5 @@ ENSEMBLE = ResidualModel("ensemble", "an ensemble of neural networks", _fit, _fr
 def ensemble(trial: Trial) -> Sequence[StepLog]:
     """A redeployment with the ensemble as the residual, with everything else of the default learner."""
     learner = trial.learner(trial.nominal, trial.first, LearningSettings(residual="constant"), 1)
-    model = fit_residual(ENSEMBLE, trial.cleaned_errors())
-    return [trial.first, trial.measure(replace(learner, model=model), 1)]
+    residual = fit_residual(ENSEMBLE, trial.cleaned_errors())
+    return [trial.first, trial.measure(replace(learner, residual=residual), 1)]

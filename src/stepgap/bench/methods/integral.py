@@ -69,14 +69,14 @@ class IntegralCorrection:
         return correction
 
     @property
-    def residual(self) -> Residual:
+    def conditioned_residual(self) -> Residual:
         """Empty residual: there is no model of the error except b."""
         return no_residual(len(self.nominal.space.state), len(self.nominal.space.command))
 
     @property
     def failures(self) -> Array:
         """Empty array, since failed steps are not stored; shape (0, n + m)."""
-        return np.empty((0, sum(self.residual.sizes)))
+        return np.empty((0, sum(self.conditioned_residual.sizes)))
 
     @property
     def pending(self) -> None:
@@ -84,7 +84,7 @@ class IntegralCorrection:
 
     def step_map(self) -> CorrectedMap:
         """Map for planning the next step; it has no standard deviation."""
-        return CorrectedMap(AdjustedMap(self.nominal, self.shift), self.residual)
+        return CorrectedMap(AdjustedMap(self.nominal, self.shift), self.conditioned_residual)
 
     def after(self, logged: LoggedStep) -> Self:
         """The correction after the executed step."""
