@@ -41,7 +41,7 @@ class AdaptiveMap(Protocol):
 
     @property
     def pending(self) -> Deferred[Residual] | None:
-        """Computation that a thread may do while the robot hops."""
+        """Computation that a thread may do while the robot moves."""
         ...
 
     def step_map(self) -> StepMap:

@@ -22,8 +22,8 @@ SIGNIFICANCE = 2.0
 """A correction is not used while it predicts worse than the nominal map by this number of standard errors."""
 REFIT_GROWTH = 1.1
 """A new fit begins when the number of steps has grown by this factor."""
-FITTED_PER_HOP = 150
-"""A fit to this number of steps takes less time than one hop of the robot."""
+FITTED_PER_STEP = 150
+"""Number of known steps for which a fit is given the time of one step of the robot; a slower fit is waited for."""
 _NO_FAILURE = frozenset({StepStatus.OK, StepStatus.DOUBTFUL})
 """Statuses of steps that a controller need not avoid: a doubtful sensor is not due to the command."""
 
@@ -73,10 +73,10 @@ class Learner:
     """State of learning between two steps of a deployment; `Learner.start` returns the first one, `after` the next one.
 
     A correction that predicted the latest steps significantly worse than the nominal map is not used until it predicts
-    better again. It is shifted by the estimated disturbance. A learner that learns online updates
-    its residual with every step before the next one is planned, and also finds new hyper-parameters: the fit is
-    deferred, so that a `BackgroundThread` can compute `pending` while the robot hops, and its result is used from a
-    fixed number of steps later on. So the same steps give the same learner, however long a fit takes.
+    better again. It is shifted by the estimated disturbance. A learner that learns online updates its residual with
+    every step before the next one is planned, and also finds new hyper-parameters: the fit is deferred, so that a
+    `BackgroundThread` can compute `pending` while the robot moves, and its result is used from a fixed number of steps
+    later on, by `FITTED_PER_STEP`. So the same steps give the same learner, however long a fit takes.
 
     Attributes:
         nominal: Map of the physics model.
@@ -218,7 +218,7 @@ class Learner:
         if self.refit or self.steps_to_learn == 0 or count < self.refit_from:
             return self
         known = self.nominal, self.log, self.settings, self.iteration, self.residual
-        due = count + 1 + count // FITTED_PER_HOP
+        due = count + 1 + count // FITTED_PER_STEP
         refit = Refit(Deferred(lambda: _fitted(*known)), due)
         return replace(self, refit=refit, refit_from=max(REFIT_GROWTH * count, due + 1))
 
