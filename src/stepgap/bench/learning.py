@@ -13,7 +13,7 @@ from stepgap.bench.methods.redeployment import uncorrected
 from stepgap.bench.methods.registry import method_of
 from stepgap.bench.tasks import Task
 from stepgap.bench.trial import Trial, hopping_gap
-from stepgap.experiment.bands import hops_to_band, interval_coverage
+from stepgap.experiment.bands import executed_hops_to_band, interval_coverage
 from stepgap.experiment.outcome import summarise
 from stepgap.learning.step_log import StepLog
 from stepgap.report.learning import UNCORRECTED, DeploymentRow
@@ -44,11 +44,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
     if not len(steps):
         return row | {"steps": 0, "falls": 1}
     found = summarise(steps, trial.task.reference, method)
-    tracked = [log.tracking().completed() for log in deployments]
-    errors = np.concatenate([log.next_state - log.target for log in tracked])
-    earlier = sum(map(len, deployments)) - len(errors)  # exploratory and failed hops
-    hops = None if found.falls else hops_to_band(errors)
-    covered, counted = interval_coverage(tracked[-1])
+    covered, counted = interval_coverage(steps.tracking())
     return row | {
         "steps": found.steps,
         "falls": found.falls,
@@ -57,7 +53,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         "transient_rmse": known_numbers(found.transient_rmse),
         "steady_rmse": known_numbers(found.steady_rmse),
         "true_rmse": known_numbers(found.true_rmse),
-        "hops_to_band": None if hops is None else hops + earlier,
+        "hops_to_band": None if found.falls else executed_hops_to_band(deployments),
         "covered": covered.tolist(),
         "counted": int(counted.min()),
     }

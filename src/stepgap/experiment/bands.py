@@ -1,5 +1,6 @@
 """Two bands: the error of the paper's robot, for comparison with a run, and the 95 % interval of predictions."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.step_log import StepLog
 from stepgap.records.paper import WITH_GP
-from stepgap.step import Array, Codes
+from stepgap.step import Array, Codes, StepStatus
 
 PAPER_BAND: Final = np.array([WITH_GP["rmse"]["speed"], WITH_GP["rmse"]["height"]])
 """Error of the paper's robot after four redeployments, speed [m/s] and height [m]."""
@@ -37,6 +38,25 @@ def hops_to_band(errors: Array) -> int | None:
     outside = np.flatnonzero(np.logical_not(inside))
     first = int(outside[-1]) + 1 if len(outside) else 0
     return first + WINDOW if first < len(inside) else None
+
+
+def executed_hops_to_band(deployments: Sequence[StepLog]) -> int | None:
+    """Number of hops, from the very first one on, after which the RMSE of 20 tracking hops stays in the paper's band.
+
+    Exploratory and failed hops before the end of the 20 are counted, too, since the robot executed them.
+
+    Args:
+        deployments: Steps of consecutive deployments.
+
+    Returns:
+        None as from `hops_to_band`.
+    """
+    hops = hops_to_band(np.concatenate([tracking_errors(steps) for steps in deployments]))
+    if hops is None:
+        return None
+    executed = (logged for steps in deployments for logged in steps)
+    tracked = [logged.step > 0 and logged.record.status == StepStatus.OK for logged in executed]
+    return int(np.flatnonzero(tracked)[hops - 1]) + 1
 
 
 def window_errors(errors: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.experiment.bands import hops_to_band, tracking_errors
+from stepgap.experiment.bands import executed_hops_to_band
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
 from stepgap.report.drawing import draw_figure
@@ -152,7 +152,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     if all(record.like_paper for record in records):
         found.append(
             table(
-                "Number of hops until the error stays in the paper's band",
+                "Number of hops, exploratory ones included, until the error stays in the paper's band",
                 ["", *names],
                 [["hops", *map(_to_band, records)]],
             )
@@ -165,8 +165,7 @@ def _to_band(record: RunRecord) -> str:
         return DASH
     if record.deployments[-1].falls:
         return f"never: {end_in_a_word(record, record.deployments[-1])}"
-    errors = [tracking_errors(record.steps.of_iteration(entry.iteration)) for entry in record.deployments]
-    hops = hops_to_band(np.concatenate(errors))
+    hops = executed_hops_to_band([record.steps.of_iteration(entry.iteration) for entry in record.deployments])
     return "never" if hops is None else str(hops)
 
 

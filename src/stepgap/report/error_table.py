@@ -4,14 +4,14 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from stepgap.experiment.bands import PAPER_BAND, WINDOW, hops_to_band, tracking_errors, window_errors
+from stepgap.experiment.bands import PAPER_BAND, WINDOW, executed_hops_to_band, tracking_errors, window_errors
+from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
 from stepgap.report.decimals import decimal
 from stepgap.report.html import safe, table, with_unit
 from stepgap.report.sentences import end_in_a_word
-from stepgap.step import Array
 
 
 def error_table(record: RunRecord, row: int, plant: str) -> str:
@@ -82,31 +82,31 @@ def band_table(record: RunRecord) -> str:
         return ""
     limits = [f"{limit:g} {quantity.unit}" for limit, quantity in zip(PAPER_BAND, record.space.state, strict=True)]
     caption = (
-        f"Hops to the paper's band: until the RMSE of {WINDOW} consecutive hops stays at or below {limits[0]} in speed "
-        f"and {limits[1]} in height, the paper's errors after four redeployments"
+        f"Hops to the paper's band, exploratory ones included: until the RMSE of {WINDOW} consecutive tracking hops "
+        f"stays at or below {limits[0]} in speed and {limits[1]} in height, the paper's errors after four redeployments"
     )
     heads = ["deployment", "hops", "to the band", f"best {WINDOW} hops: speed [m/s]", "height [m]"]
-    rows, hops, all_errors = [], 0, []
+    rows, hops, logs = [], 0, []
     for entry in record.deployments:
-        errors = tracking_errors(record.steps.of_iteration(entry.iteration))
+        log = record.steps.of_iteration(entry.iteration)
         rows.append(
-            [str(entry.iteration), str(entry.steps), _to_band(errors, end_in_a_word(record, entry)), *_best(errors)]
+            [str(entry.iteration), str(entry.steps), _to_band([log], end_in_a_word(record, entry)), *_best([log])]
         )
-        hops, all_errors = hops + entry.steps, [*all_errors, errors]
-    whole = np.concatenate(all_errors)
-    rows.append(["all", str(hops), _to_band(whole, end_in_a_word(record, record.deployments[-1])), *_best(whole)])
+        hops, logs = hops + entry.steps, [*logs, log]
+    rows.append(["all", str(hops), _to_band(logs, end_in_a_word(record, record.deployments[-1])), *_best(logs)])
     return table(caption, heads, rows)
 
 
-def _to_band(errors: Array, end: str) -> str:
+def _to_band(deployments: Sequence[StepLog], end: str) -> str:
     if end != "complete":
         return f"never: {end}"
-    hops = hops_to_band(errors)
+    hops = executed_hops_to_band(deployments)
     return "never" if hops is None else str(hops)
 
 
-def _best(errors: Array) -> list[str]:
-    """Smallest error of 20 consecutive hops, coordinate by coordinate."""
+def _best(deployments: Sequence[StepLog]) -> list[str]:
+    """Smallest error of 20 consecutive tracking hops, coordinate by coordinate."""
+    errors = np.concatenate([tracking_errors(steps) for steps in deployments])
     if len(errors) < WINDOW:
         return ["–"] * errors.shape[1]
     return [decimal(error) for error in window_errors(errors).min(axis=0)]

@@ -6,10 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
 from stepgap.base.files import naming
-from stepgap.experiment.bands import hops_to_band, tracking_errors
+from stepgap.experiment.bands import executed_hops_to_band
 from stepgap.experiment.cases.case_folder import checked_name
 from stepgap.experiment.cases.plan import CaseOutput
 from stepgap.experiment.inputs import load_known, load_reference
@@ -61,10 +59,10 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
 def _entries(deployments: list[Deployment], folder: Path, space: StepSpace) -> list[dict[str, Any]]:
     """Entries of the deployments, with the hops until the error stayed in the band, as known after each of them."""
     steps = read_step_log(folder / "steps.csv", space)
-    errors = [tracking_errors(steps.of_iteration(deployment.iteration)) for deployment in deployments]
+    logs = [steps.of_iteration(deployment.iteration) for deployment in deployments]
     entries = []
     for count, deployment in enumerate(deployments, start=1):
         known = space.state_names == STATE_NAMES and not deployment.falls
-        hops = hops_to_band(np.concatenate(errors[:count])) if known else None
+        hops = executed_hops_to_band(logs[:count]) if known else None
         entries.append({**deployment_entry(deployment, space.state_names), "hops_to_band": hops})
     return entries

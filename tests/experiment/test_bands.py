@@ -1,0 +1,33 @@
+import numpy as np
+import pytest
+
+from stepgap.experiment.bands import WINDOW, executed_hops_to_band
+from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.step import StepRecord, StepStatus
+from tests.control.maps import LossyHopper
+
+SPACE = LossyHopper().space
+TARGET = np.array([0.2, 0.58])
+
+
+def log_of(first: int, errors: list[float], falls: bool = False) -> StepLog:
+    """Steps of a deployment with these errors of speed; the last one may be a fall."""
+    steps, size = [], len(TARGET)
+    for number, error in enumerate(errors, start=first):
+        fell = falls and number == first + len(errors) - 1
+        reached = np.full(size, np.nan) if fell else TARGET + np.array([error, 0])
+        record = StepRecord(TARGET, np.zeros(size), np.zeros(size), reached, StepStatus.FELL if fell else StepStatus.OK)
+        steps.append(LoggedStep(0, number, TARGET, TARGET, np.zeros(size), record))
+    return StepLog(SPACE, steps)
+
+
+def test_every_executed_hop_is_counted() -> None:
+    assert executed_hops_to_band([log_of(1, [0.0] * 30)]) == WINDOW
+    assert executed_hops_to_band([log_of(-4, [0.5] * 5 + [0.0] * 30)]) == 5 + WINDOW, "errors of exploration are none"
+    assert executed_hops_to_band([log_of(1, [0.5] * 3, falls=True), log_of(1, [0.0] * 30)]) == 3 + WINDOW
+    assert executed_hops_to_band([log_of(1, [0.0] * 30), log_of(1, [0.0] * 30)]) == WINDOW
+
+
+@pytest.mark.parametrize("errors", [[0.5] * 40, [0.0] * (WINDOW - 1), [0.0] * 40 + [0.5]])
+def test_an_error_that_does_not_stay_in_the_band_has_no_hops(errors: list[float]) -> None:
+    assert executed_hops_to_band([log_of(1, errors)]) is None
