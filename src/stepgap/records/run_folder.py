@@ -96,6 +96,16 @@ class RunRecord:
         """Deployments that figures show: the finished ones or, while there are none, those with steps."""
         return [deployment.iteration for deployment in self.deployments] or self.steps.iterations
 
+    def residual_of(self, iteration: int) -> str | None:
+        """Name of the residual of a deployment, `none` for the nominal map; None where it is not known.
+
+        Of an unfinished deployment 0 it is known as long as its predictions have no standard deviation: they are those
+        of the nominal map.
+        """
+        names = {deployment.iteration: deployment.residual for deployment in self.deployments}
+        nominal = iteration == 0 and not self.steps.of_iteration(0).std.any()
+        return names.get(iteration, "none" if nominal else None)
+
     @property
     def like_paper(self) -> bool:
         """Whether the run has the paper's state and reference, so that its errors can be compared with the paper's."""

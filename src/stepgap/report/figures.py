@@ -47,8 +47,8 @@ def tracking_figure(record: RunRecord) -> Figure:
     """State coordinates against the step number, in the first and last deployment, with the reference (Fig. 4)."""
     first, last = record.shown_iterations[0], record.shown_iterations[-1]
     figure, panels = _panels(len(record.space.state))
-    longest = max((record.steps.of_iteration(number) for number in record.steps.iterations), key=len)
-    panels[0].set_xlim(0, 1.02 * len(longest) + 1)
+    longest = max((record.steps.of_iteration(number).tracking() for number in record.steps.iterations), key=len)
+    _show_steps(panels, record.steps)
     for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
         reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
         panel.plot(_numbers(longest), longest.target[:, index], **reference, **_pixels(longest))
@@ -71,6 +71,7 @@ def command_figure(record: RunRecord, bounds: StepSpace | None) -> Figure:
     """
     first, last = record.shown_iterations[0], record.shown_iterations[-1]
     figure, panels = _panels(len(record.space.command))
+    _show_steps(panels, record.steps)
     for index, (panel, quantity) in enumerate(zip(panels, record.space.command, strict=True)):
         for number, look in {first: FIRST_LOOK, last: LAST_LOOK}.items():
             steps = record.steps.of_iteration(number)
@@ -118,7 +119,7 @@ def error_figure(record: RunRecord) -> Figure:
         log_scale(panel, _drawn(panel))
         if not panel.lines:
             _note(panel, "There is no error yet.")
-    _finish(figure, panels, "Deployment (0: nominal map; later ones: corrected map)")
+    _finish(figure, panels, _deployment_label(record))
     return figure
 
 
@@ -154,7 +155,7 @@ def comparison_tracking_figure(records: Sequence[RunRecord], names: Sequence[str
     figure, panels = _panels(len(state))
     last = [record.steps.of_iteration(record.shown_iterations[-1]).tracking() for record in records]
     longest = max(last, key=len)
-    panels[0].set_xlim(0, 1.02 * len(longest) + 1)
+    _show_steps(panels, longest)
     for index, (panel, quantity) in enumerate(zip(panels, state, strict=True)):
         reference = {"color": LIGHT, "linewidth": 3.5, "drawstyle": "steps-mid", "label": "reference"}
         panel.plot(_numbers(longest), longest.target[:, index], **reference, **_pixels(longest))
@@ -186,12 +187,12 @@ def map_figure(record: RunRecord, index: int) -> Figure:
     learned = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, index].any()]
     redeployed = list(dict.fromkeys(learned[:1] + learned[-1:]))
     drawn = [record.steps.of_iteration(number) for number in redeployed]
-    upper.set_xlim(0, 1.02 * max(map(len, [last, *drawn])) + 1)
+    _show_steps([upper, lower], record.steps)
     for number, steps, style in zip(redeployed, drawn, (FIRST_LOOK, LAST_LOOK)[-len(drawn) :], strict=False):
         lower.plot(_numbers(steps), steps.std[:, index], label=f"deployment {number}", **style, **_pixels(steps))
     if learned:
         lower.set_ylim(0, 1.08 * max(float(np.max(steps.std[:, index])) for steps in drawn))
-        _mark_changes(lower, last)
+        _mark_changes(lower, last.tracking())
     else:
         _note(lower, "These maps give no standard deviation.")
     lower.set_ylabel(f"Standard deviation{unit_label(quantity)}")
@@ -219,16 +220,33 @@ def unit_label(quantity: Quantity) -> str:
 
 def _name(record: RunRecord, iteration: int) -> str:
     """Name of a deployment in legends."""
-    kind = next((entry.residual for entry in record.deployments if entry.iteration == iteration), None)
-    kind = "none" if iteration == 0 and kind is None else kind
+    kind = record.residual_of(iteration)
     labels = {"none": "nominal map", None: "unfinished"}
     return f"deployment {iteration}, {labels.get(kind) or 'corrected by ' + plain(str(kind))}"
+
+
+def _deployment_label(record: RunRecord) -> str:
+    """Label of the axis of deployments, with the maps that they used."""
+    nominal = [each.iteration for each in record.deployments if each.residual == "none"]
+    if nominal == [0] or not record.deployments:
+        return "Deployment (0: nominal map; later ones: corrected map)"
+    return "Deployment" if nominal else "Deployment (all of this run: corrected map)"
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
     figure = Figure(figsize=(WIDTH, 0.8 + 2.0 * count), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def _show_steps(panels: Sequence[Axes], steps: StepLog) -> None:
+    """Sets the axis of step numbers to these steps, and marks the exploratory ones."""
+    first, last = int(steps.number.min()), int(steps.number.max())
+    margin = 0.5 + 0.01 * (last - first)
+    panels[0].set_xlim(first - margin, last + margin)
+    for panel in panels if first < 1 else ():
+        label = "exploratory steps" if panel is panels[-1] else ""
+        panel.axvspan(first - margin, 0.5, color="0.93", linewidth=0, zorder=0, label=label)
 
 
 def _numbers(steps: StepLog) -> Array:
