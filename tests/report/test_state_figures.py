@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.control.reference import paper_reference
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.records.missing import Missing
 from stepgap.report import read_run_folder
 from stepgap.report.learned import LearnedResidual, read_learned_residual
-from stepgap.report.reference_gait import centre_of, reference_gait
+from stepgap.report.reference_gait import central_target, centre_of, reference_gait
 from stepgap.report.state_figure import state_error_figure
 from stepgap.report.surface_figure import influential, surface_figure
 from tests.control.maps import LossyHopper
@@ -56,6 +57,7 @@ def test_the_surface_is_over_the_inputs_that_matter() -> None:
     figure = surface_figure(SPACE, learned, centre)
     mean, std, *_ = [axes for axes in figure.axes if axes.get_title(loc="left")]
     assert (mean.get_xlabel(), mean.get_ylabel()) == ("Speed [m/s]", "Fx [N]")
+    assert mean.get_title(loc="left") == "Correction of speed [m/s]"
     for axes in (mean, std):
         (recorded,) = axes.lines
         np.testing.assert_array_equal(recorded.get_xdata(), points[:, 0])
@@ -77,3 +79,10 @@ def test_the_other_inputs_are_those_of_the_middle_gait(folder: Path) -> None:
     np.testing.assert_array_equal(centre[:2], gait.centre)
     points = gait.maps[1].points
     assert any(point is not None and (point.command == centre[2:]).all() for point in points)
+
+
+def test_a_target_at_rest_does_not_move_the_central_target() -> None:
+    targets = np.unique(paper_reference().targets, axis=0)
+    centre = central_target(targets, SPACE.state_scale)
+    np.testing.assert_array_equal(centre, [0.281, 0.5963])
+    np.testing.assert_array_equal(central_target(targets[1:], SPACE.state_scale), centre)

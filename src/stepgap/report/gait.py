@@ -86,7 +86,7 @@ def gait_figure(space: StepSpace, point: FixedPoint, reachable: ReachableSet) ->
 
 
 def reference_gait_figure(gait: ReferenceGait) -> Figure:
-    """Draws the reachable set from the middle of the targets, and the Floquet multipliers at all targets, map by map.
+    """Draws the reachable set from the central target, and the Floquet multipliers at all targets, map by map.
 
     There must be two state coordinates and two commands.
     """

@@ -65,7 +65,7 @@ class ReferenceGait:
         space: State and command of the maps.
         targets: Distinct targets in the order of the reference; shape (k, n).
         more: Number of distinct targets that are left out.
-        centre: Target in the middle of all, from which the reachable sets start; shape (n,).
+        centre: Target nearest to the median of all, from which the reachable sets start; shape (n,).
         maps: Nominal map and, if there is a learned residual, corrected map.
     """
 
@@ -93,14 +93,24 @@ def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual
     steps = record.steps.of_iteration(record.shown_iterations[-1]).tracking()
     distinct = list(dict.fromkeys(tuple(logged.target.tolist()) for logged in steps))
     targets = np.array(distinct[:MOST_GAITS])
-    away = (targets - (targets.min(axis=0) + targets.max(axis=0)) / 2) / nominal.space.state_scale
-    centre = targets[np.argmin(np.sum(away**2, axis=1))]
+    centre = central_target(targets, nominal.space.state_scale)
     maps = {"nominal": nominal}
     if isinstance(learned, LearnedResidual):
         before = next_history(record.steps, nominal, learned.iteration)
         maps["corrected"] = CorrectedMap(nominal, learned.residual.conditioned_on(before))
     gaits = [_gait(name, step_map, targets, centre) for name, step_map in maps.items()]
     return ReferenceGait(nominal.space, targets, len(distinct) - len(targets), centre, tuple(gaits))
+
+
+def central_target(targets: Array, scale: Array) -> Array:
+    """The target nearest to the median of all, which a single target far from the others hardly moves; shape (n,).
+
+    Args:
+        targets: Distinct targets; shape (k, n).
+        scale: Half range of each coordinate; shape (n,).
+    """
+    away = (targets - np.median(targets, axis=0)) / scale
+    return targets[np.argmin(np.sum(away**2, axis=1))]
 
 
 def centre_of(learned: LearnedResidual, gait: object) -> Array:

@@ -41,7 +41,11 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
         x, y = (_range(points[:, index]) for index in (across, up))
         grid = np.broadcast_to(centre, (SURFACE_GRID, SURFACE_GRID, len(centre))).copy()
         grid[..., across], grid[..., up] = np.meshgrid(x, y)
-        surfaces = {"Mean of the correction": residual.mean(grid), "Its standard deviation": residual.std(grid)}
+        name = axis_label(quantity, capital=False)
+        surfaces = {
+            f"Correction of {name}": residual.mean(grid),
+            f"Its standard deviation{unit_label(quantity)}": residual.std(grid),
+        }
         for panel, (title, values) in zip(panels, surfaces.items(), strict=True):
             filled = panel.contourf(x, y, values[..., row], levels=12, cmap="cividis")
             figure.colorbar(filled, ax=panel, format="%.3g")
@@ -50,7 +54,7 @@ def surface_figure(space: StepSpace, learned: LearnedResidual, centre: Array) ->
                 points[:, across], points[:, up], **dots, markeredgewidth=0.3, color=BLACK, label="recorded step"
             )
             panel.set(xlabel=axis_label(quantities[across]), ylabel=axis_label(quantities[up]))
-            panel.set_title(f"{title}{unit_label(quantity)}", loc="left", fontsize="medium")
+            panel.set_title(title, loc="left", fontsize="medium")
     return figure
 
 
