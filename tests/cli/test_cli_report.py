@@ -72,6 +72,18 @@ def test_the_report_of_a_finished_run_builds_no_plant_and_no_twin(
     assert contents(Path("run")) == contents(finished)
 
 
+@pytest.mark.usefixtures("no_figures", "no_repeats")
+def test_what_a_run_learned_in_its_only_deployment_is_described(finished: Path, stepgap: Command) -> None:
+    shutil.copy(finished.parent / "targets.csv", "targets.csv")
+    run = ["run", "--reference", "targets.csv", "--online", "--explore", "6", "--iterations", "0", "--out", "run"]
+    assert stepgap(*run).code == 0
+    assert not Path("run/models").exists()
+    text = Path("run/report.html").read_text(encoding="utf-8")
+    assert "A further deployment would begin with the residual" in text
+    assert "of the recorded 8 steps" in text
+    assert "Corrected map: " in text
+
+
 @pytest.mark.parametrize("damage", [b"", b"foreign"])
 def test_a_damaged_replay_is_computed_again(finished: Path, stepgap: Command, damage: bytes) -> None:
     shutil.copytree(finished, "run")

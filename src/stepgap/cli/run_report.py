@@ -3,14 +3,19 @@
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from stepgap.base.blas import one_blas_thread
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import check_new, writing
-from stepgap.experiment.inputs import recorded_space, space_of_steps
+from stepgap.experiment.inputs import load_known, recorded_space, space_of_steps
+from stepgap.experiment.loaded_run import LoadedRun
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.replay import find_kinematics, logged_ticks, replay
 from stepgap.experiment.settings import Experiment, experiment_table, read_experiment
+from stepgap.learning.residual import Residual
+from stepgap.learning.step_log import as_past
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
+from stepgap.records.model_files import model_path
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.records.steps_csv import RecordError
 from stepgap.report import RunContext, WrittenReport, comparison_html, write_report
@@ -75,10 +80,12 @@ def _context(
 ) -> RunContext:
     """Context of the report from the settings of a run, with the reason for each missing part."""
     if isinstance(settings, Missing):
-        return RunContext("plant of an unknown kind", settings, settings, settings)
+        return RunContext("plant of an unknown kind", settings, settings, settings, settings)
     plant = {TWIN: "simulated twin"}.get(settings.plant, f"plant '{settings.plant}'")
     defaults = experiment_table(Experiment(load_robot(settings.robot.name)))
-    return RunContext(plant, defaults, _nominal_of(settings), _replay(record, settings, progress, recorded))
+    nominal = _nominal_of(settings)
+    final = nominal if isinstance(nominal, Missing) else _final_residual(record, settings, nominal)
+    return RunContext(plant, defaults, nominal, _replay(record, settings, progress, recorded), final)
 
 
 def _settings_of(folder: Path) -> Experiment | Missing:
@@ -93,6 +100,19 @@ def _settings_of(folder: Path) -> Experiment | Missing:
 def _nominal_of(settings: Experiment) -> StepMap | Missing:
     try:
         return load_nominal(settings).map
+    except InputError as error:
+        return Missing(str(error))
+
+
+def _final_residual(record: RunRecord, settings: Experiment, nominal: StepMap) -> Residual | Missing:
+    """Residual after deployment 0 if it learned from the nominal map on, as a next deployment would begin with it."""
+    last = record.shown_iterations[-1]
+    if last > 0 or record.residual_of(last) == "none" or model_path(record.folder, last).exists():
+        return Missing("the residual at the start of the last deployment is described")
+    try:
+        known = as_past(load_known(settings, nominal.space))
+        with one_blas_thread():
+            return LoadedRun(record.folder, settings, nominal, record.steps, known).learner(last + 1).model
     except InputError as error:
         return Missing(str(error))
 

@@ -19,7 +19,7 @@ from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.report.comparison import comparison_html
 from stepgap.report.drawing import write_figures
-from stepgap.report.learned import LearnedResidual, read_learned_residual
+from stepgap.report.learned import LearnedResidual, described_residual
 from stepgap.report.missing_parts import missing_parts
 from stepgap.report.page import report_html
 from stepgap.report.reference_gait import ReferenceGait, reference_gait
@@ -63,7 +63,7 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
         OSError: A file cannot be read or written.
     """
     with one_blas_thread():
-        learned = _learned(record)
+        learned = _learned(record, context)
         gait = _gait(record, context, learned)
         bounds = None if isinstance(context.nominal, Missing) else context.nominal.space
         drawings = draw_run_figures(record, learned, gait, bounds)
@@ -74,10 +74,10 @@ def write_report(record: RunRecord, context: RunContext = NO_CONTEXT) -> Written
         return WrittenReport(path, tuple(missing_parts(record, context, learned, gait)))
 
 
-def _learned(record: RunRecord) -> LearnedResidual | Missing:
+def _learned(record: RunRecord, context: RunContext) -> LearnedResidual | Missing:
     """The last learned residual, or the reason why it is left out."""
     try:
-        return read_learned_residual(record.folder, record.shown_iterations[-1], record.space)
+        return described_residual(record, context.final)
     except ValueError as error:
         return Missing(str(error))
 

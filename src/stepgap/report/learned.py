@@ -8,15 +8,16 @@ from stepgap.learning.regression import Prediction
 from stepgap.learning.residual import HistoryInputs, Residual
 from stepgap.records.missing import Missing
 from stepgap.records.model_files import model_path, read_model
+from stepgap.records.run_folder import RunRecord
 from stepgap.step import Array, Quantity, StepSpace
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedResidual:
-    """A residual, which was fitted to the steps of earlier deployments, and the deployment that used it.
+    """A residual, which was fitted to the steps of earlier deployments, and the deployment that begins with it.
 
     Attributes:
-        iteration: Number of the deployment.
+        iteration: Number of the deployment; after an online run that of the next one, which was not executed.
         residual: Residual at the start of the deployment.
     """
 
@@ -39,6 +40,28 @@ class LearnedResidual:
         """Differences of the values from their leave-one-out predictions, in standard deviations; shapes (N,)."""
         pairs = zip(self.residual.regressions, self.leave_one_out, strict=True)
         return [(regression.values - predicted.mean) / predicted.std for regression, predicted in pairs]
+
+
+def described_residual(record: RunRecord, final: Residual | Missing) -> LearnedResidual | Missing:
+    """The residual with which the last deployment began, or the reason why it is not known.
+
+    If that is deployment 0, and it learned from the nominal map on, it is the residual fitted afterwards to all steps.
+
+    Args:
+        record: The run.
+        final: The residual fitted to all steps, or the reason why it is not known.
+
+    Raises:
+        ValueError: The file is not a model of this run.
+        OSError: It cannot be read.
+    """
+    last = record.shown_iterations[-1]
+    found = read_learned_residual(record.folder, last, record.space)
+    if isinstance(found, LearnedResidual) or last > 0 or record.residual_of(last) == "none":
+        return found
+    if isinstance(final, Missing):
+        return Missing(f"deployment 0 learned while it ran, so no model was saved before it, and {final.reason}")
+    return LearnedResidual(last + 1, final)
 
 
 def read_learned_residual(folder: Path, last: int, space: StepSpace) -> LearnedResidual | Missing:

@@ -24,17 +24,21 @@ UNIT_NOTES: Final = {
 """Meaning of the units of a `Parameter`."""
 
 
-def learned_sentences(learned: LearnedResidual | Missing) -> list[str]:
+def learned_sentences(record: RunRecord, learned: LearnedResidual | Missing) -> list[str]:
     """Sentences on the model of the error, and on the meaning of the tables."""
     if isinstance(learned, Missing):
         return [f"There is no model to describe: {learned.reason}."]
-    model = f"Deployment {learned.iteration} began with the residual '{learned.residual.name}'"
+    name, before = f"the residual '{learned.residual.name}'", "previous"
+    model = f"Deployment {learned.iteration} began with {name}"
+    if learned.iteration > record.shown_iterations[-1]:
+        before = "recorded"
+        model = f"Deployment {learned.iteration - 1} learned while it ran. A further deployment would begin with {name}"
     if not learned.steps:
         return [f"{model}: {learned.residual.model.description}."]
     parameters = [parameter for each in learned.residual.regressions for parameter in each.parameters()]
     return [
         f"{model}: for each state coordinate {learned.residual.model.description}, fitted to actual − nominal of the "
-        f"previous {learned.steps} steps; the yaw-dependent part of the error was removed where it was significant.",
+        f"{before} {learned.steps} steps; the yaw-dependent part of the error was removed where it was significant.",
         *_outliers(learned.residual.outliers),
         *dict.fromkeys(parameter.meaning for parameter in parameters if parameter.meaning),
     ]

@@ -25,7 +25,7 @@ def missing_parts(
         found.append("the last line of steps.csv (it is cut off)")
     if not record.deployments:
         found.append("errors (no deployment is finished according to summary.json)")
-    if last > 0 and isinstance(learned, Missing):
+    if isinstance(learned, Missing) and record.residual_of(last) != "none":
         found.append(f"the learned model ({learned.reason})")
     return [*found, *_by_reason({"settings": context.defaults, "gait": gait, "replay": context.replay})]
 

@@ -98,7 +98,7 @@ def report_html(
         "diagnosis": [bullets(diagnosis_sentences(record, context.nominal))],
         "replay": [replay_view(record, context.replay)],
         "learned": [
-            bullets(learned_sentences(learned)),
+            bullets(learned_sentences(record, learned)),
             learned_tables(record, learned),
             coverage_table(record),
             picture(drawings["surface"], "surface-", SURFACE_CAPTION) if "surface" in drawings else "",
