@@ -42,7 +42,9 @@ class FallingPlant(ModelPlant):
         return replace(record, next_state=np.full_like(record.state, np.nan), status=StepStatus.FELL)
 
 
-def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), real: StepMap = REAL) -> Path:
+def make_run(
+    folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), real: StepMap = REAL, exploration: int = 0
+) -> Path:
     """Runs the experiment into a folder.
 
     Args:
@@ -50,6 +52,7 @@ def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), rea
         iterations: Number of redeployments.
         lasts: Numbers of steps before a fall in the first deployments.
         real: The real robot.
+        exploration: Number of exploratory steps; if there are any, the run learns after every step.
     """
     folder.mkdir()
     noise = np.array([0.005, 0.002]) if real is REAL else np.zeros(2)
@@ -60,7 +63,8 @@ def make_run(folder: Path, iterations: int = 2, lasts: tuple[int, ...] = (), rea
         made.lasts = next(steps_before_falls, made.lasts)
         return made
 
-    run_experiment(LossyHopper(), plant, TARGETS, LearningSettings("gp", iterations, tolerance=0.0), folder, seed=0)
+    learning = LearningSettings("gp", iterations, tolerance=0.0, online=exploration > 0, exploration=exploration)
+    run_experiment(LossyHopper(), plant, TARGETS, learning, folder, seed=0)
     return folder
 
 

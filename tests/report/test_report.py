@@ -293,7 +293,7 @@ def test_paper_agrees_with_itself() -> None:
 def test_jumps_of_the_standard_deviation_are_explained_where_the_yaw_is_known(written: Path) -> None:
     record = read_run_folder(written)
     assert "It is larger where state and command are farther" in captions(record)["map_0"]
-    assert "It jumps where another of the filters" not in captions(record)["map_0"]
+    assert "It jumps where the estimate" not in captions(record)["map_0"]
     steps = [replace(logged, record=replace(logged.record, yaw_after=0.1)) for logged in record.steps]
     with_yaw = replace(record, steps=StepLog(record.space, steps))
-    assert "It jumps where another of the filters" in captions(with_yaw)["map_0"]
+    assert "It jumps where the estimate" in captions(with_yaw)["map_0"]

@@ -65,12 +65,12 @@ def gait_table(gait: ReferenceGait) -> str:
         [*(f"{value:.4g}" for value in target), *(cell for each in gait.maps for cell in _cells(each, row))]
         for row, target in enumerate(gait.targets)
     ]
-    return table(
+    corrected = any(each.multipliers for each in gait.maps)
+    caption = (
         "Limit cycle at each target: the constant command that holds it, and the magnitudes |λ| of its Floquet "
-        "multipliers: open loop, at this constant command, and closed loop, with the step controller",
-        heads,
-        rows,
+        f"multipliers: open loop, at this constant command{', and closed loop, with the step controller' * corrected}"
     )
+    return table(caption, heads, rows)
 
 
 def gait_sentences(gait: ReferenceGait) -> list[str]:

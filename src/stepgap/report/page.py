@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from stepgap.control.reference import SETTLING_STEPS
 from stepgap.experiment.bands import interval_coverage
 from stepgap.records import paper
 from stepgap.records.missing import Missing
@@ -48,24 +49,23 @@ FARTHER: Final = (
 """Reason for changes of the standard deviation from step to step."""
 
 JUMPS: Final = (
-    " It jumps where another of the filters that estimate the yaw-dependent disturbance comes into use, or none."
+    " It jumps where the estimate of the yaw-dependent disturbance begins or ceases to be used, or where it follows "
+    "changes faster or more slowly than before."
 )
 """Further reason, for robots whose yaw is measured."""
 
 SURFACE_CAPTION: Final = (
     "The learned correction, the expected error of the nominal map, and its standard deviation without noise, for each "
-    "state coordinate over the two inputs that change it most. All other inputs have their values at the limit cycle "
-    "of the middle target; inputs from the step before are zero. Points: recorded steps to which the model was fitted, "
-    "with any values of the other inputs. Far from the points the correction is extrapolated."
+    "state coordinate over the two inputs that change it most. All other inputs have their values at {}; inputs from "
+    "the step before are zero. Points: recorded steps to which the model was fitted, with any values of the other "
+    "inputs. Far from the points the correction is extrapolated."
 )
 
-GAIT_CAPTION: Final = (
-    "(a) The one-step reachable set within the command bounds, from the target in the middle. (b) Magnitudes of the "
-    "Floquet multipliers (eigenvalues of the derivative of the next state with respect to the state) of the limit "
-    "cycle at each target; below 1, an error decays. Open loop: at a constant command; the step controller does not "
-    "need this stability. Closed loop: with the step controller of the corrected map. Bars: 95 % intervals of the "
-    "largest magnitude, from the uncertainty of the gradient of the learned model."
+CLOSED_LOOP: Final = (
+    " Closed loop: with the step controller of the corrected map. Bars: 95 % intervals of the largest magnitude, from "
+    "the uncertainty of the gradient of the learned model."
 )
+"""Further part of the caption of the limit cycles, if there is a corrected map."""
 
 
 def report_html(
@@ -101,13 +101,13 @@ def report_html(
             bullets(learned_sentences(record, learned)),
             learned_tables(record, learned),
             coverage_table(record),
-            picture(drawings["surface"], "surface-", SURFACE_CAPTION) if "surface" in drawings else "",
+            picture(drawings["surface"], "surface-", _surface_caption(gait)) if "surface" in drawings else "",
             picture(drawings["left_out"], "left-out-", LEFT_OUT_CAPTION) if "left_out" in drawings else "",
         ],
         "gait": [measured_table(loops), absence("gait", gait)] if isinstance(gait, Missing) else [
             bullets(gait_sentences(gait)),
             measured_table(loops),
-            picture(drawings["gait"], "gait-", GAIT_CAPTION) if "gait" in drawings else "",
+            picture(drawings["gait"], "gait-", _gait_caption(gait)) if "gait" in drawings else "",
             gait_table(gait),
         ],
         "settings": [_settings(record, context.defaults)],
@@ -134,7 +134,8 @@ def captions(record: RunRecord) -> dict[str, str]:
     }
     found["state_errors"] = (
         f"Errors in deployment {record.shown_iterations[-1]} against the state at the start of each step and the "
-        "command. Errors that depend on a coordinate show what the map, or the controller, does not take into account."
+        "command. Errors that depend on a coordinate show what the map, or the controller, does not take into account. "
+        "Where the map predicted that the target would be reached, the two errors are equal: dots are in circles."
     )
     if like_paper:
         found["errors"] += " The paper's points are from its hardware: Fig. 5, and Fig. 4 for deployment 0."
@@ -154,9 +155,9 @@ def _map_caption(record: RunRecord, row: int) -> str:
     if any(held):
         text += f" The band, predicted before the step, contains {', '.join(filter(None, held))}."
     if len(unsure) > 1:
-        text += f" (b) Standard deviation of the prediction in deployments {unsure[0]} and {unsure[-1]}.{reasons}"
+        text += f" (b) Its standard deviation, noise included, in deployments {unsure[0]} and {unsure[-1]}.{reasons}"
     elif unsure:
-        text += f" (b) Standard deviation of the prediction in deployment {unsure[0]}.{reasons}"
+        text += f" (b) Its standard deviation, noise included, in deployment {unsure[0]}.{reasons}"
     else:
         text += " (b) The map gave no standard deviation, because nothing had been learned yet."
     if record.like_paper and unsure:
@@ -168,6 +169,31 @@ def _map_caption(record: RunRecord, row: int) -> str:
     return text
 
 
+def _gait_caption(gait: ReferenceGait) -> str:
+    corrected = any(each.multipliers for each in gait.maps)
+    return (
+        f"(a) The one-step reachable set within the command bounds, from the state {_central_target(gait)}, the target "
+        "nearest to the median of all. (b) Magnitudes of the Floquet multipliers (eigenvalues of the derivative of the "
+        "next state with respect to the state) of the limit cycle at each target; below 1, an error decays. Open loop: "
+        "at a constant command; the step controller does not need this stability."
+        f"{CLOSED_LOOP if corrected else ''}"
+    )
+
+
+def _surface_caption(gait: ReferenceGait | Missing) -> str:
+    if isinstance(gait, Missing):
+        return SURFACE_CAPTION.format("the median of these steps")
+    return SURFACE_CAPTION.format(
+        f"the limit cycle of the target {_central_target(gait)}, the nearest to the median of all"
+    )
+
+
+def _central_target(gait: ReferenceGait) -> str:
+    """The target from which the reachable sets start, with units."""
+    parts = zip(gait.centre, gait.space.state, strict=True)
+    return ", ".join(f"{quantity.name} {value:.4g} {quantity.unit}".rstrip() for value, quantity in parts)
+
+
 def _held(record: RunRecord, iteration: int, row: int) -> str:
     """Number of measurements of a deployment within the band, as text; empty where there was no band."""
     inside, known = (int(counts[row]) for counts in interval_coverage(record.steps.of_iteration(iteration)))
@@ -176,8 +202,10 @@ def _held(record: RunRecord, iteration: int, row: int) -> str:
 
 def _comparison_note(record: RunRecord, plant: str) -> str:
     note = (
-        f"This run was executed by the {plant}. Errors are next state − target. Steady: at least 4 steps after a "
-        "change of the target; transient: the first 4 steps after each change."
+        f"This run was executed by the {plant}. Errors are next state − target, without those of exploratory steps. "
+        f"Transient: the first {SETTLING_STEPS} steps with each new target; steady: all later steps with it. Steps "
+        "with the first target of the reference are neither, since they include the start. RMSE and MAE include them, "
+        "so they may be smaller than both parts."
     )
     if record.like_paper:
         return (

@@ -122,12 +122,14 @@ def _floor(record: RunRecord) -> list[str]:
 def _differences(record: RunRecord, rows: Sequence[int]) -> str:
     """In what repeated steps differ, and what this means for a controller."""
     if not np.isfinite(record.steps.yaw).any():
-        return "with other noise. A controller that does not know the noise cannot be better on average"
+        return (
+            "with other noise. A controller that does not know the noise cannot have smaller steady errors on average"
+        )
     alone = _with_intervals(record, record.noise_floor_same_yaw, record.noise_floor_same_yaw_interval, rows)
     return (
-        "at other yaw angles and with other noise. A controller that knows neither noise nor yaw cannot be better on "
-        "average. One that estimates the yaw-dependent disturbance (learning.drift) can, but not better than the noise "
-        f"alone: {alone}"
+        "at other yaw angles and with other noise. A controller that knows neither noise nor yaw cannot have smaller "
+        "steady errors on average. One that estimates the yaw-dependent disturbance (learning.drift) can, but not "
+        f"smaller than the noise alone: {alone}"
     )
 
 

@@ -1,0 +1,111 @@
+"""The report of a run that explores, and learns after every step of its only deployment."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from stepgap.experiment.bands import hops_to_band, tracking_errors
+from stepgap.learning.learner import Learner
+from stepgap.learning.settings import LearningSettings
+from stepgap.learning.step_log import StepLog
+from stepgap.records.missing import Missing
+from stepgap.records.run_folder import RunRecord
+from stepgap.report import RunContext, read_run_folder, write_report
+from stepgap.report.comparison import comparison_html
+from stepgap.report.error_table import band_table
+from stepgap.report.figures import command_figure, error_figure, map_figure, tracking_figure
+from stepgap.report.learned import described_residual
+from tests.control.maps import LossyHopper
+from tests.report.pages import Page
+from tests.report.runs import TARGETS, make_run
+
+EXPLORATION = 6
+
+STEP_FIGURES: dict[str, Callable[[RunRecord], Figure]] = {
+    "tracking": tracking_figure,
+    "commands": lambda record: command_figure(record, None),
+    "map": lambda record: map_figure(record, 0),
+}
+"""Figures over the step number."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("online") / "run", iterations=0, exploration=EXPLORATION)
+
+
+@pytest.fixture(scope="module")
+def record(folder: Path) -> RunRecord:
+    return read_run_folder(folder)
+
+
+def test_the_model_after_the_run_is_described(record: RunRecord) -> None:
+    final = Learner.start(LossyHopper(), record.steps, LearningSettings("gp"), 1).model
+    written = write_report(record, RunContext("map", {"seed": 1}, LossyHopper(), final=final))
+    text = Page(written.path).text
+    assert "Deployment 0 learned while it ran. A further deployment would begin with the residual 'gp'" in text
+    assert f"of the recorded {len(TARGETS) + EXPLORATION} steps" in text
+    assert "Corrected map: 4 of 4 targets are held" in text
+    assert "Closed loop: with the step controller" in text
+    assert not [part for part in written.missing if "model" in part]
+
+
+def test_a_model_that_is_not_known_is_not_denied(record: RunRecord) -> None:
+    written = write_report(record, RunContext("map", {"seed": 1}, LossyHopper(), final=Missing("nobody kept it")))
+    text = Page(written.path).text
+    reason = "deployment 0 learned while it ran, so no model was saved before it, and nobody kept it"
+    assert f"There is no model to describe: {reason}." in text
+    assert f"the learned model ({reason})" in written.missing
+    assert "used the nominal map" not in text
+    assert "Nominal map: 4 of 4 targets are held" in text
+    assert "losed loop: with" not in text
+    assert ", and closed loop" not in text
+
+
+def test_an_unfinished_deployment_that_learns_did_not_use_the_nominal_map(record: RunRecord) -> None:
+    running = replace(record, summary=replace(record.summary, deployments=()))
+    assert running.residual_of(0) is None
+    first = StepLog(record.space, list(record.steps)[:1])
+    assert replace(running, steps=first).residual_of(0) == "none", "nothing was learned before the first step"
+    learned = described_residual(running, Missing("it is still learned"))
+    assert learned == Missing(
+        "deployment 0 learned while it ran, so no model was saved before it, and it is still learned"
+    )
+
+
+def test_the_axis_of_deployments_says_which_maps_were_used(record: RunRecord, tmp_path: Path) -> None:
+    assert error_figure(record).axes[-1].get_xlabel() == "Deployment (all of this run: corrected map)"
+    offline = read_run_folder(make_run(tmp_path / "offline", iterations=0))
+    assert "0: nominal map" in error_figure(offline).axes[-1].get_xlabel()
+
+
+def test_all_figures_of_steps_have_the_same_steps(record: RunRecord) -> None:
+    limits = {name: make(record).axes[-1].get_xlim() for name, make in STEP_FIGURES.items()}
+    assert len(set(limits.values())) == 1
+    low, high = limits["tracking"]
+    assert 0 < 1 - EXPLORATION - low < 2
+    assert 0 < high - len(TARGETS) < 2
+
+
+def test_predictions_of_exploratory_steps_are_no_reference(record: RunRecord) -> None:
+    for panel in tracking_figure(record).axes:
+        (reference,) = (line for line in panel.lines if line.get_label() == "reference")
+        np.testing.assert_array_equal(reference.get_xdata(), np.arange(1, len(TARGETS) + 1))
+    labels = [line.get_label() for line in map_figure(record, 0).axes[1].lines]
+    changes = [line for line in map_figure(record, 0).axes[1].lines if np.ptp(np.asarray(line.get_xdata())) == 0]
+    assert "change of the target" in labels
+    assert [np.asarray(line.get_xdata())[0] for line in changes] == [11, 21, 31]
+
+
+def test_hops_to_the_band_include_exploratory_ones(record: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracking = hops_to_band(tracking_errors(record.steps))
+    assert tracking is not None
+    monkeypatch.setattr(RunRecord, "like_paper", True)
+    total, hops = len(TARGETS) + EXPLORATION, tracking + EXPLORATION
+    assert f'<th scope="row">all</th><td>{total}</td><td>{hops}</td>' in band_table(record)
+    other = replace(record, folder=record.folder.parent / "other")
+    assert f'<th scope="row">hops</th><td>{hops}</td><td>{hops}</td>' in comparison_html([record, other])
