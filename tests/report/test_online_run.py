@@ -44,7 +44,7 @@ def record(folder: Path) -> RunRecord:
 
 
 def test_the_model_after_the_run_is_described(record: RunRecord) -> None:
-    final = Learner.start(LossyHopper(), record.steps, LearningSettings("gp"), 1).model
+    final = Learner.start(LossyHopper(), record.steps, LearningSettings("gp"), 1).residual
     written = write_report(record, RunContext("map", {"seed": 1}, LossyHopper(), final=final))
     text = Page(written.path).text
     assert "Deployment 0 learned while it ran. A further deployment would begin with the residual 'gp'" in text

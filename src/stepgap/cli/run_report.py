@@ -112,7 +112,7 @@ def _final_residual(record: RunRecord, settings: Experiment, nominal: StepMap) -
     try:
         known = as_past(load_known(settings, nominal.space))
         with one_blas_thread():
-            return LoadedRun(record.folder, settings, nominal, record.steps, known).learner(last + 1).model
+            return LoadedRun(record.folder, settings, nominal, record.steps, known).learner(last + 1).residual
     except InputError as error:
         return Missing(str(error))
 
