@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from stepgap.learning.step_table import StepTable
 from stepgap.records import foreign_log
 from stepgap.records.columns import Columns, read_columns
-from stepgap.records.foreign_log import read_foreign_logs
+from stepgap.records.foreign_log import read_foreign_logs, step_log_of
 from stepgap.records.steps_csv import RecordError
 
 NUMBERS = st.floats(-1e12, 1e12) | st.just(float("nan"))
@@ -246,3 +246,24 @@ def test_a_yaw_is_left_out_with_its_row() -> None:
     steps = read(written(("a", "b", "f", "psi"), [(0, 1, 2, 3), (1, "", 2, 4), (1, 1, 1, 5)]), columns)
     assert steps.yaw is not None
     assert steps.yaw.tolist() == [3, 5]
+
+
+def test_the_yaw_after_a_step_is_that_at_the_start_of_the_next_one() -> None:
+    """Rows 0, 1 and 2, 3 are chained; row 4 is chained, but its yaw is missing; row 5 belongs to another trial."""
+    columns = Columns(state=("a",), next=("b",), command=("f",), yaw="psi", deployment="trial")
+    rows = [
+        (0, 1, 2, 0.1, 1),
+        (1, 2, 2, 0.2, 1),
+        (5, 6, 2, 0.3, 1),
+        (6, 7, 2, 0.4, 1),
+        (7, 8, 2, "", 1),
+        (8, 9, 2, 0.6, 2),
+    ]
+    text = written(("a", "b", "f", "psi", "trial"), rows)
+    log = step_log_of(read(text, columns))
+    assert [(logged.iteration, logged.step) for logged in log] == [(0, 1), (0, 2), (1, 1), (1, 2), (1, 3), (2, 1)]
+    nan = np.nan
+    np.testing.assert_array_equal([logged.record.yaw_after for logged in log], [0.2, nan, 0.4, nan, nan, nan])
+    np.testing.assert_array_equal(log.yaw, [nan, 0.2, nan, 0.4, nan, nan], "but for the first step of a deployment")
+    without = step_log_of(read(text, replace(columns, yaw="")))
+    assert np.isnan([logged.record.yaw_after for logged in without]).all()

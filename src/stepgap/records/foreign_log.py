@@ -53,20 +53,20 @@ def step_log_of(table: StepTable) -> StepLog:
     """The steps of a table as a log, such as for a `steps.csv`; what the table does not contain is unknown.
 
     A new deployment begins where a step does not start from the state in which the one before it ended. A target that
-    is not known is the next state; predictions are not known.
+    is not known is the next state; predictions are not known. The yaw after a step is the one at which the next step of
+    its deployment starts, so it is not known for the last one.
     """
+    n, count, follows = len(table.space.state), len(table), table.follows
+    iteration = np.cumsum(~follows) - 1
+    number = 1 + np.arange(count) - np.flatnonzero(~follows)[iteration]
+    target = table.next_state if table.target is None else table.target
+    yaw = np.full(count, np.nan) if table.yaw is None else table.yaw
+    yaw_after = np.roll(np.where(follows, yaw, np.nan), -1)
+    unknown, exact = np.full(n, np.nan), np.zeros(n)
     logged: list[LoggedStep] = []
-    nowhere, exact = np.full(len(table.space.state), np.nan), np.zeros(len(table.space.state))
     for row, (state, command, next_state) in enumerate(zip(table.state, table.command, table.next_state, strict=True)):
-        last = logged[-1] if logged else None
-        iteration, step = (last.iteration, last.step + 1) if last else (0, 1)
-        if last and not (
-            table.deployment[row] == table.deployment[row - 1] and np.array_equal(last.record.next_state, state)
-        ):
-            iteration, step = iteration + 1, 1
-        target = next_state if table.target is None else table.target[row]
-        record = StepRecord(state, command, command, next_state, StepStatus.OK)
-        logged.append(LoggedStep(iteration, step, target, nowhere, exact, record))
+        record = StepRecord(state, command, command, next_state, StepStatus.OK, float(yaw_after[row]))
+        logged.append(LoggedStep(int(iteration[row]), int(number[row]), target[row], unknown, exact, record))
     return StepLog(table.space, logged)
 
 
