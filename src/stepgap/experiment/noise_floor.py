@@ -9,11 +9,13 @@ from math import tau
 
 import numpy as np
 
+from stepgap.control.cautious_controller import CautiousController
 from stepgap.control.reference import Reference
-from stepgap.control.step_controller import StepController
+from stepgap.control.settings import ControlSettings
+from stepgap.experiment.deployment import tracking_plan
 from stepgap.plants.plant import RepeatablePlant
 from stepgap.records.summary import NoiseFloor
-from stepgap.step import Array, StepFailed, StepMap, StepStatus
+from stepgap.step import Array, StepMap, StepStatus
 
 REPEATED_TARGETS = 20
 """Largest number of targets of the reference at which a step is repeated; they are spread evenly."""
@@ -26,6 +28,9 @@ YAWS = 6
 
 REPEATS = 2
 """Number of repetitions at each yaw, which differ in noise only."""
+
+EXACT = ControlSettings(cautious=False, viability=False, avoid_failures=False, evaluations=10**6)
+"""Settings with which Eq. 13 is solved as it is: no rule restricts the command, and no budget the search."""
 
 
 def measure_noise_floor(
@@ -45,7 +50,8 @@ def measure_noise_floor(
 
     Args:
         plant: The plant.
-        step_map: Map whose step controller leads to the targets.
+        step_map: Map whose commands lead to the targets by Eq. 13, without the rules of a deployment, and each found
+            from the middle of the bounds.
         reference: Reference whose targets are held.
         rng: Draws noise and yaw of the repeated steps.
         progress: Called with the numbers of finished and of all targets.
@@ -55,29 +61,23 @@ def measure_noise_floor(
     """
     starts = np.unique([0, *reference.changes])
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, REPEATED_TARGETS).round().astype(int))]
-    controller, groups = StepController(step_map), list[Array]()
+    size, groups = len(reference.names), list[Array]()
+    no_failures = np.empty((0, size + len(step_map.space.command)))
+    controller = CautiousController(step_map, step_map, no_failures, EXACT)
     with plant:
         state = plant.start()
         for number, target in enumerate(reference.targets[chosen]):
             progress(number, len(chosen))
             for _ in range(SETTLING):
-                record = plant.take_step(_command(controller, state, target))
+                record = plant.take_step(tracking_plan(controller, state, target, None).command)
                 state = record.next_state
                 if record.status != StepStatus.OK:
-                    return _pooled(groups, len(reference.names))
-            command = _command(controller, state, target)
+                    return _pooled(groups, size)
+            command = tracking_plan(controller, state, target, None).command
             yaws = rng.uniform(0, tau, YAWS)
             found = np.array([[plant.repeated(command, rng, yaw) for _ in range(REPEATS)] for yaw in yaws])
             groups.append(found[np.isfinite(found).all(axis=(1, 2))])
-    return _pooled(groups, len(reference.names))
-
-
-def _command(controller: StepController, state: Array, target: Array) -> Array:
-    """Command as in `deploy`."""
-    try:
-        return controller(state, target).command
-    except StepFailed:
-        return controller.step_map.space.command_centre
+    return _pooled(groups, size)
 
 
 def _pooled(groups: Sequence[Array], size: int) -> NoiseFloor:
