@@ -69,7 +69,7 @@ def test_the_example_in_c_learns(run) -> None:
     [
         ("exit", "the program ended with code 4"),
         ("text", "'motor 2 is hot': the answer must be one JSON object per line"),
-        ("nan", "NaN is no number"),
+        ("nan", "NaN is not a JSON number"),
     ],
 )
 def test_a_failing_program_leaves_its_steps_and_learning_goes_on(run, kind: str, message: str) -> None:

@@ -1,12 +1,55 @@
-"""Readers of values from JSON data; an error names the key and states what is valid."""
+"""Reading of JSON data with checks; an error names the key and states what is valid."""
 
+import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.ranges import format_value
+
+LARGEST_NUMBER = 1e9
+"""Largest magnitude of a number that is accepted as a measurement [SI units]."""
+
 _DESCRIPTIONS = ("a number", "a list of numbers", "a list of equally long lists of numbers")
+
+
+def parse_json(text: str) -> Any:
+    """Parses JSON, which has neither NaN nor infinity.
+
+    Raises:
+        ValueError: It is not JSON, or it is nested too deeply.
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse)
+    except RecursionError:
+        raise ValueError("its lists or objects are nested too deeply") from None
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is not a JSON number")
+
+
+def is_measurement(value: Any) -> bool:
+    """Whether a value is a number within ±`LARGEST_NUMBER`; a boolean is none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_NUMBER
+
+
+def describe_value(value: Any) -> str:
+    """Formats a value for a message; one that is null counts as missing."""
+    return "missing" if value is None else format_value(value)
+
+
+def as_object(value: Any, name: str) -> dict[str, Any]:
+    """The value, which must be an object; `name` is that of the value in the message.
+
+    Raises:
+        ValueError: It is of another kind.
+    """
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} is {describe_value(value)}, but it must be an object, {{…}}")
+    return value
 
 
 def numbers(data: Mapping[str, Any], key: str, dimensions: int) -> NDArray[np.float64]:
@@ -35,15 +78,21 @@ def number(data: Mapping[str, Any], key: str) -> float:
     return float(numbers(data, key, 0))
 
 
-def integer(data: Mapping[str, Any], key: str, least: int = 1) -> int:
+def integer(data: Mapping[str, Any], key: str, least: int = 1, where: str = "") -> int:
     """The integer under `key`.
 
+    Args:
+        data: The object.
+        key: Its key.
+        least: Smallest valid integer.
+        where: What the message begins with, such as the name of the file and a colon.
+
     Raises:
-        ValueError: The key is missing, or its value is of another kind or less than `least`.
+        ValueError: The key is missing, or its value is of another kind, less than `least`, or not of 64 bits.
     """
     value = data.get(key)
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise ValueError(f"{key} must be an integer of at least {least}, not {value!r:.40}")
+    if not isinstance(value, int) or isinstance(value, bool) or not least <= value < 2**63:
+        raise ValueError(f"{where}{key} is {describe_value(value)}, but it must be an integer from {least}")
     return value
 
 
@@ -53,6 +102,7 @@ def boolean(data: Mapping[str, Any], key: str) -> bool:
     Raises:
         ValueError: The key is missing, or its value is of another kind.
     """
-    if not isinstance(data.get(key), bool):
-        raise ValueError(f"{key} must be true or false, not {data.get(key)!r:.40}")
-    return data[key]
+    value = data.get(key)
+    if not isinstance(value, bool):
+        raise ValueError(f"{key} is {describe_value(value)}, but it must be true or false")
+    return value

@@ -7,7 +7,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any
 
-from stepgap.base.settings_file import InputError
+from stepgap.base.errors import InputError
 
 
 def plugin_names(group: str) -> tuple[str, ...]:

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from stepgap.base.json_data import LARGEST_NUMBER
 from stepgap.base.normal import std_interval_95
 from stepgap.base.settings_file import read_toml_text
 from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
 from stepgap.records.paper import STATE_NAMES
 from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
-from stepgap.records.summary import LARGEST_NUMBER, Deployment, NoiseFloor, Summary, read_summary
+from stepgap.records.summary import Deployment, NoiseFloor, Summary, read_summary
 from stepgap.step import Array, StepSpace
 
 INPUT_FILES = ("reference.csv", "warm_start.csv", "nominal_map.json", "nominal_map.toml", "nominal_map.csv")

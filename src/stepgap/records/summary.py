@@ -4,12 +4,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from stepgap.base.errors import StepGapError
 from stepgap.base.files import write_whole
+from stepgap.base.json_data import as_object, describe_value, integer, is_measurement, parse_json
 from stepgap.step import Array
 
 SUMMARY_SCHEMA = 1
@@ -26,9 +27,6 @@ LARGEST_SUMMARY = 2**24
 
 LONGEST_RESIDUAL_NAME = 100
 """Longest name of a residual model [characters]."""
-
-LARGEST_NUMBER = 1e9
-"""Largest magnitude of a number that is accepted as a measurement [SI units]."""
 
 
 class OtherSchema(StepGapError, ValueError):
@@ -194,24 +192,26 @@ def parse_summary(text: str, names: tuple[str, ...], source: str = "summary.json
         ValueError: The content is wrong; the message names source, key and rule.
     """
     try:
-        content = json.loads(text, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
+        content = parse_json(text)
+    except ValueError as error:
         raise ValueError(f"{source}: not JSON ({error}); it must be the file that the run wrote") from None
-    fields = _fields(content, "it", source)
+    fields = as_object(content, f"{source}: it")
     if (schema := fields.get("schema")) != SUMMARY_SCHEMA or isinstance(schema, bool):
         raise OtherSchema(
-            f"{source}: schema is {_short(schema)}, but it must be {SUMMARY_SCHEMA}, which this version reads"
+            f"{source}: schema is {describe_value(schema)}, but it must be {SUMMARY_SCHEMA}, which this version reads"
         )
     entries = fields.get("iterations")
     if not isinstance(entries, list) or not entries:
-        raise ValueError(f"{source}: iterations is {_short(entries)}, but it must be a list of deployments")
+        raise ValueError(f"{source}: iterations is {describe_value(entries)}, but it must be a list of deployments")
     deployments = [parse_deployment(entry, names, f"iterations[{row}]", source) for row, entry in enumerate(entries)]
     numbers = [deployment.iteration for deployment in deployments]
     if numbers != sorted(set(numbers)):
-        raise ValueError(f"{source}: iterations are numbered {_short(numbers)}, but their numbers must increase")
-    versions = _fields(fields.get("versions", {}), "versions", source)
+        raise ValueError(
+            f"{source}: iterations are numbered {describe_value(numbers)}, but their numbers must increase"
+        )
+    versions = as_object(fields.get("versions", {}), f"{source}: versions")
     return Summary(
-        _integer(fields, "seed", 0, source),
+        integer(fields, "seed", 0, f"{source}: "),
         tuple(deployments),
         _noise_floor(fields, names, source),
         fields.get("repeatability_measured") is True,
@@ -259,17 +259,20 @@ def parse_deployment(entry: Any, names: tuple[str, ...], key: str, source: str) 
     Raises:
         ValueError: It is not such an entry; the message names source, key and rule.
     """
-    fields, source = _fields(entry, key, source), f"{source}: {key}"
+    source = f"{source}: {key}"
+    fields = as_object(entry, source)
     residual = fields.get("residual")
     if not isinstance(residual, str) or len(residual) > LONGEST_RESIDUAL_NAME:
-        raise ValueError(f"{source}: residual is {_short(residual)}, but it must be a short string such as 'gp'")
+        raise ValueError(
+            f"{source}: residual is {describe_value(residual)}, but it must be a short string such as 'gp'"
+        )
     return Deployment(
-        iteration=_integer(fields, "iteration", 0, source),
+        iteration=integer(fields, "iteration", 0, f"{source}: "),
         residual=residual,
-        steps=_integer(fields, "steps", 1, source),
-        falls=_integer(fields, "falls", 0, source),
+        steps=integer(fields, "steps", 1, f"{source}: "),
+        falls=integer(fields, "falls", 0, f"{source}: "),
         **{measure: _errors(fields, measure, names, source) for measure in MEASURES},
-        cut=_integer(fields, "cut", 0, source),
+        cut=integer(fields, "cut", 0, f"{source}: "),
         unreachable=_targets(fields, "unreachable", names, source),
         missed=_targets(fields, "missed", names, source),
     )
@@ -278,32 +281,21 @@ def parse_deployment(entry: Any, names: tuple[str, ...], key: str, source: str) 
 def _warm_start(entry: Any, source: str) -> WarmStart | None:
     if entry is None:
         return None
-    fields = _fields(entry, "warm_start", source)
-    return WarmStart(_integer(fields, "steps", 1, f"{source}: warm_start"), str(fields.get("steps_sha256", "")))
-
-
-def _fields(value: Any, what: str, source: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{source}: {what} is {_short(value)}, but it must be an object, {{…}}")
-    return value
-
-
-def _integer(fields: Mapping[str, Any], key: str, least: int, source: str) -> int:
-    value = fields.get(key)
-    if type(value) is not int or not least <= value < 2**63:
-        raise ValueError(f"{source}: {key} is {_short(value)}, but it must be an integer from {least}")
-    return value
+    fields = as_object(entry, f"{source}: warm_start")
+    return WarmStart(integer(fields, "steps", 1, f"{source}: warm_start: "), str(fields.get("steps_sha256", "")))
 
 
 def _errors(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source: str) -> Array:
     """Errors of the state coordinates, each a number or null; shape (n,)."""
-    values = _fields(fields.get(key), key, source)
+    values = as_object(fields.get(key), f"{source}: {key}")
     if set(values) != set(names):
         wanted = ", ".join(names)
-        raise ValueError(f"{source}: {key} has {_short(list(values))}, but it must have {wanted}, as in steps.csv")
+        raise ValueError(
+            f"{source}: {key} has {describe_value(list(values))}, but it must have {wanted}, as in steps.csv"
+        )
     for name, value in values.items():
-        if value is not None and not _is_number(value):
-            raise ValueError(f"{source}: {key} of {name} is {_short(value)}, but it must be a number or null")
+        if value is not None and not is_measurement(value):
+            raise ValueError(f"{source}: {key} of {name} is {describe_value(value)}, but it must be a number or null")
     return np.array([np.nan if values[name] is None else float(values[name]) for name in names])
 
 
@@ -316,7 +308,7 @@ def _noise_floor(fields: Mapping[str, Any], names: tuple[str, ...], source: str)
         same_yaw=_errors(known, "repeatability_same_yaw", names, source),
         any_yaw_freedom=_errors(known, "repeatability_freedom", names, source),
         same_yaw_freedom=_errors(known, "repeatability_same_yaw_freedom", names, source),
-        steps=_integer(known, "repeatability_steps", 0, source),
+        steps=integer(known, "repeatability_steps", 0, f"{source}: "),
     )
 
 
@@ -324,21 +316,8 @@ def _targets(fields: Mapping[str, Any], key: str, names: tuple[str, ...], source
     """A list of targets, each a list with one number for each state coordinate; shape (k, n)."""
     values = fields.get(key)
     rows = values if isinstance(values, list) else [None]
-    if not all(isinstance(row, list) and len(row) == len(names) and all(map(_is_number, row)) for row in rows):
-        raise ValueError(f"{source}: {key} is {_short(values)}, but it must be a list of targets [{', '.join(names)}]")
+    if not all(isinstance(row, list) and len(row) == len(names) and all(map(is_measurement, row)) for row in rows):
+        raise ValueError(
+            f"{source}: {key} is {describe_value(values)}, but it must be a list of targets [{', '.join(names)}]"
+        )
     return np.array(rows, float).reshape(-1, len(names))
-
-
-def _is_number(value: Any) -> bool:
-    """Whether a value is a number that is accepted as a measurement."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST_NUMBER
-
-
-def _short(value: Any) -> str:
-    """Text of a value, shortened to one short line."""
-    text = "missing" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a JSON number")

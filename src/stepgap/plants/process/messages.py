@@ -18,14 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stepgap.base.errors import StepGapError
+from stepgap.base.json_data import LARGEST_NUMBER, is_measurement, parse_json
 from stepgap.base.ranges import format_value
 from stepgap.step import Array, Quantity, StepSpace, StepStatus
 
 PROTOCOL = 1
 """Version of the protocol."""
-
-LARGEST = 1e9
-"""Numbers of this size or larger are not accepted."""
 
 
 class ProcessFault(StepGapError):
@@ -107,18 +105,18 @@ def read_answer(line: str, number: int, requested: Array, space: StepSpace) -> A
     """
     answer = _parsed(line)
     if answer.get("step") != number:
-        raise ProcessFault(f'step {number} was answered by {_short(line)}, which must contain "step": {number}')
+        raise ProcessFault(f'step {number} was answered by {_quoted(line)}, which must contain "step": {number}')
     statuses = {status.label: status for status in StepStatus}
     if answer.get("status") not in list(statuses):
-        raise ProcessFault(f'{_short(line)}: "status" must be one of {", ".join(statuses)}')
+        raise ProcessFault(f'{_quoted(line)}: "status" must be one of {", ".join(statuses)}')
     status = statuses[answer["status"]]
     next_state = np.full(len(space.state), np.nan)
     if status == StepStatus.OK:
         next_state = _numbers(answer, "next", space.state_names, line)
     applied = _numbers(answer, "applied", space.command_names, line) if "applied" in answer else requested
     yaw = answer.get("yaw")
-    if yaw is not None and not _is_number(yaw):
-        raise ProcessFault(f'{_short(line)}: "yaw" must be an angle in radians')
+    if yaw is not None and not is_measurement(yaw):
+        raise ProcessFault(f'{_quoted(line)}: "yaw" must be an angle in radians')
     return Answer(next_state, applied, status, float("nan") if yaw is None else float(yaw))
 
 
@@ -128,16 +126,12 @@ def _line(content: Mapping[str, Any]) -> str:
 
 def _parsed(line: str) -> dict[str, Any]:
     """The JSON object of a line; NaN and infinity are no JSON."""
-
-    def refused(constant: str) -> None:
-        raise ValueError(f"{constant} is no number")
-
     try:
-        content = json.loads(line, parse_constant=refused)
-    except (ValueError, RecursionError) as error:
-        raise ProcessFault(f"{_short(line)}: the answer must be one JSON object per line ({error})") from None
+        content = parse_json(line)
+    except ValueError as error:
+        raise ProcessFault(f"{_quoted(line)}: the answer must be one JSON object per line ({error})") from None
     if not isinstance(content, dict):
-        raise ProcessFault(f"{_short(line)}: the answer must be a JSON object")
+        raise ProcessFault(f"{_quoted(line)}: the answer must be a JSON object")
     if "error" in content:
         raise ProcessFault(f"the program reports: {format_value(content['error'])}")
     return content
@@ -146,7 +140,7 @@ def _parsed(line: str) -> dict[str, Any]:
 def _table(content: Mapping[str, Any], key: str, line: str) -> dict[str, Any]:
     table = content.get(key)
     if not isinstance(table, dict):
-        raise ProcessFault(f'{_short(line)}: the answer must contain "{key}": {{…}}')
+        raise ProcessFault(f'{_quoted(line)}: the answer must contain "{key}": {{…}}')
     return table
 
 
@@ -154,21 +148,17 @@ def _numbers(content: Mapping[str, Any], key: str, names: Sequence[str], line: s
     """The finite numbers of a table that has these names and no others."""
     table = _table(content, key, line)
     if sorted(table) != sorted(names):
-        raise ProcessFault(f'{_short(line)}: "{key}" must contain {", ".join(names)}, and nothing else')
-    wrong = [name for name in names if not _is_number(table[name])]
+        raise ProcessFault(f'{_quoted(line)}: "{key}" must contain {", ".join(names)}, and nothing else')
+    wrong = [name for name in names if not is_measurement(table[name])]
     if wrong:
-        raise ProcessFault(f"{_short(line)}: {key}.{wrong[0]} must be a number of less than {LARGEST:g}")
+        raise ProcessFault(f"{_quoted(line)}: {key}.{wrong[0]} must be a number within ±{LARGEST_NUMBER:g}")
     return np.array([table[name] for name in names], float)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
 
 
 def _text(units: Mapping[str, str]) -> str:
     return ", ".join(f"{name} [{unit}]" for name, unit in units.items())
 
 
-def _short(line: str) -> str:
-    text = line.strip()
-    return repr(text if len(text) <= 80 else f"{text[:80]}…")
+def _quoted(line: str) -> str:
+    """The beginning of a line in quotes, for a message."""
+    return format_value(line.strip())
