@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
 from stepgap.base.errors import InputError
+from stepgap.base.plugins import suggestion
 from stepgap.base.ranges import LARGEST_INTEGER, format_value
 
 LARGEST_SETTINGS_FILE = 2**20
@@ -67,6 +68,25 @@ def parse_toml(text: str) -> dict[str, Any]:
         return tomllib.loads(text.removeprefix(BYTE_ORDER_MARK))
     except RecursionError:
         raise ValueError("its lists or tables are nested too deeply") from None
+
+
+def check_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    """Raises InputError if a table has another key than the known ones.
+
+    Args:
+        table: The table.
+        known: Its valid keys.
+        where: What precedes the key in the message, such as the file and the table.
+    """
+    for key in table:
+        if key not in known:
+            meant = suggestion(key, known) or f"the keys here are {', '.join(known)}"
+            raise InputError(f"{where}{key}: unknown key; {meant}")
+
+
+def inner_table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    """The table under a key, empty if there is none; raises InputError for another value, named as by `check_keys`."""
+    return _as_table(table.get(key, {}), f"{where}{key}")
 
 
 def with_table(name: str) -> str:

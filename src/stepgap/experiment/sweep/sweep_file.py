@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepgap.base.errors import InputError
-from stepgap.base.plugins import suggestion
 from stepgap.base.random_streams import random_stream
 from stepgap.base.ranges import format_value
-from stepgap.base.settings_file import read_toml
+from stepgap.base.settings_file import check_keys, inner_table, read_toml
 from stepgap.experiment.inputs import load_reference
 from stepgap.experiment.settings import PATHS, ROBOT, Experiment, in_folder, merged_experiment, read_experiment
 from stepgap.experiment.sweep.sweep import (
@@ -42,7 +41,7 @@ def read_sweep(path: Path) -> Sweep:
         InputError: The file is wrong; the message names the file, the key and what would be right.
     """
     table = read_toml(path, "a sweep")
-    _check_keys(table, _KEYS, f"{path}: ")
+    check_keys(table, _KEYS, f"{path}: ")
     base = read_experiment(_base_file(table["base"], path) if "base" in table else None)
     if not base.simulated:
         plants = ", ".join(base.robot.simulations())
@@ -51,7 +50,8 @@ def read_sweep(path: Path) -> Sweep:
     if keep not in KEEP:
         raise InputError(f"{path}: keep = {format_value(keep)}, but it must be one of {', '.join(KEEP)}")
     values = {
-        name: _absolute(base, name, value, path.parent) for name, value in _flat(_table(table, "axes", f"{path}: "))
+        name: _absolute(base, name, value, path.parent)
+        for name, value in _flat(inner_table(table, "axes", f"{path}: "))
     }
     table = {"seeds": [base.seed], **table, "keep": keep, "axes": values}
     axes = (
@@ -139,14 +139,14 @@ def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
     if "sobol" not in table:
         return []
     location = f"{path}: [sobol]"
-    sobol = _table(table, "sobol", f"{path}: ")
-    _check_keys(sobol, ("points", "seed", "ranges"), f"{location} ")
+    sobol = inner_table(table, "sobol", f"{path}: ")
+    check_keys(sobol, ("points", "seed", "ranges"), f"{location} ")
     points = sobol.get("points")
     if type(points) is not int or not 1 <= points <= MOST_CASES or points & (points - 1):
         rule = "a power of 2, such as 64, because only then is the sequence balanced"
         raise InputError(f"{location} points = {format_value(points)}, but it must be {rule}")
     (seed,) = _integers([sobol.get("seed", 0)], f"{location} seed")
-    ranges = dict(_flat(_table(sobol, "ranges", f"{location} ")))
+    ranges = dict(_flat(inner_table(sobol, "ranges", f"{location} ")))
     if not ranges:
         raise InputError(
             f'{location} ranges: missing; give some, such as [sobol.ranges] "gap.torque_scale" = [0.6, 1.0]'
@@ -193,7 +193,7 @@ def _range(value: Any, location: str) -> _Range:
     wanted = 'a range such as [0.6, 1.0] or { from = 1e3, to = 1e5, scale = "log" }'
     if not isinstance(table, Mapping):
         raise InputError(f"{location} = {format_value(value)}, but it must be {wanted}")
-    _check_keys(table, ("from", "to", "scale"), f"{location} ")
+    check_keys(table, ("from", "to", "scale"), f"{location} ")
     ends: list[Any] = [table.get(key) for key in ("from", "to")]
     numbers = [float(end) for end in ends if type(end) in (int, float) and abs(end) < LARGEST_END]
     if len(numbers) < 2 or not numbers[0] < numbers[1]:
@@ -213,21 +213,6 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
             yield from _flat(value, f"{prefix}{key}.")
         else:
             yield prefix + key, value
-
-
-def _check_keys(table: Mapping[str, Any], known: Sequence[str], location: str) -> None:
-    for key in table:
-        if key not in known:
-            meant = suggestion(key, known)
-            raise InputError(f"{location}{key}: unknown key; {meant or 'the keys here are ' + ', '.join(known)}")
-
-
-def _table(table: Mapping[str, Any], key: str, location: str) -> Mapping[str, Any]:
-    """The table under a key, empty if there is none."""
-    value = table.get(key, {})
-    if not isinstance(value, Mapping):
-        raise InputError(f"{location}{key} = {format_value(value)}, but it must be a table")
-    return value
 
 
 def _base_file(value: Any, path: Path) -> Path:

@@ -22,9 +22,8 @@ from typing import Any
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.base.plugins import suggestion
 from stepgap.base.ranges import format_value
-from stepgap.base.settings_file import read_toml
+from stepgap.base.settings_file import check_keys, inner_table, read_toml
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, StepSpace
 
@@ -38,13 +37,13 @@ def read_template(path: Path, space: StepSpace) -> AffineMap:
         InputError: The file is wrong; the message names the key and what would be right.
     """
     table = read_toml(path, "a template")
-    _check_names(table, ("step", "derivatives"), f"{path}: ")
-    step, derivatives = _table(table, "step", f"{path}: "), _table(table, "derivatives", f"{path}: ")
-    _check_names(step, _STEP, f"{path}: [step] ")
+    check_keys(table, ("step", "derivatives"), f"{path}: ")
+    step, derivatives = inner_table(table, "step", f"{path}: "), inner_table(table, "derivatives", f"{path}: ")
+    check_keys(step, _STEP, f"{path}: [step] ")
     state = _numbers(step, "state", space.state_names, space.state_centre, f"{path}: [step] ")
     command = _numbers(step, "command", space.command_names, space.command_centre, f"{path}: [step] ")
     next_state = _numbers(step, "next_state", space.state_names, state, f"{path}: [step] ")
-    _check_names(derivatives, space.state_names, f"{path}: [derivatives] ")
+    check_keys(derivatives, space.state_names, f"{path}: [derivatives] ")
     inputs = space.names
     rows = [
         _numbers(derivatives, name, inputs, np.zeros(len(inputs)), f"{path}: [derivatives] ")
@@ -69,24 +68,9 @@ def gaps_of_template(path: Path, template: AffineMap) -> tuple[str, ...]:
 
 def _numbers(table: Mapping[str, Any], key: str, names: Sequence[str], defaults: Array, where: str) -> Array:
     """Numbers of an inner table by name, in the order of the names; a missing one has its default value."""
-    given = _table(table, key, where)
-    _check_names(given, names, f"{where}{key}.")
+    given = inner_table(table, key, where)
+    check_keys(given, names, f"{where}{key}.")
     for name, value in given.items():
         if type(value) not in (int, float) or not np.isfinite(float(value)):
             raise InputError(f"{where}{key}.{name} = {format_value(value)}, but it must be a finite number")
     return np.array([float(given.get(name, default)) for name, default in zip(names, defaults, strict=True)])
-
-
-def _table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, Mapping):
-        raise InputError(f"{where}{key} = {format_value(value)}, but it must be a table")
-    return value
-
-
-def _check_names(table: Mapping[str, Any], known: Sequence[str], where: str) -> None:
-    """Raises InputError if there is another key than the known ones."""
-    for name in table:
-        if name not in known:
-            hint = suggestion(name, known) or f"the keys here are {', '.join(known)}"
-            raise InputError(f"{where}{name}: unknown key; {hint}")
