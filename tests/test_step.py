@@ -28,6 +28,20 @@ def test_commands_of_all_points_are_within_the_bounds() -> None:
     np.testing.assert_allclose(np.diff(grid[0, :, 1]), 0.1, rtol=1e-12)
 
 
+def test_scaled_states_are_one_at_the_ends_of_their_ranges() -> None:
+    upper = [quantity.upper for quantity in SPACE.state]
+    np.testing.assert_allclose(
+        SPACE.scaled_state(np.array([SPACE.state_lower, SPACE.state_centre, upper]))[:, 0], [-1, 0, 1]
+    )
+
+
+def test_a_scaled_jacobian_is_the_derivative_of_the_scaled_state_by_the_point() -> None:
+    matrix = np.random.default_rng(1).normal(size=(len(SPACE.state), len(SPACE.command)))
+    step = 0.1 * np.eye(len(SPACE.command))
+    states = SPACE.scaled_state(SPACE.command_at(step) @ matrix.T) - SPACE.scaled_state(SPACE.command_centre @ matrix.T)
+    np.testing.assert_allclose(SPACE.scaled_jacobian(matrix), states.T / 0.1)
+
+
 def test_its_arrays_are_shared_and_read_only() -> None:
     assert SPACE.command_lower is SPACE.command_lower
     with pytest.raises(ValueError, match="read-only"):

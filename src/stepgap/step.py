@@ -153,6 +153,11 @@ class StepSpace:
         return _read_only((quantity.upper - quantity.lower) / 2 for quantity in self.state)
 
     @cached_property
+    def state_lower(self) -> Array:
+        """Lower ends of the ranges of use of the state coordinates; shape (n,)."""
+        return _read_only(quantity.lower for quantity in self.state)
+
+    @cached_property
     def command_scale(self) -> Array:
         """Half the range of each command coordinate; shape (m,)."""
         return _read_only((quantity.upper - quantity.lower) / 2 for quantity in self.command)
@@ -180,6 +185,14 @@ class StepSpace:
     def point_of(self, command: Array) -> Array:
         """Scaled points of commands; shape (…, m)."""
         return (command - self.command_centre) / self.command_scale
+
+    def scaled_state(self, state: Array) -> Array:
+        """States scaled so that the ranges of use end at −1 and 1; shape (…, n)."""
+        return (state - self.state_centre) / self.state_scale
+
+    def scaled_jacobian(self, by_command: Array) -> Array:
+        """∂(scaled next state)/∂point from ∂(next state)/∂command; shape (…, n, m)."""
+        return by_command * self.command_scale / self.state_scale[:, None]
 
     def command_grid(self, samples: int) -> Array:
         """Even grid over the command bounds, its ends included; shape (samples, …, samples, m)."""

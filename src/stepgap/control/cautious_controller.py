@@ -141,7 +141,7 @@ class CautiousController:
         def jacobian(point: Array) -> Array:
             command = space.command_at(point)
             parts = self.step_map.jacobian(state, command), self.step_map.std_gradient(state, command)
-            return np.concatenate(parts)[:, n:] * space.command_scale / scale[:, None]
+            return np.concatenate([space.scaled_jacobian(part[:, n:]) for part in parts])
 
         return space.command_at(minimise(deviations, jacobian, space.point_of(start), improvement=IMPROVEMENT).point)
 

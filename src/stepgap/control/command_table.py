@@ -95,7 +95,7 @@ class CommandTable:
     def interpolate(self, states: ArrayLike, targets: ArrayLike) -> Answers:
         """Interpolates many commands at once, without exceptions; states and targets (…, n) broadcast."""
         points = np.concatenate(np.broadcast_arrays(np.asarray(states, float), np.asarray(targets, float)), axis=-1)
-        lower = np.tile([quantity.lower for quantity in self.space.state], 2)
+        lower = np.tile(self.space.state_lower, 2)
         index = (points - lower) / np.tile(2 * self.space.state_scale, 2) * (self.points - 1)
         inside = (np.abs(index - (self.points - 1) / 2) <= (self.points - 1) / 2 * (1 + 1e-12)).all(axis=-1)
         index = np.clip(index, 0, self.points - 1)
@@ -159,8 +159,7 @@ class TableBatches:
     def solve(self, step_map: StepMap, number: int) -> Answers:
         """Solves the nodes of a batch: those of its S states, with all T targets."""
         n = len(self.space.state)
-        lower = np.array([quantity.lower for quantity in self.space.state])
-        states = (lower + self.space.state_scale * (1 + box_grid(self.points, n))).reshape(-1, n)
+        states = (self.space.state_lower + self.space.state_scale * (1 + box_grid(self.points, n))).reshape(-1, n)
         return solve_many(step_map, np.array_split(states, len(self))[number], states)
 
     def table(self, answers: Sequence[Answers]) -> CommandTable:
@@ -235,7 +234,7 @@ def measure_table(table: CommandTable, step_map: StepMap, rng: np.random.Generat
     Raises:
         ValueError: None of the points lies in a cell of which all nodes reach their targets.
     """
-    lower = np.array([quantity.lower for quantity in table.space.state])
+    lower = table.space.state_lower
     states, targets = rng.uniform(lower, lower + 2 * table.space.state_scale, (2, samples, len(lower)))
     found, solved = table.interpolate(states, targets), solve_many(step_map, states, targets[:, None])
     inside = found.reached & solved.reached[:, 0]

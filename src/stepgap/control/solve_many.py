@@ -130,7 +130,7 @@ def _jacobians(problem: _Problem, states: Array, rows: Nodes, sample: Array, cho
     distinct, where = np.unique(rows * len(sample) + choice, return_inverse=True)
     commands = space.command_at(sample[distinct % len(sample)])
     jacobian = problem.step_map.jacobian(states[distinct // len(sample)], commands)[..., n:]
-    return (jacobian * space.command_scale / space.state_scale[:, None])[where]
+    return space.scaled_jacobian(jacobian)[where]
 
 
 def _solve_one_by_one(

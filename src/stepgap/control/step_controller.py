@@ -79,8 +79,7 @@ class StepController:
 
         def jacobian(point: Array) -> Array:
             """∂error/∂point; shape (n, m)."""
-            matrix = self.step_map.jacobian(state, command_at(point))[:, n:]
-            return matrix * space.command_scale / state_scale[:, None]
+            return space.scaled_jacobian(self.step_map.jacobian(state, command_at(point))[:, n:])
 
         solution = solve(error, jacobian, space.point_of(start))
         command = command_at(solution.point)

@@ -98,13 +98,12 @@ def _authority(observed: Observations, step_map: StepMap) -> Array:
     known = jacobians[np.isfinite(jacobians).all(axis=(1, 2))]
     if not len(known):
         return np.full((n, len(space.command)), np.nan)
-    return np.abs(np.median(known, axis=0)) * space.command_scale / space.state_scale[:, None]
+    return np.abs(space.scaled_jacobian(np.median(known, axis=0)))
 
 
 def _scaled(observed: Observations) -> Array:
     space = observed.space
-    state = (observed.state - space.state_centre) / space.state_scale
-    return np.hstack([state, space.point_of(observed.command)])
+    return np.hstack([space.scaled_state(observed.state), space.point_of(observed.command)])
 
 
 def _basis(observed: Observations) -> Array | None:

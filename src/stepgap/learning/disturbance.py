@@ -138,8 +138,8 @@ def without_yaw_dependence(observations: Observations, present: int) -> Observat
     yaw = np.where(deployment < present, observations.yaw, np.nan)
     if not np.isfinite(yaw).any():
         return observations
-    state, command = (observations.state - space.state_centre) / space.state_scale, observations.command
-    features, rows = monomials(np.hstack([state, space.point_of(command)]), 2), regressors(yaw)
+    points = np.hstack([space.scaled_state(observations.state), space.point_of(observations.command)])
+    features, rows = monomials(points, 2), regressors(yaw)
     groups = [np.flatnonzero(deployment == number) for number in np.unique(deployment)]
     parts = [_Part(features[group], rows[group], observations.error[group]) for group in groups]
     estimates = [_estimate(parts, strength, NOISE_SCALE * space.state_scale) for strength in STRENGTHS]

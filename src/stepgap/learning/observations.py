@@ -137,8 +137,7 @@ def error_of(record: StepRecord, nominal: StepMap) -> Array:
 
 def _lagged_quantities(space: StepSpace, error: Array, command: Array, state: Array) -> Array:
     """Part of the next step's history that describes this step; shape (…, 2n + m). An unknown error is zero."""
-    point = space.point_of(command)
-    parts = [np.nan_to_num(error) / space.state_scale, point, (state - space.state_centre) / space.state_scale]
+    parts = [np.nan_to_num(error) / space.state_scale, space.point_of(command), space.scaled_state(state)]
     return np.concatenate(parts, axis=-1)
 
 

@@ -79,7 +79,7 @@ class InverseMap(StepMap):
 
     def as_command(self, state: Array) -> Array:
         """Commands from units of the state, within their bounds; shape (…, n)."""
-        return self.scales.command_at((state - self.scales.state_centre) / self.scales.state_scale)
+        return self.scales.command_at(self.scales.scaled_state(state))
 
     def read_backwards(self, logged: LoggedStep) -> LoggedStep:
         """A completed step as one of the inverse map, whose command is where it led."""
