@@ -10,7 +10,7 @@ import pytest
 from stepgap.cli.app import main
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.learning.step_log import LoggedStep
-from stepgap.records.model_files import read_saved_model, write_model
+from stepgap.records.model_files import MAP, NominalSource, read_saved_model, write_model
 from stepgap.records.steps_csv import StepWriter
 from stepgap.robots.hopper import CommandBounds
 from stepgap.robots.hopper.apex_map import ApexMap
@@ -149,7 +149,8 @@ def test_the_model_of_a_run_is_applied(stepgap: Command) -> None:
     assert stepgap("fit", "run", "--save", "model.json").code == 0
     folder, nominal = Path("run/models"), ApexMap()
     folder.mkdir()
-    write_model(Path("run"), 1, read_saved_model(Path("model.json"), nominal.space, nominal), nominal)
+    saved = read_saved_model(Path("model.json"), nominal.space, NominalSource(MAP, nominal))
+    write_model(Path("run"), 1, saved, nominal)
     found = [stepgap("fit", "run", "--load", path) for path in ("model.json", "run/models/iteration_1.json")]
     assert found[0].code == 0, found[0].err
     assert "known       30 steps" in found[0].out

@@ -22,10 +22,11 @@ from stepgap.learning.gaussian_process_regression import GaussianProcessRegressi
 from stepgap.learning.residual import Residual, no_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_table import StepTable
-from stepgap.records.model_files import saved_model_text
+from stepgap.records.model_files import MAP, NominalSource, saved_model_text
 from tests.experiment.portable.learned import CENTRE, SCALE, SPACE, affine, regression
 
 NOMINAL = affine(np.random.default_rng(0))
+SOURCE = NominalSource(MAP, NOMINAL)
 LARGEST_MEMORY = 2**26
 """Most memory that reading a small broken file may take [bytes]; 64 MiB."""
 
@@ -35,7 +36,7 @@ def steps() -> FitData:
     points = CENTRE + SCALE * np.random.default_rng(1).uniform(-1, 1, (4, 4))
     predicted = NOMINAL.evaluate(points[:, :2], points[:, 2:]).next_state
     table = StepTable(SPACE, points[:, :2], points[:, 2:], predicted + 0.01, None, predicted, np.zeros(4, np.intp))
-    return FitData(table, "a map", NOMINAL, LearningSettings())
+    return FitData(table, "a map", SOURCE, LearningSettings())
 
 
 def model(kind: str) -> dict[str, Any]:
@@ -50,7 +51,7 @@ def model(kind: str) -> dict[str, Any]:
             process = condition(found.points, found.values, SCALE, found.process.hyper_parameters)
             found = GaussianProcessRegression(process)
         residual = Residual(load_residual_model(kind), (found, found), 2)
-    return json.loads(saved_model_text(residual, SPACE, NOMINAL))
+    return json.loads(saved_model_text(residual, SPACE, SOURCE))
 
 
 DATA = steps()

@@ -59,7 +59,7 @@ def test_another_schema_is_refused(written: Path) -> None:
 @pytest.mark.parametrize("wrong", [[["height", "m"], ["speed", "m/s"]], [["speed", "m/s"]], "speed", [3, 4], [[], []]])
 def test_other_names_are_refused(written: Path, wrong: Any) -> None:
     change(written, lambda data: data.update(state=wrong))
-    refused(written, "state must be speed, height, as in steps.csv")
+    refused(written, "its state is .*, that of the steps is speed, height; both must be of the same run")
 
 
 def process_formula(saved: dict[str, Any], x: np.ndarray, *, constant_is_exact: bool) -> tuple[float, float]:

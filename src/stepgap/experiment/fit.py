@@ -24,15 +24,15 @@ from stepgap.learning.validation import (
 )
 from stepgap.records.columns import Columns
 from stepgap.records.foreign_log import read_foreign_logs
-from stepgap.records.model_files import saved_model_text
+from stepgap.records.model_files import MAP, NominalSource, saved_model_text
 from stepgap.records.steps_csv import RecordError, read_step_log
-from stepgap.step import StepMap, StepSpace
+from stepgap.step import StepSpace
 
 MOST_STEPS = 2000
 """Largest number of steps; fits to more would take hours."""
 
 NOMINALS = {
-    "map": "the robot's nominal map",
+    MAP: "the robot's nominal map",
     "predicted": "the predictions in the log",
     "target": "the target, which is the prediction of a controller's map",
     "state": "the state, as if a step did not change it",
@@ -50,13 +50,13 @@ class FitData:
     Attributes:
         steps: Steps with the nominal next states as predictions.
         nominal: Description of the source of these predictions.
-        source: The nominal map, or the key of `NOMINALS` of another source.
+        source: That source: its name is a key of `NOMINALS`.
         learning: Settings of learning; those of the run, if the steps are those of a run.
     """
 
     steps: StepTable
     nominal: str
-    source: StepMap | str
+    source: NominalSource
     learning: LearningSettings
 
 
@@ -100,7 +100,7 @@ def read_nominal_errors(
         RecordError: The content of a log is wrong.
     """
     of_map = [name for name, _ in overrides if not name.startswith("learning.")]
-    if nominal not in (None, "map") and (experiment or of_map):
+    if nominal not in (None, MAP) and (experiment or of_map):
         raise InputError(f"--nominal {nominal}: it has no settings but those of learning; leave the others out")
     if columns is None:
         logs = [log / "steps.csv" if log.is_dir() else log for log in logs]
@@ -109,18 +109,18 @@ def read_nominal_errors(
     space = settings.robot.space
     steps = _read_runs(logs, space) if columns is None else read_foreign_logs(logs, columns)
     source = nominal or _nominal_of(steps, space)
-    description, found = NOMINALS[source], source
+    description, step_map = NOMINALS[source], None
     predicted = {"target": steps.target, "state": steps.state}.get(source, steps.predicted)
-    if source == "map":
+    if source == MAP:
         steps = replace(steps, space=_same_names(steps.space, space))
-        found = load_nominal(settings).map
-        predicted = found.evaluate(steps.state, steps.command).next_state
+        step_map = load_nominal(settings).map
+        predicted = step_map.evaluate(steps.state, steps.command).next_state
         description += f" with the settings of {experiment}" if experiment else " with default settings"
         description += ", some overridden" if of_map else ""
     if predicted is None:
         raise InputError(f"--nominal {source}: the log has none; name its columns by --{source}")
     steps = steps.with_predictions(predicted, "for which the nominal map predicts a failure")
-    return FitData(steps, description, found, settings.learning)
+    return FitData(steps, description, NominalSource(source, step_map), settings.learning)
 
 
 def _common_experiment(logs: Sequence[Path]) -> Path | None:
@@ -153,7 +153,7 @@ def _nominal_of(steps: StepTable, space: StepSpace) -> str:
     if steps.predicted is not None:
         return "predicted"
     if space.has_names_of(steps.space):
-        return "map"
+        return MAP
     raise InputError(
         "--nominal: the log contains no predicted next states; name their columns by --predicted, or choose --nominal "
         "target or --nominal state"

@@ -7,13 +7,15 @@ the learned one. docs/model_file.md has all keys.
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 
 from stepgap.base.files import write_whole
+from stepgap.base.ranges import require
 from stepgap.learning.residual import Residual
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.records.summary import read_text
@@ -32,6 +34,23 @@ MAP: Final = "map"
 """Name of the source of nominal next states that is a map."""
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class NominalSource:
+    """Where the nominal next states of steps are from, whose error a residual predicts.
+
+    Attributes:
+        name: `MAP` for a nominal map, otherwise that of a column of the log, such as `target`.
+        step_map: The nominal map; None for another source.
+    """
+
+    name: str
+    step_map: StepMap | None = None
+
+    def __post_init__(self) -> None:
+        require((self.name == MAP) == (self.step_map is not None), "name", self.name, f"be {MAP!r} if there is a map")
+
+
 def model_path(folder: Path, iteration: int) -> Path:
     """Path of the model with which a deployment of a run began."""
     return folder / "models" / f"iteration_{iteration}.json"
@@ -39,26 +58,23 @@ def model_path(folder: Path, iteration: int) -> Path:
 
 def write_model(folder: Path, iteration: int, residual: Residual, nominal: StepMap) -> None:
     """Writes the residual with which a deployment begins, and what identifies its nominal map, into the run folder."""
-    write_whole(model_path(folder, iteration), saved_model_text(residual, nominal.space, nominal))
+    write_whole(model_path(folder, iteration), saved_model_text(residual, nominal.space, NominalSource(MAP, nominal)))
 
 
-def saved_model_text(residual: Residual, space: StepSpace, nominal: StepMap | str) -> str:
+def saved_model_text(residual: Residual, space: StepSpace, nominal: NominalSource) -> str:
     """Content of the model file of a residual.
 
     Args:
         residual: The residual.
         space: Names and units of its state and command.
-        nominal: The nominal map whose error it predicts, or the name of another source of nominal next states.
+        nominal: Source of the nominal next states whose error it predicts.
     """
     names = {
         key: [[quantity.name, quantity.unit] for quantity in quantities]
         for key, quantities in (("state", space.state), ("command", space.command))
     }
-    if isinstance(nominal, str):
-        source: dict[str, Any] = {"nominal": nominal}
-    else:
-        source = {"nominal": MAP, "nominal_steps": _steps_of(nominal)}
-    return json.dumps({"schema": SCHEMA, **names, **source, **residual.to_dict()})
+    steps = {"nominal_steps": _steps_of(nominal.step_map)} if nominal.step_map is not None else {}
+    return json.dumps({"schema": SCHEMA, **names, "nominal": nominal.name, **steps, **residual.to_dict()})
 
 
 def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap | None = None) -> Residual | None:
@@ -79,20 +95,20 @@ def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap 
     if text is None:
         return None
     data, residual = _parsed(path, text)
-    _check_names(path, data, space)
+    _check_names(path, data, space, "both must be of the same run")
     _check_sizes(path, residual, space)
     if nominal is not None:
         _check_nominal(path, data, nominal)
     return residual
 
 
-def read_saved_model(path: Path, space: StepSpace, nominal: StepMap | str) -> Residual:
+def read_saved_model(path: Path, space: StepSpace, nominal: NominalSource) -> Residual:
     """Reads the residual of a model file that is used for other steps than those of its run.
 
     Args:
         path: A file that a run or `stepgap fit --save` wrote.
         space: State and command of these steps; an empty unit is unknown, and agrees with every other.
-        nominal: Nominal map of these steps, or the name of another source of their nominal next states.
+        nominal: Source of their nominal next states.
 
     Raises:
         ValueError: The file is not a model, or not one of such steps; the message is one line.
@@ -102,12 +118,15 @@ def read_saved_model(path: Path, space: StepSpace, nominal: StepMap | str) -> Re
     if text is None:
         raise ValueError(f"{path}: No such file or directory; give a model file of a run or of `stepgap fit --save`")
     data, residual = _parsed(path, text)
-    _check_same_names(path, data, space)
+    if not (_names_in(data.get("state")) and _names_in(data.get("command"))):
+        raise ValueError(f"{path}: has no names of state and command; write it again with this version")
+    remedy = "it is a model of another robot, or name the columns in its order, as NAME=COLUMN"
+    _check_names(path, data, space, remedy)
     _check_units(path, data, space)
     _check_sizes(path, residual, space)
-    _check_source(path, data, nominal if isinstance(nominal, str) else MAP)
-    if not isinstance(nominal, str):
-        _check_nominal(path, data, nominal)
+    _check_source(path, data, nominal.name)
+    if nominal.step_map is not None:
+        _check_nominal(path, data, nominal.step_map)
     return residual
 
 
@@ -149,30 +168,18 @@ def _check_sizes(path: Path, residual: Residual, space: StepSpace) -> None:
         )
 
 
-def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
-    """Raises ValueError if the file names other coordinates than steps.csv of its run."""
+def _check_names(path: Path, data: Mapping[str, Any], space: StepSpace, remedy: str) -> None:
+    """Raises ValueError if the file names other coordinates than the steps; names that it lacks are not compared."""
     for key, names in (("state", space.state_names), ("command", space.command_names)):
-        pairs = data.get(key)
+        pairs, wanted = data.get(key), ", ".join(names)
         if pairs is not None and _names_in(pairs) != list(names):
-            raise ValueError(f"{path}: {key} must be {', '.join(names)}, as in steps.csv, not {pairs!r:.80}")
+            found = ", ".join(_names_in(pairs)) or repr(pairs)
+            raise ValueError(f"{path}: its {key} is {found:.80}, that of the steps is {wanted:.80}; {remedy}")
 
 
-def _check_same_names(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
-    """Raises ValueError if the file names other coordinates than the steps to which the residual is applied."""
-    for key, names in (("state", space.state_names), ("command", space.command_names)):
-        found = _names_in(data.get(key))
-        if not found:
-            raise ValueError(f"{path}: has no names of state and command; write it again with this version")
-        if found != list(names):
-            raise ValueError(
-                f"{path}: its {key} is {', '.join(found):.80}, that of the steps is {', '.join(names):.80}; it is a "
-                "model of another robot, or name the columns in its order, as NAME=COLUMN"
-            )
-
-
-def _names_in(pairs: Any) -> list[str] | None:
-    """Names in a list of pairs of name and unit; None if it is no list."""
-    return [str(pair[0]) for pair in pairs if isinstance(pair, list) and pair] if isinstance(pairs, list) else None
+def _names_in(pairs: Any) -> list[str]:
+    """Names in a list of pairs of name and unit; none if it is no such list."""
+    return [str(pair[0]) for pair in pairs if isinstance(pair, list) and pair] if isinstance(pairs, list) else []
 
 
 def _check_units(path: Path, data: Mapping[str, Any], space: StepSpace) -> None:
