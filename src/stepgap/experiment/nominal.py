@@ -131,7 +131,7 @@ def _on_all_cores(robot: Robot, kind: str, nominal: StepMap) -> Iterator[MapFunc
 
 
 _kept: list[StepMap] = []
-"""The map of this process, if it computes samples for another one."""
+"""The map of this process, if it computes samples for another one; a pool passes no state to its calls otherwise."""
 
 
 def _keep_map(robot: Robot, kind: str) -> None:
