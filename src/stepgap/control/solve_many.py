@@ -86,8 +86,9 @@ def solve_many(step_map: StepMap, states: ArrayLike, targets: ArrayLike) -> Answ
     doubtful = (m > n) | (
         free >= min(2, m)
     )  # Broyden's updates give the derivative along one free direction, not along all
-    unsolved = ~reached & (~converged | doubtful)
-    _solve_one_by_one(problem, np.flatnonzero(unsolved), count, commands, predicted, reached, status)
+    unsolved = np.flatnonzero(~reached & (~converged | doubtful))
+    found = _solve_one_by_one(problem, unsolved, count, commands[unsolved])
+    commands[unsolved], predicted[unsolved], reached[unsolved], status[unsolved] = found
     shape = (len(states), count)
     return Answers(
         commands.reshape(*shape, m), predicted.reshape(*shape, n), reached.reshape(shape), status.reshape(shape)
@@ -134,23 +135,30 @@ def _jacobians(problem: _Problem, states: Array, rows: Nodes, sample: Array, cho
 
 
 def _solve_one_by_one(
-    problem: _Problem,
-    nodes: Nodes,
-    count: int,
-    commands: Array,
-    predicted: Array,
-    reached: NDArray[np.bool_],
-    status: Codes,
-) -> None:
-    """Solves nodes one by one and writes the results; a state without any step is searched once."""
+    problem: _Problem, nodes: Nodes, count: int, starts: Array
+) -> tuple[Array, Array, NDArray[np.bool_], Codes]:
+    """Solves nodes one by one, and searches a state without any step once.
+
+    Args:
+        problem: All nodes.
+        nodes: Numbers of those that are solved; shape (k,).
+        count: Number of targets of each state.
+        starts: Commands at which the searches begin; shape (k, m).
+
+    Returns:
+        As in `Answers`: commands (k, m), predicted next states (k, n), reached (k,) and status (k,).
+    """
     controller, failed = StepController(problem.step_map), dict[int, StepStatus]()
-    for node in nodes:
-        row = int(node) // count
+    commands, predicted = np.full_like(starts, np.nan), np.full((len(nodes), len(problem.space.state)), np.nan)
+    reached, status = np.zeros(len(nodes), bool), np.full(len(nodes), int(StepStatus.OK))
+    for i, (node, start) in enumerate(zip(nodes.tolist(), starts, strict=True)):
+        row = node // count
         if row not in failed:
             try:
-                plan = controller(problem.states[node], problem.targets[node], commands[node])
-                commands[node], predicted[node], reached[node] = plan.command, plan.predicted, plan.reached
+                plan = controller(problem.states[node], problem.targets[node], start)
+                commands[i], predicted[i], reached[i] = plan.command, plan.predicted, plan.reached
                 continue
             except StepFailed as failure:
                 failed[row] = failure.status
-        commands[node], predicted[node], status[node] = np.nan, np.nan, failed[row]
+        status[i] = failed[row]
+    return commands, predicted, reached, status
