@@ -121,13 +121,14 @@ entries = st.floats(-3, 3)
     value=arrays(float, 2, elements=entries),
     low=st.floats(0.01, 2),
     high=st.floats(0.01, 2),
+    damping=st.sampled_from([0.0, 0.01, 1.0]),
 )
-def test_steps_are_no_longer_than_those_of_the_controller(matrix, value, low, high):
+def test_steps_are_no_worse_than_those_of_the_controller(matrix, value, low, high, damping):
     k = matrix.shape[1]
     lower, upper = np.full(k, -low), np.full(k, high)
-    step = box_steps(matrix[None], value[None], lower[None], upper[None], np.zeros(1))[0]
-    single = box_step(matrix, value, lower, upper, 0.0)
+    step = box_steps(matrix[None], value[None], lower[None], upper[None], np.array([damping]))[0]
+    single = box_step(matrix, value, lower, upper, damping)
     assert (step >= lower).all()
     assert (step <= upper).all()
-    cost, least = (np.sum((matrix @ p + value) ** 2) for p in (step, single))
+    cost, least = (np.sum((matrix @ p + value) ** 2) + damping * (p @ p) for p in (step, single))
     assert cost <= least + 1e-6 * (1 + value @ value)
