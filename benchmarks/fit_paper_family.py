@@ -93,7 +93,7 @@ def differences(shares: Array, stairs: Array) -> Array:
     """Scaled differences of the uncorrected twin from the hardware: errors, 18 stairs, three first steps."""
     gap = gap_of(shares)
     logs, deployments = zip(*(first_deployment(gap, seed, BOUNDS) for seed in FITTED_SEEDS), strict=True)
-    if any(deployment.falls for deployment in deployments):
+    if any(deployment.failed_steps for deployment in deployments):
         return np.full(2 * len(HARDWARE) + stairs.size + 3, DIVERGED)
     parts = []
     for name, measured in HARDWARE.items():
@@ -168,7 +168,7 @@ def quality(gap: RealityGap, bounds: CommandBounds, seeds: range, stairs: Array)
             done = run_experiment(nominal, plants.make, reference, learning, Path(name), seed, control=control)
             log = read_step_log(Path(name) / "steps.csv", nominal.space)
         first, last = (log.of_iteration(number) for number in (0, done[-1].iteration))
-        row = {"seed": seed, "falls": sum(each.falls for each in done)}
+        row = {"seed": seed, "falls": sum(each.failed_steps for each in done)}
         row["rmse"] = [each.rmse.round(5).tolist() for each in done]
         if row["falls"] == 0:
             found = stair_errors(first)

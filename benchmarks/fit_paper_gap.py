@@ -140,7 +140,7 @@ def scaled_differences(gap: RealityGap, hardware: Array | None) -> Array:
     logs, deployments = zip(*(first_deployment(gap, seed) for seed in FITTED_SEEDS), strict=True)
     values, priors = values_of(gap), list(PRIORS.values())
     prior = [(value - mean) / std for value, (mean, std) in zip(values, priors, strict=True)]
-    if any(deployment.falls for deployment in deployments):
+    if any(deployment.failed_steps for deployment in deployments):
         return np.full(2 * len(HARDWARE) + (0 if hardware is None else hardware.size) + len(PRIORS), FALL)
     parts: list[Array] = []
     for name, measured in HARDWARE.items():
@@ -176,9 +176,9 @@ def quality(gap: RealityGap, seeds: Sequence[int], hardware: Array | None = None
     rows: list[dict[str, object]] = []
     for seed in seeds:
         log, deployment = first_deployment(gap, seed)
-        row: dict[str, object] = {"seed": seed, "steps": deployment.steps, "falls": deployment.falls}
+        row: dict[str, object] = {"seed": seed, "steps": deployment.steps, "falls": deployment.failed_steps}
         row |= {measure: getattr(deployment, measure).round(5).tolist() for measure in MEASURES}
-        if hardware is not None and deployment.falls == 0:
+        if hardware is not None and deployment.failed_steps == 0:
             row["stairs_rms"] = np.sqrt(np.mean((stair_errors(log) - hardware) ** 2, axis=0)).round(5).tolist()
         rows.append(row)
         print(row, flush=True)

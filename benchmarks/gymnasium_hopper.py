@@ -114,7 +114,8 @@ def report(folder: Path, seed: int, iterations: int) -> float:
     with settled_heap():  # as `stepgap run` does
         plans = planning_times(settings, nominal, log)
     ratio = float(np.linalg.norm(after) / np.linalg.norm(before))
-    print(f"seed {seed}: {seconds:.0f} s from nothing to the report with {iterations} redeployments, {log.falls} falls")
+    duration = f"{seconds:.0f} s from nothing to the report with {iterations} redeployments"
+    print(f"seed {seed}: {duration}, {log.failed_steps} failed steps")
     print(f"  held-out error of the surrogate / half range ({names}): {held_out_error(settings, nominal).round(3)}")
     print(f"  one-step error / half range: {before.round(3)} -> {after.round(3)}, together {ratio:.2f} of before")
     for iteration in log.iterations:

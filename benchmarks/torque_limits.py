@@ -66,7 +66,7 @@ def measure(limit: float, seed: int, iterations: int) -> str:
         return (
             f"{limit:5g} {seed:4d}  cut {last.cut:3d} of {last.steps}  within 95 %: {covered[0]:.2f} {covered[1]:.2f}  "
             f"unreachable {len(last.unreachable):2d}  missed {len(last.missed):2d}  "
-            f"steady error at the others: {floors[0]:.2f} {floors[1]:.2f} floors  falls {record.steps.falls}  "
+            f"steady error at the others: {floors[0]:.2f} {floors[1]:.2f} floors  falls {record.steps.failed_steps}  "
             f"RMSE [mm/s / mm] by deployment: {rmse}  {headline(record)[:16]}"
         )
 

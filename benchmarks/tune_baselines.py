@@ -49,7 +49,7 @@ def error_of(trial: Trial, method: Method) -> float:
     """Tracking error in half ranges; infinite after a fall."""
     steps = method(trial)[-1]
     found = summarise(steps, trial.task.reference, "")
-    return np.inf if found.falls else float(np.linalg.norm(found.rmse / steps.space.state_scale))
+    return np.inf if found.failed_steps else float(np.linalg.norm(found.rmse / steps.space.state_scale))
 
 
 def main() -> None:

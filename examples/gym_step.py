@@ -29,9 +29,9 @@ def episode(plan, seed, iteration):
     while not done:
         state, target = np.split(observation, 2)
         planned = plan(state, target)
-        observation, _, fell, truncated, info = env.step(space.point_of(planned.command))
+        observation, _, failed, truncated, info = env.step(space.point_of(planned.command))
         next_state, status = observation[:2], StepStatus[info["status"].upper()]
-        done = fell or truncated
+        done = failed or truncated
         errors.append(next_state - target)
         record = StepRecord(state, info["command"], info["applied"], next_state, status, info.get("yaw", np.nan))
         steps.append(LoggedStep(iteration, len(errors), target, planned.predicted, np.zeros(2), record))

@@ -49,9 +49,9 @@ def episode(env: StepEnv, seed: int) -> list[Array]:
     rng, over = np.random.default_rng(seed), False
     rows = [env.reset(seed=seed)[0]]
     while not over:
-        observation, reward, fell, at_end, info = env.step(rng.uniform(-0.3, 0.3, 2))
+        observation, reward, failed, at_end, info = env.step(rng.uniform(-0.3, 0.3, 2))
         rows.append(np.concatenate([observation, [reward], info["applied"]]))
-        over = fell or at_end
+        over = failed or at_end
     return rows
 
 
@@ -87,13 +87,13 @@ def test_a_step_is_the_maps_and_the_reward_its_error() -> None:
     np.testing.assert_array_equal(observation, [*START, *START])
     assert info == {}
     action = np.array([-0.2, 0.1])
-    observation, reward, fell, at_end, info = env.step(action)
+    observation, reward, failed, at_end, info = env.step(action)
     expected = ApexMap()(START, [-0.2 * 30, 0.1 * 20])
     np.testing.assert_allclose(observation, [*expected, 0.3, 0.6], rtol=0, atol=1e-12)
     np.testing.assert_allclose(info["predicted"], expected, atol=1e-12)
     assert "yaw" not in info  # a map has none
     assert reward == pytest.approx(-(((expected[0] - 0.2) / 0.2) ** 2) - ((expected[1] - 0.58) / 0.06) ** 2)
-    assert (fell, at_end, info["status"]) == (False, False, "ok")
+    assert (failed, at_end, info["status"]) == (False, False, "ok")
 
 
 def test_the_step_controller_tracks_in_the_environment() -> None:
@@ -102,8 +102,8 @@ def test_the_step_controller_tracks_in_the_environment() -> None:
     controller, steps = StepController(env.nominal), 0
     while not over:
         plan = controller(observation[:2], observation[2:])
-        observation, reward, fell, over, _ = env.step(env.space.point_of(plan.command))
-        assert not fell
+        observation, reward, failed, over, _ = env.step(env.space.point_of(plan.command))
+        assert not failed
         total, steps = total + float(reward), steps + 1
     assert steps == 227
     assert -10 < total < 0  # only at stairs that are lower than one step can reach
@@ -120,11 +120,11 @@ def test_actions_beyond_the_bounds_are_clipped() -> None:
 
 
 @pytest.mark.parametrize("options", PLANTS)
-def test_an_action_that_is_no_number_is_a_fall(options: dict[str, Any]) -> None:
+def test_an_action_that_is_no_number_makes_a_failed_step(options: dict[str, Any]) -> None:
     env = made(**{**options, "reference": REFERENCE})
     before, _ = env.reset(seed=0)
-    observation, reward, fell, at_end, info = env.step(np.array([np.nan, 0.0]))
-    assert fell
+    observation, reward, failed, at_end, info = env.step(np.array([np.nan, 0.0]))
+    assert failed
     assert not at_end
     assert info["status"] != "ok"
     assert "predicted" not in info
@@ -140,16 +140,16 @@ def test_falling_is_never_better_than_continuing() -> None:
     for seed in range(6):
         env.reset(seed=seed)
         env.action_space.seed(seed)
-        rewards, fell, over = [], False, False
+        rewards, failed, over = [], False, False
         while not over:
-            observation, reward, fell, at_end, _ = env.step(env.action_space.sample())
+            observation, reward, failed, at_end, _ = env.step(env.action_space.sample())
             assert env.observation_space.contains(observation)
             rewards.append(float(reward))
-            over = fell or at_end
-        returns[fell].append(rewards)
+            over = failed or at_end
+        returns[failed].append(rewards)
     assert returns[True]
     assert returns[False]
-    for rewards in returns[True]:  # the fall costs as much as the worst case of continuing
+    for rewards in returns[True]:  # the failed step costs as much as the worst case of continuing
         assert rewards[-1] == -LARGEST_COST * (200 - len(rewards) + 1)
     assert min(map(min, returns[False])) >= -LARGEST_COST
 

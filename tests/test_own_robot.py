@@ -182,7 +182,7 @@ def test_state_and_command_may_have_any_sizes(tmp_path: Path, sizes: tuple[int, 
         return ModelPlant(real, np.zeros(n), np.full(n, 0.003), rng)
 
     first, second = run_experiment(nominal, make_plant, reference, learning, tmp_path, seed=0)
-    assert (first.falls, second.falls) == (0, 0)
+    assert (first.failed_steps, second.failed_steps) == (0, 0)
     assert np.linalg.norm(second.rmse) < 0.6 * np.linalg.norm(first.rmse)
 
 

@@ -41,8 +41,8 @@ RENDER_MODES = ("rgb_array", "rgb_array_list")
 STEPS_PER_SECOND = 2
 """Steps shown in a second of a video with one picture for each."""
 LARGEST_COST = 10.0
-"""Squared error at which the cost of a step is clipped [squared half ranges]. A fall costs as much for its own and each
-remaining step, so that falling is never better than continuing."""
+"""Squared error at which the cost of a step is clipped [squared half ranges]. A failed step costs as much for itself
+and each remaining step, so that failing is never better than continuing."""
 
 
 class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
@@ -51,10 +51,11 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
     - Action: the step command, scaled so that its bounds are −1 and 1 (`space.point_of`, `space.command_at`); shape
       (m,). Larger values are clipped.
     - Observation: state before the step and target of the next step, SI units; shape (2 n,); clipped at
-      `OBSERVATION_LIMIT`. After a fall the state is the one before it; after the last step the target is the last one.
-    - Reward: minus the squared distance from the target, in half ranges of the state, at most `LARGEST_COST`; a fall
-      costs `LARGEST_COST` for its own and each remaining step.
-    - Terminated by a fall, truncated at the reference's end.
+      `OBSERVATION_LIMIT`. After a failed step the state is the one before it; after the last step the target is the
+      last one.
+    - Reward: minus the squared distance from the target, in half ranges of the state, at most `LARGEST_COST`; a
+      failed step costs `LARGEST_COST` for its own and each remaining step.
+    - Terminated by a failed step, truncated at the reference's end.
     - Info of a step: `command` and `applied` [command units]; `status`, `ok` or the reason why there is no next state;
       `predicted`, the nominal map's next state for the requested command, if there is one; `yaw` after the step
       [rad], if the plant measures it; `fault`, the plant's message about a fault, if there is one.
@@ -128,19 +129,19 @@ class StepEnv(gymnasium.Env[Array, NDArray[Any]]):
         info |= {"predicted": predicted} if status == StepStatus.OK else {}
         info |= {"yaw": record.yaw_after} if isfinite(record.yaw_after) else {}
         info |= {"fault": self._plant.fault} if self._plant.fault else {}
-        fell = record.status != StepStatus.OK
-        if fell:
+        failed = record.status != StepStatus.OK
+        if failed:
             reward = -LARGEST_COST * remaining
         else:
             squared = float(np.sum(((record.next_state - target) / self.space.state_scale) ** 2))
             reward = -min(squared, LARGEST_COST)
             self._state, self._done = record.next_state, self._done + 1
         if self._camera:
-            self._camera.take(self._state, f"{self._caption()}\n{record.status.label}" if fell else self._caption())
-        truncated = not fell and remaining == 1
-        if fell or truncated:
+            self._camera.take(self._state, f"{self._caption()}\n{record.status.label}" if failed else self._caption())
+        truncated = not failed and remaining == 1
+        if failed or truncated:
             self.close()
-        return self._observation(), reward, fell, truncated, info
+        return self._observation(), reward, failed, truncated, info
 
     def render(self) -> Any:
         """Returns what `render_mode` says: a picture (480, 480, 3), or a list of them.

@@ -81,7 +81,7 @@ def test_draws_that_fall_at_once_are_drawn_again(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(trial_module, "random_gap", lambda rng: next(draws))
     assert hopping_gap(NOMINAL, TASK, 0) == (RealityGap(), 1)
     fallen = Trial(NOMINAL, lame, TASK, twin=0, seed=0)
-    assert fallen.first.falls == 1 or not len(fallen.first)
+    assert fallen.first.failed_steps == 1 or not len(fallen.first)
 
 
 def test_coverage_counts_steps_within_the_interval() -> None:
@@ -196,7 +196,7 @@ def test_failed_cases_are_named_and_left_out_until_they_are_measured_again(
     assert "\n1 of 2 cases failed and are left out:\n  twin 0, seed 0: the boom broke\none/results.json" in result.out
     assert json.loads(Path("one/summary.json").read_text())["pairs"] == 1
     result = stepgap(*COMMAND, "--out", "one", "--resume", "--retry-failed")
-    assert "failed" not in result.out
+    assert "left out" not in result.out
     assert json.loads(Path("one/summary.json").read_text())["pairs"] == 2
 
 

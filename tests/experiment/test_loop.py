@@ -114,7 +114,7 @@ def test_the_errors_of_a_deployment_by_hand() -> None:
         for number, (target, error) in enumerate(zip(map(tuple, reference.targets.tolist()), errors, strict=True), 1)
     ]
     found = summarise(in_space(steps), reference, "none")
-    assert (found.iteration, found.residual, found.steps, found.falls) == (0, "none", 8, 1)
+    assert (found.iteration, found.residual, found.steps, found.failed_steps) == (0, "none", 8, 1)
     squares = (81 + 0.01 + 0.09 + 0.01 + 0.0004, 81 + 0.0004 + 0.0016 + 0.0009)
     assert found.rmse == pytest.approx([math.sqrt(square / 7) for square in squares])
     assert found.mae == pytest.approx([(9 + 0.1 + 0.3 + 0.1 + 0.02) / 7, (9 + 0.02 + 0.04 + 0.03) / 7])
@@ -126,7 +126,7 @@ def test_the_errors_of_a_deployment_by_hand() -> None:
 
 def test_without_a_completed_step_there_is_no_error() -> None:
     found = summarise(in_space([logged(1, (0.1, 0.55), None)]), REFERENCE, "none")
-    assert (found.steps, found.falls) == (1, 1)
+    assert (found.steps, found.failed_steps) == (1, 1)
     for measure in (found.rmse, found.mae, found.bias, found.steady_rmse, found.transient_rmse):
         assert np.isnan(measure).all()
         assert measure.shape == (2,)
@@ -189,10 +189,10 @@ def test_every_prediction_is_conditioned_on_the_previous_step(tmp_path: Path) ->
 # End of redeployment
 
 
-def deployment(speed: float, height: float = 0.0, falls: int = 0) -> Deployment:
+def deployment(speed: float, height: float = 0.0, failed_steps: int = 0) -> Deployment:
     errors = np.array([speed, height])
     none = np.empty((0, 2))
-    return Deployment(0, "gp", 10, falls, errors, errors, errors, errors, errors, errors, 0, none, none)
+    return Deployment(0, "gp", 10, failed_steps, errors, errors, errors, errors, errors, errors, 0, none, none)
 
 
 @pytest.mark.parametrize(
@@ -204,12 +204,12 @@ def deployment(speed: float, height: float = 0.0, falls: int = 0) -> Deployment:
         ([0.1, 0.2, 0.0991], False),
         ([0.1, 0.05, 0.07], False),
         ([0.1, math.inf, 0.05], True),
-        ([0.1, 0.05, math.inf], True),  # a fall does not show how well it could track
+        ([0.1, 0.05, math.inf], True),  # an aborted one does not show how well it could track
         ([math.inf, math.inf, math.inf], True),
     ],
 )
 def test_when_redeploying_is_worth_it(errors: list[float], goes_on: bool) -> None:
-    done = [deployment(0.0 if math.isinf(error) else error, falls=int(math.isinf(error))) for error in errors]
+    done = [deployment(0.0 if math.isinf(error) else error, failed_steps=int(math.isinf(error))) for error in errors]
     assert loop._still_improves(done, np.array([1.0, 1.0]), tolerance=0.01) is goes_on
 
 
@@ -409,7 +409,7 @@ def test_a_fall_ends_the_deployment_and_the_next_one_starts(tmp_path: Path) -> N
     assert [deployment.iteration for deployment in done] == [0, 1, 2]
     for deployment in done:
         steps = log.of_iteration(deployment.iteration)
-        assert deployment.falls == 1
+        assert deployment.failed_steps == 1
         assert deployment.steps == len(steps) > 1
         error = steps.completed().next_state - steps.completed().target
         assert deployment.rmse == pytest.approx(np.sqrt(np.mean(error**2, axis=0)))
@@ -420,7 +420,7 @@ def test_a_fall_ends_the_deployment_and_the_next_one_starts(tmp_path: Path) -> N
 
 def test_a_plant_that_falls_at_every_first_step(tmp_path: Path) -> None:
     done = run_in(tmp_path, plant_of(NeverWorks()))
-    assert [(d.iteration, d.steps, d.falls, d.residual) for d in done] == [(k, 1, 1, "none") for k in range(3)]
+    assert [(d.iteration, d.steps, d.failed_steps, d.residual) for d in done] == [(k, 1, 1, "none") for k in range(3)]
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["iterations"][2]["rmse"] == {"speed": None, "height": None}
     assert summary["repeatability"] == {"speed": None, "height": None}
@@ -444,7 +444,7 @@ class FallsAfter(LossyHopper):
 def test_few_steps_are_enough_to_learn_something(tmp_path: Path, fastest: float) -> None:
     done = run_in(tmp_path, plant_of(FallsAfter(fastest=fastest)), GAUSSIAN)
     assert [d.residual for d in done] == ["none", "gp_on_linear", "gp_on_linear"]
-    assert all(d.falls == 1 and d.steps > 1 for d in done)
+    assert all(d.failed_steps == 1 and d.steps > 1 for d in done)
 
 
 def test_a_nominal_map_that_knows_no_step_still_commands(tmp_path: Path) -> None:

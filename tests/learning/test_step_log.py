@@ -33,7 +33,7 @@ def test_the_yaw_of_a_step_is_where_the_one_before_ended() -> None:
 
 def test_the_log_by_columns() -> None:
     log = StepLog(SPACE, [step(), step(number=2, status=StepStatus.FELL), step(1, 1)])
-    assert (len(log), log.falls, log.iterations) == (3, 1, [0, 1])
+    assert (len(log), log.failed_steps, log.iterations) == (3, 1, [0, 1])
     assert len(log.completed()) == 2
     assert len(log.of_iteration(1)) == 1
     for column in (log.state, log.applied, log.next_state, log.target, log.predicted, log.std):

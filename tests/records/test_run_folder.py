@@ -141,7 +141,7 @@ def test_unknown_prediction_and_fall_are_read(folder: Path) -> None:
     (folder / "summary.json").unlink()
     header = (folder / "steps.csv").read_text().splitlines(keepends=True)[0]
     (folder / "steps.csv").write_text(header + rows)
-    assert read_run_folder(folder).steps.falls == 1
+    assert read_run_folder(folder).steps.failed_steps == 1
 
 
 @pytest.mark.parametrize(
@@ -185,8 +185,14 @@ def test_a_file_that_is_not_a_summary_is_refused(folder: Path, content: bytes, m
         ),
         (lambda content: content["iterations"][1]["mae"].update(tilt=10**400), "but it must be a number or null"),
         (lambda content: content["iterations"].reverse(), "numbered [1, 0], but their numbers must increase"),
-        (lambda content: content["iterations"][1].update(steps=6), "has 6 steps and 0 falls, in steps.csv 5 and 0"),
-        (lambda content: content["iterations"][1].update(falls=1), "has 5 steps and 1 falls, in steps.csv 5 and 0"),
+        (
+            lambda content: content["iterations"][1].update(steps=6),
+            "has 6 steps, 0 of them failed, in steps.csv 5 and 0",
+        ),
+        (
+            lambda content: content["iterations"][1].update(falls=1),
+            "has 5 steps, 1 of them failed, in steps.csv 5 and 0",
+        ),
     ],
 )
 def test_a_wrong_summary_is_refused(folder: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
@@ -247,7 +253,7 @@ def test_every_fall_counts(tmp_path: Path) -> None:
     with StepWriter(tmp_path / "steps.csv", space) as writer:
         writer.append(logged(0, 1, np.zeros(1), np.ones(1)))
         writer.append(logged(0, 2, np.zeros(1), np.ones(1), StepStatus.FELL))
-    assert read_run_folder(tmp_path).steps.falls == 1
+    assert read_run_folder(tmp_path).steps.failed_steps == 1
 
 
 def test_source_of_a_text_is_named() -> None:

@@ -192,7 +192,7 @@ def test_a_fall_with_numbers_is_read_as_well(tmp_path: Path) -> None:
     """A safety stop in the same tick as the apex has a next state, but is a failure."""
     record = StepRecord(np.zeros(2), np.zeros(2), np.zeros(2), np.array([0.1, math.nan]), StepStatus.STOPPED)
     write(tmp_path / "steps.csv", LoggedStep(0, 1, np.zeros(2), np.zeros(2), np.zeros(2), record))
-    assert read_step_log(tmp_path / "steps.csv", SPACE).falls == 1
+    assert read_step_log(tmp_path / "steps.csv", SPACE).failed_steps == 1
 
 
 def test_one_writer_at_a_time(tmp_path: Path) -> None:

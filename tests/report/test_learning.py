@@ -55,13 +55,13 @@ def test_measures_are_medians_and_counts_over_twins_and_seeds() -> None:
     none, gp, linear = summary["methods"]
     assert (summary["pairs"], summary["drawn_again"]) == (3, 1)
     assert summary["noise"] == pytest.approx(np.log(1.1)), "for two numbers, the difference"
-    assert none["rmse"] == pytest.approx([1.1, 0.11]), "a fall counts as the largest error"
+    assert none["rmse"] == pytest.approx([1.1, 0.11]), "a failed step counts as the largest error"
     assert gp["rmse"] == pytest.approx([0.3, 0.03])
     assert gp["hops_to_band"] == 250
     assert gp["reached_band"] == 2
     assert gp["coverage"] == [0.95, 0.5]
     assert (gp["worse"], gp["falls"]) == (1, 0), "2.0 is more than 1.1 and chance"
-    assert (linear["worse"], linear["falls"]) == (1, 2), "if both fell, neither is worse"
+    assert (linear["worse"], linear["falls"]) == (1, 2), "if both were aborted, neither is worse"
     assert (none["difference"]["to"], gp["difference"], linear["difference"]["to"]) == (DEFAULT, None, DEFAULT)
     assert linear["rmse"] == [None, None]
     assert 1.1 * np.exp(BEYOND_NOISE * summary["noise"]) < 2
@@ -101,7 +101,7 @@ def test_a_difference_that_chance_explains_is_not_significant() -> None:
     assert "yes" in describe_learning(summarise_learning(rows)).splitlines()[5]
 
 
-def test_an_unknown_error_is_not_a_fall() -> None:
+def test_an_unknown_error_is_not_a_failed_step() -> None:
     rows = [row(method, 0, 0.1, drawn_again=0) | {"steady_rmse": None} for method in ("none", DEFAULT)]
     assert summarise_learning(rows)["methods"][0]["steady_rmse"] is None
     assert "∞" not in describe_learning(summarise_learning(rows))

@@ -31,7 +31,7 @@ def test_seeds_of_one_twin_are_not_independent() -> None:
     assert 0.92 < covered / count < 0.98
 
 
-def test_falls_count_as_the_largest_ratio() -> None:
+def test_failed_steps_count_as_the_largest_ratio() -> None:
     assert log_ratio(np.inf, 0.1) == pytest.approx(np.log(LARGEST_RATIO)) == -log_ratio(0.1, np.inf)
     assert log_ratio(np.inf, np.inf) == 0
     assert log_ratio(0.2, 0.1) == pytest.approx(np.log(2))

@@ -177,14 +177,14 @@ def test_along_the_papers_reference(like_paper: Page) -> None:
 
 
 @pytest.mark.parametrize(
-    ("steps", "falls", "finished", "like"), [(227, 0, 2, True), (50, 0, 2, False), (50, 1, 2, True), (50, 0, 0, True)]
+    ("steps", "failed", "finished", "like"), [(227, 0, 2, True), (50, 0, 2, False), (50, 1, 2, True), (50, 0, 0, True)]
 )
 def test_a_part_of_the_papers_reference_is_another_one(
-    tmp_path: Path, steps: int, falls: int, finished: int, like: bool
+    tmp_path: Path, steps: int, failed: int, finished: int, like: bool
 ) -> None:
     folder = write_run(tmp_path / "run", paper.STATE_NAMES, steps, 2, targets=paper_reference().targets[:steps])
     record = read_run_folder(folder)
-    deployments = tuple(replace(each, falls=falls) for each in record.deployments[:finished])
+    deployments = tuple(replace(each, failed_steps=failed) for each in record.deployments[:finished])
     assert replace(record, summary=replace(record.summary, deployments=deployments)).like_paper == like
 
 

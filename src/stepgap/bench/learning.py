@@ -47,7 +47,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
     covered, counted = interval_coverage(steps.tracking())
     return row | {
         "steps": found.steps,
-        "falls": found.falls,
+        "falls": found.failed_steps,
         "error": float(np.linalg.norm(found.rmse / steps.space.state_scale)),
         "rmse": known_numbers(found.rmse),
         "transient_rmse": known_numbers(found.transient_rmse),

@@ -32,7 +32,7 @@ from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import StepMap
 
 FIRST_STEPS = 20
-"""Number of steps that the uncorrected robot must make without a fall; otherwise the twin is drawn again."""
+"""Number of steps that the uncorrected robot must complete; otherwise the twin is drawn again."""
 
 FIRST = "deployment 0"
 """Key of deployment 0 among the deployments that methods have in common."""
@@ -145,11 +145,11 @@ Method = Callable[[Trial], Sequence[StepLog]]
 
 
 def hopping_gap(nominal: ApexMap, task: Task, twin: int) -> tuple[RealityGap, int]:
-    """Draws the gap of a twin, again if the robot falls within the first steps; returns gap and number of redraws."""
+    """Draws the gap of a twin, again if one of the first steps fails; returns gap and number of redraws."""
     rng, drawn_again = random_stream(twin), 0
     while True:
         trial = Trial(nominal, task.gap_of(random_gap(rng)), task, twin, seed=0)
         log = trial.deploy(trial.uncorrected(nominal), 0, most_steps=FIRST_STEPS)
-        if len(log) and not log.falls:
+        if len(log) and not log.failed_steps:
             return trial.gap, drawn_again
         drawn_again += 1

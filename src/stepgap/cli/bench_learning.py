@@ -44,7 +44,7 @@ def bench_learning_(
     out: Path = Path("bench_learning"),
     execution: Execution = THIS_MACHINE,
 ) -> None:
-    """Compare ways to learn on random twins: errors, hops needed, falls, intervals; some hours of one core.
+    """Compare ways to learn on random twins: errors, hops needed, failed steps, intervals; some hours of one core.
 
     Args:
         twins: Number of random twins. [default: 20]

@@ -97,7 +97,7 @@ class RunProgress:
         self._executed, self._errors = [], []
         self._last = deployment.iteration
         if not self._quiet:
-            end = f", then it {ending_of(status)}" if deployment.falls else ""
+            end = f", then it {ending_of(status)}" if deployment.failed_steps else ""
             error = "" if np.isnan(deployment.rmse).any() else f", RMSE {self._describe(deployment.rmse)}"
             self._console.print(
                 f"deployment {deployment.iteration} of {self._iterations} ({deployment.residual}): "

@@ -109,7 +109,7 @@ def deploy(
     exploration: int = 0,
     control: ControlSettings = ALL_RULES,
 ) -> Steps:
-    """Tracks the reference until its end or a fall, at each step with the map as known then.
+    """Tracks the reference until its end or a failed step, at each step with the map as known then.
 
     Args:
         learner: State of knowledge before the first step.

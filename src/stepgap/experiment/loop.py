@@ -184,5 +184,7 @@ def _continues(deployments: Sequence[Deployment], scale: Array, learning: Learni
 
 def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:
     """Whether the last deployment still reduced the tracking error."""
-    errors = [inf if deployment.falls else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments]
+    errors = [
+        inf if deployment.failed_steps else float(np.linalg.norm(deployment.rmse / scale)) for deployment in deployments
+    ]
     return len(errors) < 3 or errors[-1] == inf or errors[-1] <= (1 - tolerance) * min(errors[:-1])

@@ -46,7 +46,7 @@ def summarise(
         iteration=steps.iterations[0],
         residual=residual,
         steps=len(steps),
-        falls=steps.falls,
+        failed_steps=steps.failed_steps,
         rmse=rms(error),
         mae=np.mean(np.abs(error), axis=0) if len(error) else rms(error),
         bias=np.mean(error, axis=0) if len(error) else rms(error),

@@ -89,7 +89,7 @@ def tick_units_of(settings: Experiment) -> Mapping[str, str]:
 def logged_ticks(folder: Path, steps: Sequence[LoggedStep], settings: Experiment) -> TickTable:
     """Reads the ticks of a rig's deployment from its log, with a column `step`; only ticks with sensor values are kept.
 
-    They begin when torque is given, and end with the last step or, after a fall, when the robot is at rest. The ends of
+    They begin when torque is given, and end with the last step or, if it failed, when the robot is at rest. The ends of
     steps are those that the robot's control detects; step 0 is the one after the release.
 
     Args:

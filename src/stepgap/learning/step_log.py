@@ -76,8 +76,8 @@ class StepLog:
         return sorted({logged.iteration for logged in self._steps})
 
     @property
-    def falls(self) -> int:
-        """Number of steps that did not end with an apex."""
+    def failed_steps(self) -> int:
+        """Number of steps that ended without a next state."""
         return sum(logged.record.status != StepStatus.OK for logged in self._steps)
 
     @property
@@ -128,7 +128,7 @@ class StepLog:
 
     @property
     def next_state(self) -> Array:
-        """States at the end of each step, NaN after a fall; shape (N, n)."""
+        """States at the end of each step, NaN where it failed; shape (N, n)."""
         return self._column([logged.record.next_state for logged in self._steps], len(self.space.state))
 
     @property

@@ -79,7 +79,7 @@ class StepTable:
 def tabulate(log: StepLog) -> StepTable:
     """Converts the completed steps of a log; its predictions are omitted: they may be those of a corrected map."""
     done = np.array([logged.record.status == StepStatus.OK for logged in log], bool)
-    left_out = {"that ended without a next state": log.falls} if log.falls else {}
+    left_out = {"that ended without a next state": log.failed_steps} if log.failed_steps else {}
     steps = (log.space, log.state, log.requested, log.next_state, log.target, None, log.deployment, left_out, log.yaw)
     return StepTable(*steps).selected(done)
 

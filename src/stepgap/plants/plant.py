@@ -33,7 +33,7 @@ class Plant(ABC):
     def take_step(self, command: Array) -> StepRecord:
         """Executes one step with the command; shape (m,).
 
-        A fall is a record whose status is not OK, after which the deployment is over.
+        A failed step is a record whose status is not OK, after which the deployment is over.
         """
 
     @abstractmethod

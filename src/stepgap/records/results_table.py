@@ -60,7 +60,7 @@ def rows_of(number: int, settings: Mapping[str, Any], result: Any, failed: str, 
         if hops is not None and (type(hops) is not int or hops < 1):
             raise ValueError(f"case {number}: hops_to_band must be a positive integer or null")
         errors = np.concatenate([found.errors[measure] for measure in MEASURES]).tolist()
-        values = [found.iteration, found.residual, found.steps, found.falls, *errors, hops, ""]
+        values = [found.iteration, found.residual, found.steps, found.failed_steps, *errors, hops, ""]
         rows.append([*before, *map(_cell, values)])
     return rows
 

@@ -112,10 +112,11 @@ class RunRecord:
         """Whether the run has the paper's state and reference, so that its errors can be compared with the paper's."""
         if self.space.state_names != STATE_NAMES:
             return False
-        reference, fell = paper_reference().targets, {each.iteration for each in self.deployments if each.falls}
+        reference = paper_reference().targets
+        aborted = {each.iteration for each in self.deployments if each.failed_steps}
         for number in self.steps.iterations:
             targets = self.steps.of_iteration(number).tracking().target
-            incomplete = number in fell or number in self.unfinished
+            incomplete = number in aborted or number in self.unfinished
             if not np.array_equal(targets, reference[: len(targets)]):
                 return False
             if len(targets) != len(reference) and not incomplete:
@@ -170,10 +171,11 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
     """Raises ValueError unless the summary describes these steps, or the first of them."""
     for deployment in summary.deployments:
         rows = steps.of_iteration(deployment.iteration)
-        if (len(rows), rows.falls) != (deployment.steps, deployment.falls):
+        recorded, failed = len(rows), rows.failed_steps
+        if (recorded, failed) != (deployment.steps, deployment.failed_steps):
             raise ValueError(
-                f"{path}: deployment {deployment.iteration} has {deployment.steps} steps and {deployment.falls} falls, "
-                f"in steps.csv {len(rows)} and {rows.falls}; both must be of the same run"
+                f"{path}: deployment {deployment.iteration} has {deployment.steps} steps, {deployment.failed_steps} of "
+                f"them failed, in steps.csv {recorded} and {failed}; both must be of the same run"
             )
     count = sum(deployment.steps for deployment in summary.deployments)
     if summary.steps_sha256 and summary.steps_sha256 != digest(StepLog(steps.space, islice(steps, count))):

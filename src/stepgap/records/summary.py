@@ -43,7 +43,8 @@ class Deployment:
         iteration: Number of the deployment, from 0.
         residual: Name of the residual model that the controller used.
         steps: Number of executed steps, including those before step 1, which do not count in the errors.
-        falls: Number of steps that ended without an apex; at most one, because it ends the deployment.
+        failed_steps: Number of steps that ended without a next state; at most one, because it aborts the deployment.
+            Key `falls`, also the column of tables.
         rmse: Root-mean-square error; shape (n,).
         mae: Mean absolute error; shape (n,).
         bias: Mean error; shape (n,).
@@ -58,7 +59,7 @@ class Deployment:
     iteration: int
     residual: str
     steps: int
-    falls: int
+    failed_steps: int
     rmse: Array
     mae: Array
     bias: Array
@@ -167,7 +168,7 @@ def deployment_entry(deployment: Deployment, names: Sequence[str]) -> dict[str, 
         "iteration": deployment.iteration,
         "residual": deployment.residual,
         "steps": deployment.steps,
-        "falls": deployment.falls,
+        "falls": deployment.failed_steps,
         **{measure: _by_name(names, error) for measure, error in deployment.errors.items()},
         "cut": deployment.cut,
         "unreachable": deployment.unreachable.tolist(),
@@ -270,7 +271,7 @@ def parse_deployment(entry: Any, names: tuple[str, ...], key: str, source: str) 
         iteration=integer(fields, "iteration", 0, f"{source}: "),
         residual=residual,
         steps=integer(fields, "steps", 1, f"{source}: "),
-        falls=integer(fields, "falls", 0, f"{source}: "),
+        failed_steps=integer(fields, "falls", 0, f"{source}: "),
         **{measure: _errors(fields, measure, names, source) for measure in MEASURES},
         cut=integer(fields, "cut", 0, f"{source}: "),
         unreachable=_targets(fields, "unreachable", names, source),

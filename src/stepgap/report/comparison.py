@@ -23,8 +23,8 @@ COMPARED: Final = {"rmse": "RMSE", "steady_rmse": "steady RMSE", "transient_rmse
 """Compared errors, with their labels."""
 
 CAPTION: Final = (
-    "Root-mean-square tracking error of each run by deployment, on a logarithmic axis. A deployment with a fall is "
-    "counted up to the fall."
+    "Root-mean-square tracking error of each run by deployment, on a logarithmic axis. An aborted deployment is "
+    "counted up to its last completed step."
 )
 
 TRACKING_CAPTION: Final = (
@@ -163,7 +163,7 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
 def _to_band(record: RunRecord) -> str:
     if not record.deployments:
         return DASH
-    if record.deployments[-1].falls:
+    if record.deployments[-1].failed_steps:
         return f"never: {end_in_a_word(record, record.deployments[-1])}"
     hops = executed_hops_to_band([record.steps.of_iteration(entry.iteration) for entry in record.deployments])
     return "never" if hops is None else str(hops)

@@ -266,10 +266,10 @@ def _reached(steps: StepLog, index: int) -> Array:
 def _draw_tracking(panel: Axes, steps: StepLog, index: int, name: str, style: dict[str, Any]) -> None:
     numbers, reached = _numbers(steps), _reached(steps, index)
     panel.plot(numbers, reached, label=name, **style)
-    fell = np.isnan(reached)
-    if fell.any():
+    failed = np.isnan(reached)
+    if failed.any():
         mark = {"color": style["color"], "marker": "X", "linestyle": "", "markersize": 7, "clip_on": False}
-        panel.plot(numbers[fell], steps.state[fell, index], label="no next state after this one", **mark)
+        panel.plot(numbers[failed], steps.state[failed, index], label="no next state after this one", **mark)
 
 
 def _draw_prediction(panel: Axes, steps: StepLog, index: int) -> None:

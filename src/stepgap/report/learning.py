@@ -37,7 +37,7 @@ BEYOND_NOISE = 2.0
 def summarise_learning(rows: Sequence[DeploymentRow]) -> dict[str, Any]:
     """Measures of each method over all twins and seeds, as plain data for JSON.
 
-    A deployment that ended with a fall has an infinite error.
+    An aborted deployment, in which a step failed, has an infinite error.
     """
     table: dict[str, dict[Key, DeploymentRow]] = {}
     for row in rows:
@@ -88,7 +88,7 @@ def _plain(difference: PairedDifference, adjusted: float) -> dict[str, Any]:
 
 
 def tracking_error_of(row: DeploymentRow) -> float:
-    """Tracking error of both coordinates together in half ranges; infinite after a fall."""
+    """Tracking error of both coordinates together in half ranges; infinite if a step failed."""
     return math.inf if row["falls"] else row["error"]
 
 
@@ -124,7 +124,7 @@ def _measures(rows: dict[Key, DeploymentRow], first: dict[Key, DeploymentRow], n
 
 
 def _ratio(error: float, uncorrected: float) -> float:
-    """Ratio of two errors; 1 where both deployments fell."""
+    """Ratio of two errors; 1 where both deployments were aborted."""
     return 1.0 if error == uncorrected == math.inf else error / uncorrected
 
 
@@ -144,7 +144,7 @@ HEADER = (
     "method",
     *("speed [mm/s]", "transient", "steady", "true"),
     *("height [mm]", "transient", "steady", "true"),
-    *("ratio", "hops", "in band", "falls", "worse", "relative", "interval", "significant", "speeds in", "heights in"),
+    *("ratio", "hops", "in band", "aborted", "worse", "relative", "interval", "significant", "speeds in", "heights in"),
 )
 """Columns of the table."""
 
@@ -159,13 +159,13 @@ def describe_learning(summary: dict[str, Any]) -> str:
     lines.insert(1, "|" + "|".join(f"{'-' * (width + 1)}:" for width in widths) + "|")
     lines += [
         "",
-        f"Speed and height: RMSE, median over {summary['pairs']} twins and seeds; a fall counts as an infinite error.",
+        f"Speed and height: RMSE, median over {summary['pairs']} twins and seeds; infinite if a step failed.",
         "true: RMSE of the robot's true state, without the errors of its sensors.",
         "ratio: error of both coordinates together, relative to that of deployment 0.",
         f"hops: number of hops until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s and "
         f"{1e3 * PAPER_BAND[1]:.1f} mm; in band: number of twins and seeds that reach this.",
-        f"relative: error relative to that of {DEFAULT} on the same twin and seed, geometric mean; a fall counts as a",
-        f"ratio of {LARGEST_RATIO:g}. METHOD{WITHOUT}RULE and {ON_TEMPLATE}METHOD are relative to METHOD.",
+        f"relative: error relative to that of {DEFAULT} on the same twin and seed, geometric mean; a failed step",
+        f"counts as a ratio of {LARGEST_RATIO:g}. METHOD{WITHOUT}RULE and {ON_TEMPLATE}METHOD are relative to METHOD.",
         "interval: 95 % by Student's t over the means of the twins. significant: p < 0.05 after Holm's correction.",
         "in: fraction of steps within the predicted 95 % interval.",
     ]

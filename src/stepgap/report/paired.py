@@ -16,13 +16,13 @@ from scipy.special import stdtr, stdtrit
 from stepgap.step import Array
 
 LARGEST_RATIO = 30.0
-"""A ratio of errors that is larger, or smaller than its inverse, counts as this, since a fall has an infinite error."""
+"""A ratio of errors that is larger, or smaller than its inverse, counts as this; a failed step is an infinite error."""
 
 CONFIDENCE = 0.95
 """Probability of the intervals; a difference is significant if its adjusted p-value is below 1 − this."""
 
 Errors = Mapping[tuple[int, int], float]
-"""Error by twin and seed; infinite after a fall."""
+"""Error by twin and seed; infinite if a step failed."""
 
 
 @final
@@ -57,7 +57,7 @@ def paired_difference(errors: Errors, others: Errors) -> PairedDifference:
 
 
 def log_ratio(error: float, other: float) -> float:
-    """Difference d on one twin and seed, within ±log `LARGEST_RATIO`; zero if both deployments fell."""
+    """Difference d on one twin and seed, within ±log `LARGEST_RATIO`; zero if both deployments were aborted."""
     if error == other:
         return 0.0
     with np.errstate(divide="ignore"):

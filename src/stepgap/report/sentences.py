@@ -22,7 +22,7 @@ def headline(record: RunRecord) -> str:
     if not record.deployments:
         return "No deployment is finished yet."
     first, last = record.deployments[0], record.deployments[-1]
-    if last.falls:
+    if last.failed_steps:
         return f"It did not track to the end: {_ended(record, last)}."
     to_end = f"the last deployment made all its {_count(last.steps, 'step')} without a fall"
     if first is last:
@@ -31,7 +31,7 @@ def headline(record: RunRecord) -> str:
     verdict = f"It did not track: {far}. But {to_end}" if far else f"It tracked: {to_end}"
     if (last.errors["rmse"] < first.errors["rmse"]).all():
         return f"{verdict}, and every tracking error is smaller than in deployment {first.iteration}."
-    if first.falls:
+    if first.failed_steps:
         return f"{verdict}, whereas {_ended(record, first)}."
     if np.isnan(last.errors["rmse"] - first.errors["rmse"]).any():
         return f"No fall, but not every tracking error is known: {to_end}."
@@ -39,7 +39,7 @@ def headline(record: RunRecord) -> str:
 
 
 def sentences(record: RunRecord, plant: str) -> list[str]:
-    """Sentences on errors, steps, falls and unfinished deployments, and the paper's result for the same reference.
+    """Sentences on errors, failed steps and unfinished deployments, and the paper's result for the same reference.
 
     Args:
         record: The run.
@@ -51,7 +51,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
     found += [
         f"{_title(_ended(record, deployment))}; its errors include only the steps before."
         for deployment in record.deployments
-        if deployment.falls
+        if deployment.failed_steps
     ]
     found += _floor(record)
     found += _limits(record)
@@ -202,7 +202,7 @@ def _ended(record: RunRecord, deployment: Deployment) -> str:
 
 def end_in_a_word(record: RunRecord, deployment: Deployment) -> str:
     """How a deployment ended, for a table: complete, or the status of its last step."""
-    return _last_status(record, deployment).label.replace("_", " ") if deployment.falls else "complete"
+    return _last_status(record, deployment).label.replace("_", " ") if deployment.failed_steps else "complete"
 
 
 def _last_status(record: RunRecord, deployment: Deployment) -> StepStatus:
@@ -214,9 +214,9 @@ def _failures(record: RunRecord) -> str:
     found = Counter(logged.record.status for logged in record.steps)
     falls, stops = found[StepStatus.FELL], found[StepStatus.STOPPED]
     doubts = found[StepStatus.DOUBTFUL]
-    others = record.steps.falls - falls - stops - doubts
+    others = record.steps.failed_steps - falls - stops - doubts
     parts = [
-        *([_count(falls, "fall")] if falls or not record.steps.falls else []),
+        *([_count(falls, "fall")] if falls or not record.steps.failed_steps else []),
         *([f"{_count(stops, 'step')} stopped by the plant"] if stops else []),
         *([f"{_count(doubts, 'step')} stopped because of a doubtful sensor"] if doubts else []),
         *([f"{_count(others, 'step')} without a next state for other reasons"] if others else []),

@@ -25,7 +25,7 @@ def write_results_table(
     settings: Mapping[str, Sequence[str]],
     errors: Array,
     *,
-    fell: Mapping[int, int] | None = None,
+    aborted: Mapping[int, int] | None = None,
     hops: Mapping[int, int] | None = None,
     failed: Mapping[int, str] | None = None,
     names: Sequence[str] = STATE,
@@ -36,12 +36,12 @@ def write_results_table(
         folder: The folder, which is created.
         settings: Texts of the settings, each with N values; the last one is `seed`.
         errors: RMSE by case, deployment and state coordinate; shape (N, D, n).
-        fell: Deployment with a fall, by case.
+        aborted: Deployment that was aborted, by case.
         hops: Hops to the band, by case.
         failed: Reasons of failed cases.
         names: Names of the state coordinates.
     """
-    fell, hops, failed = fell or {}, hops or {}, failed or {}
+    aborted, hops, failed = aborted or {}, hops or {}, failed or {}
     space = StepSpace(tuple(Quantity(name, "", -1, 1) for name in names), (Quantity("push", "N", -1, 1),))
     rows = []
     for case in range(len(errors)):
@@ -52,7 +52,7 @@ def write_results_table(
         for number, values in enumerate(errors[case]):
             texts = ["" if np.isnan(value) else repr(float(value)) for value in np.tile(values, len(MEASURES))]
             known = str(hops[case]) if case in hops and number == len(errors[case]) - 1 else ""
-            falls = str(int(fell.get(case) == number))
+            falls = str(int(aborted.get(case) == number))
             rows.append([*before, str(number), "gp" if number else "none", "30", falls, *texts, known, ""])
     folder.mkdir(parents=True, exist_ok=True)
     (folder / RESULTS).write_text(table_text(columns_of(list(settings), space), rows), encoding="utf-8")

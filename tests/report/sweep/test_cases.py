@@ -81,11 +81,11 @@ def test_errors_that_cannot_be_compared_are_unknown(tmp_path: Path) -> None:
     errors = np.random.default_rng(0).uniform(1, 2, (6, 3, 2))
     errors[4, 2, 0] = np.nan
     errors[5, 2, 1] = 0
-    write_results_table(tmp_path, settings, errors, fell={0: 2, 1: 1, 2: 0}, hops={1: 40}, failed={3: "why"})
+    write_results_table(tmp_path, settings, errors, aborted={0: 2, 1: 1, 2: 0}, hops={1: 40}, failed={3: "why"})
     cases = cases_in(tmp_path)
     np.testing.assert_array_equal(cases.numbers, [0, 1, 2, 4, 5])
-    np.testing.assert_array_equal(cases.fell, [True, True, True, False, False])
-    np.testing.assert_array_equal(cases.fell_last, [True, False, False, False, False])
+    np.testing.assert_array_equal(cases.aborted, [True, True, True, False, False])
+    np.testing.assert_array_equal(cases.aborted_last, [True, False, False, False, False])
     np.testing.assert_array_equal(cases.hops, [np.inf, 40, np.inf, np.inf, np.inf])
     np.testing.assert_array_equal(cases.comparable, [False, True, True, False, False])
     last = errors[[0, 1, 2, 4, 5], 2]

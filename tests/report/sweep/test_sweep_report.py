@@ -14,7 +14,13 @@ from matplotlib.container import ErrorbarContainer
 from scipy import stats
 
 from stepgap.records.results_table import RESULTS
-from stepgap.report.sweep.figures import falls_figure, hops_figure, main_effects_figure, sensitivity_figure, short_names
+from stepgap.report.sweep.figures import (
+    aborted_figure,
+    hops_figure,
+    main_effects_figure,
+    sensitivity_figure,
+    short_names,
+)
 from stepgap.report.sweep.page import SweepContext, write_sweep_report
 from stepgap.report.sweep.variance_shares import VarianceShares, variance_shares
 from stepgap.step import Array, Quantity
@@ -33,7 +39,7 @@ AXES = {
 }
 CONTEXT = SweepContext(504, {}, (Quantity("speed", "m/s", -1, 1), Quantity("height", "m", -1, 1)))
 FAILED = {7: "no command leads to the target at step 3", 400: "case 400: a <b>"}
-FALLEN = {10: 2, 11: 2, 12: 1}
+ABORTED = {10: 2, 11: 2, 12: 1}
 HOSTILE = "<img src=http://evil/?x='1' onerror=alert(1)>&\"--></svg></pre><script>alert(2)</script>$\\frac{"
 
 
@@ -47,11 +53,11 @@ def errors_of(settings: Mapping[str, list[str]], rng: np.random.Generator) -> Ar
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A sweep with failed and fallen cases, and its report."""
+    """A sweep with failed and aborted cases, and its report."""
     folder = tmp_path_factory.mktemp("report") / "a sweep & <more>"
     settings, rng = combinations_of(AXES), np.random.default_rng(0)
     hops = {case: 40 + case % 50 for case in range(504) if settings["learning.residual"][case] == "gp_on_linear"}
-    write_results_table(folder, settings, errors_of(settings, rng), fell=FALLEN, hops=hops, failed=FAILED)
+    write_results_table(folder, settings, errors_of(settings, rng), aborted=ABORTED, hops=hops, failed=FAILED)
     (folder / "experiment.toml").write_text("seed = 3\n[gap]\nbody_mass_scale = 1.1\n")
     for case, name in ((int(worst_case(folder)), "report.html"), (10, "steps.csv")):
         (folder / f"runs/{case:08d}").mkdir(parents=True)
@@ -101,7 +107,7 @@ def test_the_sentences_agree_with_the_table(sweep: Path, page: Page) -> None:
     ) in page.text
     assert "All 504 cases of the sweep are finished, in 1508 rows of the table." in page.text
     assert "2 cases failed and have no result" in page.text
-    assert "3 cases (0.6 %) had a fall, 2 of them in the last deployment." in page.text
+    assert "In 3 cases (0.6 %) a deployment was aborted by a failed step, in 2 of them the last one." in page.text
     assert f"deployment is {before[0] / after[0]:.1f} times smaller than that of deployment 0" in page.text
     assert "it is larger in none of them" in page.text
     assert re.search(r"variance of the speed error: gap\.torque_scale \(\d\d\.\d %\), learning\.residual", page.text)
@@ -138,7 +144,7 @@ def test_failed_cases_and_settings_are_listed(page: Page) -> None:
 
 
 def test_figures_are_saved(sweep: Path) -> None:
-    kinds = ["effects_height", "effects_speed", "falls", "hops", "sensitivity"]
+    kinds = ["aborted", "effects_height", "effects_speed", "hops", "sensitivity"]
     names = [f"{kind}.{form}" for kind in kinds for form in ("pdf", "png")]
     assert sorted(path.name for path in (sweep / "figures").iterdir()) == names
     assert all(path.stat().st_size > 5_000 for path in (sweep / "figures").iterdir())
@@ -164,9 +170,9 @@ def test_curves_are_geometric_means(sweep: Path) -> None:
     assert [text.get_text() for text in figure.axes[3].get_xticklabels()] == ["gp_on_linear", "linear"]
 
 
-def test_falls_and_hops_are_drawn(sweep: Path) -> None:
+def test_aborted_deployments_and_hops_are_drawn(sweep: Path) -> None:
     cases = cases_in(sweep)
-    (heights,) = curves_of(falls_figure(cases, cases.axes[1:]).axes[0])
+    (heights,) = curves_of(aborted_figure(cases, cases.axes[1:]).axes[0])
     np.testing.assert_allclose(heights, [2 / 166, 1 / 168, 0])
     panel = hops_figure(cases, cases.axes[3:]).axes[0]
     never = panel.get_yticks()[-1]
@@ -199,7 +205,7 @@ def test_an_unfinished_sweep_says_so(tmp_path: Path) -> None:
     page = Page(write_sweep_report(folder, CONTEXT).path)
     check_page(page, 3)
     assert "not finished: the table has 300 rows of 100 of its 504 cases (19.8 %)" in page.text
-    assert "No case had a fall in any deployment." in page.text
+    assert "No deployment of any case was aborted." in page.text
     assert "No case is known to have reached the paper's band." in page.text
     written = write_sweep_report(folder)
     assert "the number of planned cases is not known" in Page(written.path).text
@@ -229,14 +235,14 @@ def test_all_cases_failed(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("drawn_page", "unplaced")
-def test_all_cases_fell(tmp_path: Path) -> None:
+def test_all_cases_are_aborted(tmp_path: Path) -> None:
     settings = combinations_of({"a": range(3), "seed": range(10)})
-    folder = write_results_table(tmp_path, settings, np.ones((30, 2, 2)), fell=dict.fromkeys(range(30), 1))
+    folder = write_results_table(tmp_path, settings, np.ones((30, 2, 2)), aborted=dict.fromkeys(range(30), 1))
     page = Page(write_sweep_report(folder).path)
     check_page(page, 1)
     assert "30 cases, but no error of a last deployment is known." in page.text
-    assert "30 cases (100.0 %) had a fall, all of them in the last deployment." in page.text
-    assert "Cases with a fall in the last deployment (the first 10 of 30)" in page.text
+    assert "In 30 cases (100.0 %) a deployment was aborted by a failed step, in all of them the last one." in page.text
+    assert "Cases whose last deployment was aborted (the first 10 of 30)" in page.text
 
 
 @pytest.mark.usefixtures("drawn_page", "unplaced")
@@ -271,7 +277,7 @@ def test_hostile_text_stays_text(tmp_path: Path) -> None:
         settings,
         np.random.default_rng(0).uniform(1, 2, (36, 2, 2)),
         failed={3: text * 3},
-        fell={4: 1},
+        aborted={4: 1},
         names=(text, "../../x"),
     )
     (folder / "experiment.toml").write_text(f"robot = '''{text}'''\n")

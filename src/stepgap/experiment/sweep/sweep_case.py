@@ -62,7 +62,7 @@ def _entries(deployments: list[Deployment], folder: Path, space: StepSpace) -> l
     logs = [steps.of_iteration(deployment.iteration) for deployment in deployments]
     entries = []
     for count, deployment in enumerate(deployments, start=1):
-        known = space.state_names == STATE_NAMES and not deployment.falls
+        known = space.state_names == STATE_NAMES and not deployment.failed_steps
         hops = executed_hops_to_band(logs[:count]) if known else None
         entries.append({**deployment_entry(deployment, space.state_names), "hops_to_band": hops})
     return entries

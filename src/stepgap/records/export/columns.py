@@ -13,7 +13,7 @@ from stepgap.step import Quantity, StepSpace
 STATE_MEANINGS = {
     "": "state before the step",
     "target_": "target state after the step",
-    "next_": "state after the step, as measured; NaN after a fall",
+    "next_": "state after the step, as measured; NaN if it failed",
     "true_next_": "state after the step as it truly was, known only in a simulation; else NaN",
     "predicted_": "state after the step as predicted when it began; NaN where no command was known",
     "std_": "standard deviation of that prediction",

@@ -60,9 +60,11 @@ def _value(value: Any) -> Any:
 def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
     """Errors of the finished deployments as columns, with one number per deployment."""
     done = summary.deployments
-    count = {
-        name: _column(np.array([getattr(each, name) for each in done]))
-        for name in ("iteration", "steps", "falls", "cut")
+    counts = {
+        "iteration": [each.iteration for each in done],
+        "steps": [each.steps for each in done],
+        "falls": [each.failed_steps for each in done],
+        "cut": [each.cut for each in done],
     }
     errors = {
         measure: {name: np.array([each.errors[measure][i] for each in done], float) for i, name in enumerate(names)}
@@ -70,7 +72,7 @@ def _summary(summary: Summary, names: Sequence[str]) -> dict[str, Any]:
     }
     floor = summary.noise_floor or NoiseFloor.unknown(len(names))
     return {
-        **count,
+        **{name: _column(np.array(numbers)) for name, numbers in counts.items()},
         "residual": np.array([each.residual for each in done], dtype=object),
         **errors,
         "repeatability": dict(zip(names, floor.any_yaw.tolist(), strict=True)),

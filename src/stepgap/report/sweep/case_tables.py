@@ -1,4 +1,4 @@
-"""Tables of single cases of a sweep: those with the largest errors, those that fell, and those that failed."""
+"""Tables of single cases of a sweep: those with the largest errors, those that were aborted, and those that failed."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ _LONGEST_CELL: Final = 40
 
 
 def worst_cases(cases: SweepCases, folder: Path, state: Sequence[Quantity]) -> str:
-    """HTML tables of the cases with the largest last errors, and of those whose last deployment had a fall.
+    """HTML tables of the cases with the largest last errors, and of those whose last deployment was aborted.
 
     Args:
         cases: The cases.
@@ -31,7 +31,7 @@ def worst_cases(cases: SweepCases, folder: Path, state: Sequence[Quantity]) -> s
     sizes = np.log(cases.last_errors).mean(axis=1)
     known = np.flatnonzero(cases.comparable)
     largest = known[np.argsort(-sizes[known], kind="stable")][:MOST_WORST]
-    fallen = np.flatnonzero(cases.fell_last)
+    aborted = np.flatnonzero(cases.aborted_last)
     parts = []
     if len(largest):
         coordinates = "" if len(state) == 1 else ", by the geometric mean over the coordinates"
@@ -40,12 +40,14 @@ def worst_cases(cases: SweepCases, folder: Path, state: Sequence[Quantity]) -> s
             f"last RMSE of {with_unit(quantity)}": list(map(decimal, cases.last_errors[largest, index]))
             for index, quantity in enumerate(state)
         }
-        fell = {"fall in an earlier deployment": ["yes" if cases.fell[row] else "no" for row in largest]}
-        parts.append(_table(caption, cases, largest, folder, columns | (fell if cases.fell[largest].any() else {})))
-    if len(fallen):
-        more = f" (the first {MOST_WORST} of {len(fallen)})" if len(fallen) > MOST_WORST else ""
-        parts.append(_table(f"Cases with a fall in the last deployment{more}", cases, fallen[:MOST_WORST], folder, {}))
-    return "\n".join([*parts, paragraph(_how_to_see(cases, folder, [*largest, *fallen[:MOST_WORST]]))])
+        earlier = {"earlier deployment aborted": ["yes" if cases.aborted[row] else "no" for row in largest]}
+        parts.append(
+            _table(caption, cases, largest, folder, columns | (earlier if cases.aborted[largest].any() else {}))
+        )
+    if len(aborted):
+        more = f" (the first {MOST_WORST} of {len(aborted)})" if len(aborted) > MOST_WORST else ""
+        parts.append(_table(f"Cases whose last deployment was aborted{more}", cases, aborted[:MOST_WORST], folder, {}))
+    return "\n".join([*parts, paragraph(_how_to_see(cases, folder, [*largest, *aborted[:MOST_WORST]]))])
 
 
 def failed_cases(cases: SweepCases) -> str:

@@ -89,7 +89,7 @@ class FailedCase:
 class SweepCases:
     """The N cases of a sweep that have a result, in ascending order, and those that failed.
 
-    An error is NaN where it cannot be compared, because the deployment had a fall, or because it is not known.
+    An error is NaN where it cannot be compared, because a step of the deployment failed, or because it is not known.
 
     Attributes:
         rows: Number of rows of the table.
@@ -100,8 +100,8 @@ class SweepCases:
         first_errors: RMSE of deployment 0; shape (N, n).
         last_errors: RMSE of the last deployment; shape (N, n).
         redeployed: Whether the last deployment is not deployment 0; shape (N,).
-        fell: Whether any deployment had a fall; shape (N,).
-        fell_last: Whether the last deployment had a fall; shape (N,).
+        aborted: Whether any deployment was aborted by a failed step; shape (N,).
+        aborted_last: Whether the last deployment was; shape (N,).
         hops: Number of hops to the band, infinite if it was never reached; shape (N,).
         failed: Cases that failed.
     """
@@ -114,8 +114,8 @@ class SweepCases:
     first_errors: Array
     last_errors: Array
     redeployed: NDArray[np.bool_]
-    fell: NDArray[np.bool_]
-    fell_last: NDArray[np.bool_]
+    aborted: NDArray[np.bool_]
+    aborted_last: NDArray[np.bool_]
     hops: Array
     failed: tuple[FailedCase, ...]
 
@@ -124,7 +124,7 @@ class SweepCases:
 
     @property
     def comparable(self) -> NDArray[np.bool_]:
-        """Whether the last errors of all coordinates are known and the last deployment had no fall; shape (N,)."""
+        """Whether the last errors of all coordinates are known and the last deployment was not aborted; shape (N,)."""
         return np.all(np.isfinite(self.last_errors), axis=1)
 
     @property
@@ -135,7 +135,7 @@ class SweepCases:
 
 
 def sweep_cases(table: ResultsTable) -> SweepCases:
-    """Makes the cases of a table: the errors of their first and last deployments, and their falls.
+    """Makes the cases of a table: the errors of their first and last deployments, and whether a step failed.
 
     Raises:
         ValueError: The number of a case is not valid.
@@ -149,8 +149,8 @@ def sweep_cases(table: ResultsTable) -> SweepCases:
     rows = rows[np.lexsort((columns["iteration"][rows], numbers[rows]))]
     starts = np.flatnonzero(np.diff(numbers[rows], prepend=-1))
     first, last = rows[starts], rows[np.append(starts[1:], len(rows)) - 1] if len(rows) else rows
-    falls = columns["falls"]
-    fell = np.fmax.reduceat(falls[rows], starts) > 0 if len(rows) else np.zeros(0, bool)
+    failed_steps = columns["falls"]
+    aborted = np.fmax.reduceat(failed_steps[rows], starts) > 0 if len(rows) else np.zeros(0, bool)
     settings = {name: SettingTexts(*np.unique(columns[name][last], return_inverse=True)) for name in table.settings}
     hops = columns["hops_to_band"][last]
     return SweepCases(
@@ -159,11 +159,11 @@ def sweep_cases(table: ResultsTable) -> SweepCases:
         numbers[last].astype(np.int64),
         settings,
         _axes({name: each for name, each in settings.items() if name != "seed"}),
-        _errors(table, first, (columns["iteration"][first] == 0) & (falls[first] == 0)),
-        _errors(table, last, falls[last] == 0),
+        _errors(table, first, (columns["iteration"][first] == 0) & (failed_steps[first] == 0)),
+        _errors(table, last, failed_steps[last] == 0),
         columns["iteration"][last] > 0,
-        fell,
-        falls[last] > 0,
+        aborted,
+        failed_steps[last] > 0,
         np.where(np.isfinite(hops), hops, np.inf),
         _failed_cases(table, np.flatnonzero(failed)),
     )

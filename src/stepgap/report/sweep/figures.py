@@ -1,4 +1,4 @@
-"""Figures of a sweep: errors, falls and hops to the band by the levels of each axis, and the sensitivity."""
+"""Figures of a sweep: errors, aborted deployments and hops by the levels of each axis, and the sensitivity."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Final
@@ -70,15 +70,15 @@ def main_effects_figure(
     return figure
 
 
-def falls_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
-    """Share of the cases with a fall by the levels of each axis, with 95 % intervals."""
+def aborted_figure(cases: SweepCases, axes: Sequence[SweepAxis]) -> Figure:
+    """Share of the cases with an aborted deployment by the levels of each axis, with 95 % intervals."""
     figure, panels = _panels(len(axes))
     for panel, axis in zip(panels, axes, strict=True):
-        estimates = shares(cases.fell, axis.codes, len(axis.levels))
+        estimates = shares(cases.aborted, axis.codes, len(axis.levels))
         _draw(panel, axis, _level_positions(panel, axis, estimates.values), estimates, {"color": BLACK, "marker": "o"})
     panels[0].set_ylim(bottom=0)
     panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g}"))
-    _finish(figure, panels, "Cases with a fall [%]")
+    _finish(figure, panels, "Cases with an aborted deployment [%]")
     return figure
 
 

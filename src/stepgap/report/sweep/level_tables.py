@@ -19,13 +19,13 @@ MOST_ROWS: Final = 20
 
 
 def level_table(cases: SweepCases, axis: SweepAxis, state: Sequence[Quantity]) -> str:
-    """HTML table of the levels of an axis: errors, ratios to the first level, falls, and hops to the band."""
+    """HTML table of the levels of an axis: errors, ratios to the first level, aborted deployments and hops."""
     count = len(axis.levels)
     columns = {"cases": _numbers(axis.codes, count)}
     for index, quantity in enumerate(state):
         means = level_means(axis, cases.last_errors[:, index])
         columns[f"last RMSE of {with_unit(quantity)}"] = [_with_interval(means, row) for row in range(count)]
-    columns["with a fall"] = _numbers(axis.codes[cases.fell], count)
+    columns["aborted"] = _numbers(axis.codes[cases.aborted], count)
     if np.isfinite(cases.hops).any():
         columns["hops to band (median)"] = list(map(_hops, quartiles(cases.hops, axis.codes, count)[1]))
     for quantity, ratios in zip(state, _ratios(cases, axis), strict=False):

@@ -24,7 +24,7 @@ from stepgap.step import Quantity
 
 SECTIONS: Final = {
     "effects": "Effects of the settings",
-    "falls": "Falls and hops to the band",
+    "aborted": "Aborted deployments and hops to the band",
     "sensitivity": "Which settings matter",
     "levels": "Numbers by level",
     "worst": "Worst cases",
@@ -39,8 +39,8 @@ INTERVALS: Final = (
 )
 EFFECTS_CAPTION: Final = (
     "RMSE of {name} by the value of each setting: geometric mean of the cases with this value, whatever their other "
-    "settings, that had no fall in that deployment, with a 95 % interval. All panels have the same vertical axis, so a "
-    "steeper curve is a larger effect."
+    "settings, of which that deployment was not aborted, with a 95 % interval. All panels have the same vertical axis, "
+    "so a steeper curve is a larger effect."
 )
 POINTS_CAPTION: Final = (
     " A setting with many values is divided into ranges with equally many cases; grey points are single cases. Cases "
@@ -51,10 +51,12 @@ LEVELS_NOTE: Final = (
     "settings and the seed are equal, one at the first level and one at this level; the ratio is the geometric mean of "
     "the ratios of all pairs. What both cases of a pair share cancels in it, so its interval is narrower."
 )
-FALLS_CAPTION: Final = "Share of the cases in which any deployment had a fall, with 95 % interval (Wilson)."
+ABORTED_CAPTION: Final = (
+    "Share of the cases in which any deployment was aborted by a failed step, with 95 % interval (Wilson)."
+)
 HOPS_CAPTION: Final = (
     "Number of hops, over all deployments, until the error stays in the paper's band: median, with a bar between the "
-    "quartiles. A case that did not reach the band, or fell in its last deployment, counts as never."
+    "quartiles. A case that did not reach the band, or whose last deployment was aborted, counts as never."
 )
 SENSITIVITY_CAPTION: Final = (
     "Share of the variance of the logarithm of the last RMSE that each setting explains (dark), and the largest "
@@ -139,8 +141,8 @@ def _drawings(sweep: _Sweep) -> dict[str, Drawing | Missing]:
                     ),
                     f"the effects on {quantity.name}",
                 )
-        if cases.fell.any():
-            makers["falls"] = (lambda figures: figures.falls_figure(cases, axes), "the falls")
+        if cases.aborted.any():
+            makers["aborted"] = (lambda figures: figures.aborted_figure(cases, axes), "the aborted deployments")
         if np.isfinite(cases.hops).any():
             makers["hops"] = (lambda figures: figures.hops_figure(cases, axes), "the hops to the band")
     if not isinstance(found := sweep.shares, Missing):
@@ -170,7 +172,7 @@ def _html(
     title = f"StepGap report of a sweep: {sweep.folder.resolve().name}"
     parts = {
         "effects": _effects(sweep, drawings) if len(cases) else [],
-        "falls": _falls(cases, drawings) if len(cases) else [],
+        "aborted": _aborted(cases, drawings) if len(cases) else [],
         "sensitivity": _sensitivity(sweep, drawings) if len(cases) else [],
         "levels": _levels(sweep),
         "worst": [worst_cases(cases, sweep.folder, sweep.state)] if len(cases) else [],
@@ -200,13 +202,13 @@ def _effects(sweep: _Sweep, drawings: Mapping[str, Drawing | Missing]) -> list[s
     return [*pictures, paragraph(more * bool(hidden) + INTERVALS)]
 
 
-def _falls(cases: SweepCases, drawings: Mapping[str, Drawing | Missing]) -> list[str]:
+def _aborted(cases: SweepCases, drawings: Mapping[str, Drawing | Missing]) -> list[str]:
     if not cases.axes:
         return []
     return [
         picture(drawings[name], f"{name}-", caption) if name in drawings else paragraph(otherwise)
         for name, caption, otherwise in (
-            ("falls", FALLS_CAPTION, "No case had a fall in any deployment."),
+            ("aborted", ABORTED_CAPTION, "No deployment of any case was aborted."),
             ("hops", HOPS_CAPTION, "No case is known to have reached the paper's band."),
         )
     ]

@@ -29,7 +29,7 @@ def sweep_headline(cases: SweepCases, state: Sequence[Quantity]) -> str:
 def sweep_sentences(
     cases: SweepCases, state: Sequence[Quantity], planned: int | Missing, found: VarianceShares | Missing
 ) -> list[str]:
-    """Sentences on finished, failed and fallen cases, on the errors, and on the settings that matter most.
+    """Sentences on finished, failed and aborted cases, on the errors, and on the settings that matter most.
 
     Args:
         cases: The cases.
@@ -40,7 +40,7 @@ def sweep_sentences(
     return [
         _finished(cases, planned),
         *_failed(cases),
-        *_fallen(cases),
+        *_aborted(cases),
         *_worse(cases, state),
         *([] if isinstance(found, Missing) else _largest(found, state)),
     ]
@@ -70,7 +70,7 @@ def share_notes(cases: SweepCases, found: VarianceShares) -> list[str]:
     without = len(cases) - found.cases
     if without:
         notes.append(
-            f"{_cases(without)} with a fall in the last deployment, or without a known error, cannot be compared and "
+            f"{_cases(without)} whose last deployment was aborted, or without a known error, cannot be compared and "
             f"{'is' if without == 1 else 'are'} left out."
         )
     if found.left_out:
@@ -99,16 +99,16 @@ def _failed(cases: SweepCases) -> list[str]:
     return [f"{_cases(failed)} failed and {'has' if failed == 1 else 'have'} no result; the reasons are listed below."]
 
 
-def _fallen(cases: SweepCases) -> list[str]:
+def _aborted(cases: SweepCases) -> list[str]:
     if not len(cases):
         return []
-    fell, last = int(cases.fell.sum()), int(cases.fell_last.sum())
-    if not fell:
-        return ["No case had a fall."]
-    of_them = "all" if last == fell else last or "none"
+    aborted, last = int(cases.aborted.sum()), int(cases.aborted_last.sum())
+    if not aborted:
+        return ["No deployment was aborted by a failed step."]
+    of_them = "all" if last == aborted else last or "none"
     return [
-        f"{_cases(fell)} ({percent(100 * fell / len(cases))} %) had a fall, {of_them} of them in the last deployment. "
-        "The error of a deployment with a fall is not compared with others."
+        f"In {_cases(aborted)} ({percent(100 * aborted / len(cases))} %) a deployment was aborted by a failed step, in "
+        f"{of_them} of them the last one. The error of an aborted deployment is not compared with others."
     ]
 
 

@@ -98,7 +98,7 @@ class VarianceShares:
 
 
 def variance_shares(cases: SweepCases, rng: np.random.Generator) -> VarianceShares | Missing:
-    """Computes the shares from the cases whose last errors are known and without a fall.
+    """Computes the shares from the cases whose last errors are known and whose last deployment was not aborted.
 
     Args:
         cases: The cases.
