@@ -53,7 +53,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         "transient_rmse": known_numbers(found.transient_rmse),
         "steady_rmse": known_numbers(found.steady_rmse),
         "true_rmse": known_numbers(found.true_rmse),
-        "hops_to_band": None if found.falls else executed_hops_to_band(deployments),
+        "hops_to_band": None if found.failed_steps else executed_hops_to_band(deployments),
         "covered": covered.tolist(),
         "counted": int(counted.min()),
     }
