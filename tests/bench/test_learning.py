@@ -16,6 +16,7 @@ from stepgap.bench import learning_plan, tasks
 from stepgap.bench import trial as trial_module
 from stepgap.bench.learning import measure_twin
 from stepgap.bench.learning_plan import LearningPlan, learning_results, read_learning_plan
+from stepgap.bench.learning_summary import summarise_learning
 from stepgap.bench.methods.registry import SKIPPED, methods
 from stepgap.bench.tasks import Change, Task, square_reference
 from stepgap.bench.trial import Trial, hopping_gap
@@ -24,7 +25,6 @@ from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseResult
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.report.learning import summarise_learning
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.twin.family import DRAWN, random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap

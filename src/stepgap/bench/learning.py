@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepgap.base.blas import one_blas_thread
+from stepgap.bench.learning_summary import UNCORRECTED, DeploymentRow
 from stepgap.bench.methods.redeployment import uncorrected
 from stepgap.bench.methods.registry import method_of
 from stepgap.bench.tasks import Task
@@ -16,7 +17,6 @@ from stepgap.bench.trial import Trial, hopping_gap
 from stepgap.experiment.bands import executed_hops_to_band, interval_coverage
 from stepgap.experiment.outcome import summarise
 from stepgap.learning.step_log import StepLog
-from stepgap.report.learning import UNCORRECTED, DeploymentRow
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.step import Array
 

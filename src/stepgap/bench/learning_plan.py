@@ -11,11 +11,11 @@ from stepgap.base.errors import InputError
 from stepgap.base.ranges import require
 from stepgap.base.settings_file import build_from_file, to_table
 from stepgap.bench.learning import measure_twin
+from stepgap.bench.learning_summary import UNCORRECTED, DeploymentRow
 from stepgap.bench.tasks import DEFAULT_TASK, tasks
 from stepgap.control.reference import parse_reference
 from stepgap.experiment.cases.case_folder import CaseFolder
 from stepgap.experiment.cases.plan import CaseOutput
-from stepgap.report.learning import UNCORRECTED, DeploymentRow
 from stepgap.robots.hopper.parameters import CommandBounds
 
 LEARNING_FILE = "learning.toml"

@@ -115,9 +115,9 @@ def _check_methods(chosen: "Sequence[str]", source: str) -> None:
 def _summarise(plan: "LearningPlan", folder: "CaseFolder", quiet: bool) -> None:
     """Prints the table, writes all rows, their summary and the figure, and prints the paths of the files."""
     from stepgap.base.files import write_whole
+    from stepgap.bench.learning_figure import learning_picture
     from stepgap.bench.learning_plan import learning_results
-    from stepgap.report.learning import describe_learning, summarise_learning
-    from stepgap.report.learning_figure import learning_picture
+    from stepgap.bench.learning_summary import describe_learning, summarise_learning
 
     results = learning_results(plan, folder)
     if not results.rows:

@@ -2,13 +2,13 @@
 
 from functools import partial
 
+from stepgap.bench.learning_summary import UNCORRECTED, WITHOUT
 from stepgap.bench.methods import affine, ensemble, integral, inverse, physics
 from stepgap.bench.methods.ablation import ABLATIONS, ablated
 from stepgap.bench.methods.redeployment import EXPLORATION, corrected, from_the_first_hop, paper, residual
 from stepgap.bench.trial import UNCORRECTED_LEARNING, Method
 from stepgap.learning.entry_points import residual_models, residual_names
 from stepgap.learning.settings import AUTO, LearningSettings
-from stepgap.report.learning import UNCORRECTED, WITHOUT
 
 REASONS = {"sysid": physics.SYSID_MISSING, "sysid_plain": physics.SYSID_MISSING, "ensemble": ensemble.SKLEARN_MISSING}
 """Why methods that need further packages cannot be used; empty if they can."""

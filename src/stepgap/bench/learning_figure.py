@@ -8,9 +8,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from stepgap.bench.learning_summary import (
+    DEFAULT,
+    UNCORRECTED,
+    DeploymentRow,
+    Key,
+    summarise_learning,
+    tracking_error_of,
+)
+from stepgap.bench.paired_differences import log_ratio
 from stepgap.report.colours import BLUE, GREY
-from stepgap.report.learning import DEFAULT, UNCORRECTED, DeploymentRow, Key, summarise_learning, tracking_error_of
-from stepgap.report.paired import log_ratio
 
 
 def learning_picture(rows: Sequence[DeploymentRow], form: str) -> bytes:

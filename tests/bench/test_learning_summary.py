@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stepgap.experiment.bands import PAPER_BAND, hops_to_band
-from stepgap.report.learning import (
+from stepgap.bench.learning_figure import learning_picture
+from stepgap.bench.learning_summary import (
     BEYOND_NOISE,
     DEFAULT,
     ERRORS,
@@ -13,7 +13,7 @@ from stepgap.report.learning import (
     describe_learning,
     summarise_learning,
 )
-from stepgap.report.learning_figure import learning_picture
+from stepgap.experiment.bands import PAPER_BAND, hops_to_band
 
 
 def test_the_band_is_reached_when_no_later_window_leaves_it() -> None:

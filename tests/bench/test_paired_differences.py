@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from stepgap.report.paired import LARGEST_RATIO, holm, log_ratio, paired_difference
+from stepgap.bench.paired_differences import LARGEST_RATIO, holm, log_ratio, paired_difference
 
 
 def test_the_difference_is_that_of_a_t_test_on_the_means_of_twins() -> None:

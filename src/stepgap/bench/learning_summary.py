@@ -1,4 +1,4 @@
-"""Results of `stepgap bench learning`: measures of each method over all twins and seeds, and their table."""
+"""The summary of `stepgap bench learning`: measures of each method over all twins and seeds, and their table."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from stepgap.bench.paired_differences import CONFIDENCE, LARGEST_RATIO, PairedDifference, holm, paired_difference
 from stepgap.experiment.bands import PAPER_BAND, WINDOW
-from stepgap.report.paired import CONFIDENCE, LARGEST_RATIO, PairedDifference, holm, paired_difference
 
 DeploymentRow = dict[str, Any]
 """Measures of one deployment as plain data for JSON; a deployment without a step has none."""
