@@ -12,12 +12,15 @@ from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
 from stepgap.control.reference import paper_reference
+from stepgap.experiment import settings
 from stepgap.experiment.inputs import load_reference, write_experiment
 from stepgap.experiment.settings import METHODS, Experiment, read_experiment
 from stepgap.learning.settings import LearningSettings
+from stepgap.robots.entry_points import load_robot
 from stepgap.robots.hopper.parameters import CommandBounds, Gains
 from stepgap.robots.hopper.robot import Hopper, as_hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
+from stepgap.robots.robot import Robot
 
 SPACE = CommandBounds().space()
 
@@ -29,6 +32,20 @@ def hopper_of(experiment: Experiment) -> Hopper:
 def test_without_a_file_it_is_the_papers_experiment() -> None:
     assert read_experiment(None) == Experiment()
     assert (load_reference(Experiment(), SPACE).targets == paper_reference().targets).all()
+
+
+def test_only_the_robot_that_a_file_names_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def load(name: str) -> Robot:
+        made.append(name)
+        return load_robot(name)
+
+    monkeypatch.setattr(settings, "load_robot", load)
+    path = tmp_path / "experiment.toml"
+    path.write_text('robot = "quadruped"\nseed = 3\n', encoding="utf-8")
+    assert read_experiment(path) == Experiment(load_robot("quadruped"), seed=3)
+    assert set(made) == {"quadruped"}
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ from stepgap.records.steps_csv import RecordError
 from stepgap.report import RunContext, WrittenReport, comparison_html, write_report
 from stepgap.report.motion import INTERVAL, Replay, kept_motion
 from stepgap.robots.entry_points import load_robot
-from stepgap.robots.hopper.robot import TWIN
 from stepgap.robots.scene import Motion
 from stepgap.step import StepMap
 
@@ -81,7 +80,7 @@ def _context(
     """Context of the report from the settings of a run, with the reason for each missing part."""
     if isinstance(settings, Missing):
         return RunContext("plant of an unknown kind", settings, settings, settings, settings)
-    plant = {TWIN: "simulated twin"}.get(settings.plant, f"plant '{settings.plant}'")
+    plant = settings.robot.plant_titles.get(settings.plant, f"plant '{settings.plant}'")
     defaults = experiment_table(Experiment(load_robot(settings.robot.name)))
     nominal = _nominal_of(settings)
     final = nominal if isinstance(nominal, Missing) else _final_residual(record, settings, nominal)

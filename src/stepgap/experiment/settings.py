@@ -146,13 +146,17 @@ def read_experiment(path: Path | None, overrides: Iterable[tuple[str, str]] = ()
     """
     overrides = [(name.replace("-", "_"), _parse_value(value)) for name, value in overrides]
     chosen = dict(overrides).get(ROBOT)
-    experiment = Experiment() if chosen is None else Experiment(_robot(chosen, f"--{ROBOT}"))
+    table = {} if path is None else read_toml(path, "an experiment")
+
+    def locate(name: str) -> str:
+        return f"{path}: {with_table(name)}"
+
+    named = (table.get(ROBOT, DEFAULT_ROBOT), locate(ROBOT)) if chosen is None else (chosen, f"--{ROBOT}")
+    experiment = Experiment(_robot(*named))
+    if chosen is not None and table.get(ROBOT, chosen) != chosen:
+        raise InputError(f"--{ROBOT} {chosen}: {path} is an experiment of robot = {format_value(table[ROBOT])}")
     if path is not None:
-        table = read_toml(path, "an experiment")
-        if chosen is not None and table.get(ROBOT, chosen) != chosen:
-            raise InputError(f"--{ROBOT} {chosen}: {path} is an experiment of robot = {format_value(table[ROBOT])}")
-        experiment = changed_experiment(experiment, table, lambda name: f"{path}: {with_table(name)}")
-        experiment = with_absolute_paths(experiment, path.parent)
+        experiment = with_absolute_paths(changed_experiment(experiment, table, locate), path.parent)
     changes = nested((name, value) for name, value in overrides if name != ROBOT)
     return changed_experiment(experiment, changes, lambda name: f"--{SHORT_OPTIONS.get(name, name)}")
 

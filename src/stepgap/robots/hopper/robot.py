@@ -42,6 +42,7 @@ class Hopper(Robot):
     presets: ClassVar[Mapping[str, Mapping[str, RealityGap]]] = {
         "gap": {"paper": RealityGap(), "none": RealityGap.none(), **PAPER_FAMILY}
     }
+    plant_titles: ClassVar[Mapping[str, str]] = {TWIN: "simulated twin"}
 
     parameters: RobotParameters = field(default_factory=RobotParameters)
     gains: Gains = field(default_factory=Gains)
