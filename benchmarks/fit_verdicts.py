@@ -25,8 +25,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from stepgap.experiment.fit import read_fit_data
-from stepgap.experiment.fit_results import gains
+from stepgap.experiment.fit import gains, read_fit_data
 from stepgap.learning.step_table import StepTable
 from stepgap.learning.validation import Reduction, Validation, deployment_folds, validate
 

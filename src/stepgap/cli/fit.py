@@ -103,11 +103,9 @@ def fit(
 def _apply(model: Path, log: tuple[Path, ...], source: "Source", results: Results) -> None:
     """Predicts the steps of logs by a saved model."""
     from stepgap.experiment.fit import check_count, read_nominal_errors
-    from stepgap.experiment.model_application import (
-        LEAST_PREDICTED,
-        MOST_PREDICTED,
+    from stepgap.experiment.model_application import LEAST_PREDICTED, MOST_PREDICTED, apply_model
+    from stepgap.report.model_application import (
         application_report,
-        apply_model,
         describe_application,
         prediction_table,
         show_application,
@@ -131,9 +129,9 @@ def _compare(
     from stepgap.base.blas import one_blas_thread
     from stepgap.cli.progress import progress_bar
     from stepgap.experiment.fit import choose_folds, read_fit_data, read_test_data
-    from stepgap.experiment.fit_results import describe_fit_data, show_validation, verdicts
     from stepgap.learning.residual_fit import names_without_lagged_inputs
     from stepgap.learning.validation import validate, validate_on
+    from stepgap.report.fit_results import describe_fit_data, show_validation, verdicts
 
     kinds = names_without_lagged_inputs()
     data = read_fit_data(log, *source)
@@ -154,8 +152,8 @@ def _compare(
 def _write(results: Results, log: tuple[Path, ...], data: "FitData", validation: "Validation") -> None:
     """Writes the requested files."""
     from stepgap.experiment.fit import best_model
-    from stepgap.experiment.fit_results import fit_report
     from stepgap.report.fit import fit_picture
+    from stepgap.report.fit_results import fit_report
 
     if results.out:
         write_new(results.out, "--out", json.dumps(fit_report(log, data, validation), indent=1))

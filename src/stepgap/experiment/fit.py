@@ -9,7 +9,7 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.settings import read_experiment
-from stepgap.learning.model_averaging import common_weights
+from stepgap.learning.model_averaging import averaged, common_weights
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.learning.step_table import StepTable, describe_left_out, tabulate
@@ -17,10 +17,12 @@ from stepgap.learning.validation import (
     FOLDS,
     LEAST_STEPS,
     Folds,
+    Reduction,
     Validation,
     contiguous_folds,
     deployment_folds,
     fit_steps,
+    reduction,
 )
 from stepgap.records.columns import Columns
 from stepgap.records.foreign_log import read_foreign_logs
@@ -38,6 +40,9 @@ NOMINALS = {
     "state": "the state, as if a step did not change it",
 }
 """Sources of the nominal next states, with descriptions."""
+
+BASELINES: tuple[str, ...] = ("none", "constant")
+"""Residuals with which all others are compared, besides that of the run."""
 
 Settings = Sequence[tuple[str, str]]
 """Dotted names and values."""
@@ -207,6 +212,12 @@ def read_test_data(
         _common_experiment([log / "steps.csv" if log.is_dir() else log for log in (*logs, *test)])
     found = read_fit_data(test, columns, nominal, experiment, overrides)
     return replace(found.steps, space=data.steps.space)
+
+
+def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduction]:
+    """Reduction of the error of these state coordinates by the averaged prediction, over that of each baseline."""
+    average, block = averaged(validation), validation.folds.block
+    return {kind: reduction(average, validation.held_out[kind], block, coordinates) for kind in BASELINES}
 
 
 def heaviest_residual(validation: Validation) -> str:

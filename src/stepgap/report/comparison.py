@@ -7,14 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from stepgap.experiment.bands import executed_hops_to_band
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
 from stepgap.report.drawing import draw_figure
-from stepgap.report.html import bullets, page, paragraph, picture, section, table, with_unit
+from stepgap.report.error_table import hops_in_words
+from stepgap.report.html import bullets, page, paragraph, picture, section, table
 from stepgap.report.seed_spread import spread_tables
 from stepgap.report.sentences import end_in_a_word, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
+from stepgap.report.units import with_unit
 
 MOST_RUNS: Final = 12
 """Largest number of runs on one page, so that their curves can be distinguished."""
@@ -161,12 +162,11 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
 
 
 def _to_band(record: RunRecord) -> str:
+    """Number of hops until the error stays in the band, over all deployments of a run."""
     if not record.deployments:
         return DASH
-    if record.deployments[-1].failed_steps:
-        return f"never: {end_in_a_word(record, record.deployments[-1])}"
-    hops = executed_hops_to_band([record.steps.of_iteration(entry.iteration) for entry in record.deployments])
-    return "never" if hops is None else str(hops)
+    logs = [record.steps.of_iteration(entry.iteration) for entry in record.deployments]
+    return hops_in_words(logs, end_in_a_word(record, record.deployments[-1]))
 
 
 def _settings(records: Sequence[RunRecord], names: Sequence[str]) -> str:

@@ -10,8 +10,9 @@ from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
 from stepgap.report.decimals import decimal
-from stepgap.report.html import safe, table, with_unit
+from stepgap.report.html import safe, table
 from stepgap.report.sentences import end_in_a_word
+from stepgap.report.units import with_unit
 
 
 def error_table(record: RunRecord, row: int, plant: str) -> str:
@@ -89,15 +90,20 @@ def band_table(record: RunRecord) -> str:
     rows, hops, logs = [], 0, []
     for entry in record.deployments:
         log = record.steps.of_iteration(entry.iteration)
-        rows.append(
-            [str(entry.iteration), str(entry.steps), _to_band([log], end_in_a_word(record, entry)), *_best([log])]
-        )
+        to_band = hops_in_words([log], end_in_a_word(record, entry))
+        rows.append([str(entry.iteration), str(entry.steps), to_band, *_best([log])])
         hops, logs = hops + entry.steps, [*logs, log]
-    rows.append(["all", str(hops), _to_band(logs, end_in_a_word(record, record.deployments[-1])), *_best(logs)])
+    rows.append(["all", str(hops), hops_in_words(logs, end_in_a_word(record, record.deployments[-1])), *_best(logs)])
     return table(caption, heads, rows)
 
 
-def _to_band(deployments: Sequence[StepLog], end: str) -> str:
+def hops_in_words(deployments: Sequence[StepLog], end: str) -> str:
+    """Number of hops until the error stays in the band, for a table.
+
+    Args:
+        deployments: The deployments, in their order.
+        end: How the last one ended, as from `end_in_a_word`.
+    """
     if end != "complete":
         return f"never: {end}"
     hops = executed_hops_to_band(deployments)

@@ -7,10 +7,11 @@ import numpy as np
 from stepgap.control.limit_cycle import FixedPoint
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
-from stepgap.report.html import table, with_unit
+from stepgap.report.html import table
 from stepgap.report.intervals import between
 from stepgap.report.measured_loop import MeasuredLoop, measured_loop
 from stepgap.report.reference_gait import MapGait, Multipliers, ReferenceGait
+from stepgap.report.units import with_unit
 from stepgap.step import Array
 
 

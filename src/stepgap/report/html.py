@@ -15,7 +15,6 @@ from typing import Final
 from stepgap.records.missing import Missing
 from stepgap.report.drawing import Drawing
 from stepgap.report.hover import HOVER_SCRIPT
-from stepgap.step import Quantity
 
 STYLE: Final = files("stepgap.report").joinpath("page.css").read_text(encoding="utf-8")
 """Style sheet of every page."""
@@ -86,11 +85,6 @@ def picture(drawn: Drawing | Missing, prefix: str, caption: str) -> str:
         return paragraph(f"{drawn.reason[:1].upper()}{drawn.reason[1:]}.")
     values = safe(drawn.hover)
     return f'<figure data-hover="{values}">{inline_svg(drawn, prefix)}<figcaption>{safe(caption)}</figcaption></figure>'
-
-
-def with_unit(quantity: Quantity) -> str:
-    """Name and unit of a coordinate, as in tables."""
-    return f"{quantity.name} [{quantity.unit}]" if quantity.unit else quantity.name
 
 
 def paragraph(text: str) -> str:

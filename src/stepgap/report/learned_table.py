@@ -11,8 +11,9 @@ from stepgap.learning.regression import Parameter
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
-from stepgap.report.html import table, with_unit
+from stepgap.report.html import table
 from stepgap.report.learned import LearnedResidual, input_quantities
+from stepgap.report.units import with_unit
 from stepgap.step import Array
 
 UNIT_NOTES: Final = {

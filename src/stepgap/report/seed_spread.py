@@ -8,8 +8,9 @@ from scipy.special import stdtrit
 
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.decimals import decimal
-from stepgap.report.html import table, with_unit
+from stepgap.report.html import table
 from stepgap.report.settings_table import flat_settings
+from stepgap.report.units import with_unit
 from stepgap.step import Array
 
 FEWEST_SEEDS: Final = 3

@@ -11,7 +11,8 @@ from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import Deployment
 from stepgap.report.decimals import decimal
 from stepgap.report.intervals import between, rmse_interval
-from stepgap.step import Array, Quantity, StepStatus, ending_of
+from stepgap.report.units import unit_suffix
+from stepgap.step import Array, StepStatus, ending_of
 
 MOST_NAMED = 6
 """Largest number of targets that a sentence names."""
@@ -83,10 +84,10 @@ def _change(record: RunRecord, row: int) -> str:
         before, after = first.errors[measure][row], last.errors[measure][row]
         factor = improvement(first, last, measure)[row]
         outcome = f", {_times(factor)}" if np.isfinite(factor) else ""
-        known = f"from {decimal(before)} to {decimal(after)}{_unit(quantity)}{outcome}"
+        known = f"from {decimal(before)} to {decimal(after)}{unit_suffix(quantity)}{outcome}"
         parts.append(f"{measure.upper()} {known if np.isfinite(before - after) else 'unknown'}")
     if np.isfinite([*interval, last.errors["rmse"][row]]).all():
-        ends = f"{decimal(interval[0])} to {decimal(interval[1])}{_unit(quantity)}"
+        ends = f"{decimal(interval[0])} to {decimal(interval[1])}{unit_suffix(quantity)}"
         parts.insert(1, f"95 % interval of the last RMSE {ends}")
     title = _title(quantity.name.replace("_", " "))
     return f"{title}, from deployment {first.iteration} to {last.iteration}: {'; '.join(parts)}."
@@ -137,7 +138,7 @@ def _with_intervals(record: RunRecord, floor: Array, ends: Array, rows: Sequence
     """Standard deviations (n,) of some coordinates, with their intervals (2, n) where these are known."""
     state = record.space.state
     return ", ".join(
-        f"{state[row].name} {decimal(floor[row])}{_unit(state[row])}{between(ends[:, row])}" for row in rows
+        f"{state[row].name} {decimal(floor[row])}{unit_suffix(state[row])}{between(ends[:, row])}" for row in rows
     )
 
 
@@ -175,7 +176,9 @@ def _targets(record: RunRecord, targets: Array) -> str:
     """Targets with their units."""
     count = _count(len(targets), "target")
     texts = [
-        " ".join(f"{value:.4g}{_unit(quantity)}" for value, quantity in zip(target, record.space.state, strict=True))
+        " ".join(
+            f"{value:.4g}{unit_suffix(quantity)}" for value, quantity in zip(target, record.space.state, strict=True)
+        )
         for target in targets[:MOST_NAMED]
     ]
     more = f"; and {len(targets) - MOST_NAMED} more" if len(targets) > MOST_NAMED else ""
@@ -226,7 +229,3 @@ def _failures(record: RunRecord) -> str:
 
 def _title(text: str) -> str:
     return text[:1].upper() + text[1:]
-
-
-def _unit(quantity: Quantity) -> str:
-    return f" {quantity.unit}" if quantity.unit else ""

@@ -11,6 +11,7 @@ from viser import GuiApi, GuiUplotHandle, uplot
 
 from stepgap.learning.step_log import LoggedStep
 from stepgap.report.colours import BLUE, VERMILLION
+from stepgap.report.units import with_unit
 from stepgap.step import Array, Quantity
 from stepgap.view.learned import Curve
 
@@ -23,7 +24,7 @@ NO_DOTS = uplot.Series_Points(show=False)
 
 def named(quantity: Quantity, prefix: str = "") -> str:
     """Axis label with name and unit."""
-    return f"{prefix}{quantity.name}{f' [{quantity.unit}]' if quantity.unit else ''}"
+    return f"{prefix}{with_unit(quantity)}"
 
 
 def add_legend(gui: GuiApi, entries: Sequence[tuple[str, str, str]]) -> None:

@@ -7,8 +7,9 @@ from typing import Final
 import numpy as np
 
 from stepgap.report.decimals import decimal
-from stepgap.report.html import paragraph, table, with_unit
+from stepgap.report.html import paragraph, table
 from stepgap.report.sweep.cases import LevelCodes, SweepCases
+from stepgap.report.units import with_unit
 from stepgap.step import Quantity
 
 MOST_WORST: Final = 10

@@ -6,12 +6,13 @@ from typing import Final
 import numpy as np
 
 from stepgap.report.decimals import decimal
-from stepgap.report.html import table, with_unit
+from stepgap.report.html import table
 from stepgap.report.settings_table import DASH
 from stepgap.report.sweep.cases import LevelCodes, SweepAxis, SweepCases
 from stepgap.report.sweep.levels import Estimates, level_means, matched_groups, paired_ratios, quartiles
 from stepgap.report.sweep.sentences import percent
 from stepgap.report.sweep.variance_shares import VarianceShare, VarianceShares
+from stepgap.report.units import with_unit
 from stepgap.step import Quantity
 
 MOST_ROWS: Final = 20

@@ -9,6 +9,7 @@ from stepgap.report.decimals import decimal
 from stepgap.report.sweep.cases import SweepCases
 from stepgap.report.sweep.levels import overall_mean
 from stepgap.report.sweep.variance_shares import VarianceShares
+from stepgap.report.units import unit_suffix
 from stepgap.step import Array, Quantity
 
 
@@ -115,7 +116,9 @@ def _aborted(cases: SweepCases) -> list[str]:
 def _means(errors: Array, state: Sequence[Quantity]) -> str:
     """Geometric means of the errors of the state coordinates, as far as they are known."""
     means = zip(state, map(overall_mean, errors.T), strict=True)
-    return " and ".join(f"{decimal(mean)}{_unit(each)} in {each.name}" for each, mean in means if np.isfinite(mean))
+    return " and ".join(
+        f"{decimal(mean)}{unit_suffix(each)} in {each.name}" for each, mean in means if np.isfinite(mean)
+    )
 
 
 def _worse(cases: SweepCases, state: Sequence[Quantity]) -> list[str]:
@@ -159,7 +162,3 @@ def _largest(found: VarianceShares, state: Sequence[Quantity]) -> list[str]:
 
 def _cases(number: int) -> str:
     return f"{number} case{'' if number == 1 else 's'}"
-
-
-def _unit(quantity: Quantity) -> str:
-    return f" {quantity.unit}" if quantity.unit else ""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from stepgap.experiment.fit_results import lacking
 from stepgap.learning.validation import HeldOut
+from stepgap.report.fit_results import lacking
 from stepgap.step import Quantity
 
 STATE = (Quantity("speed", "m/s", 0.0, 1.0), Quantity("height", "m", 0.0, 1.0))

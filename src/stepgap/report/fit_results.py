@@ -11,17 +11,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from stepgap.experiment.fit import FitData, heaviest_residual
+from stepgap.experiment.fit import BASELINES, FitData, gains, heaviest_residual
 from stepgap.learning.model_averaging import averaged, correlation_of_successive, residual_weights
 from stepgap.learning.step_table import StepTable, describe_left_out
-from stepgap.learning.validation import Folds, HeldOut, Reduction, Validation, reduction
+from stepgap.learning.validation import Folds, HeldOut, Reduction, Validation
+from stepgap.report.units import with_unit
 from stepgap.step import Array, Quantity
 
 FIT_SCHEMA = 4
 """Version of the JSON file."""
-
-BASELINES: tuple[str, ...] = ("none", "constant")
-"""Residuals with which all others are compared, besides that of the run."""
 
 
 def verdicts(state: Sequence[Quantity], validation: Validation, follows: NDArray[np.bool_]) -> str:
@@ -36,12 +34,6 @@ def verdicts(state: Sequence[Quantity], validation: Validation, follows: NDArray
     together = [f"{'all together:':16}{verdict(validation, range(len(state)))}"] if len(state) > 1 else []
     weights = f"{'weights:':16}{weight_sentence(state, validation)}"
     return "\n".join([weights, f"{'successive:':16}{lacking(state, averaged(validation), follows)}", *lines, *together])
-
-
-def gains(validation: Validation, coordinates: Sequence[int]) -> dict[str, Reduction]:
-    """Reduction of the error of these state coordinates by the averaged prediction, over that of each baseline."""
-    average, block = averaged(validation), validation.folds.block
-    return {kind: reduction(average, validation.held_out[kind], block, coordinates) for kind in BASELINES}
 
 
 def verdict(validation: Validation, coordinates: Sequence[int]) -> str:
@@ -120,8 +112,8 @@ def describe_log(data: FitData) -> str:
         [
             f"steps       {len(steps)} of {deployments} deployment{'s' if deployments > 1 else ''}; "
             f"rows left out: {describe_left_out(steps.left_out)}",
-            f"state       {', '.join(map(_with_unit, space.state))}",
-            f"command     {', '.join(map(_with_unit, space.command))}",
+            f"state       {', '.join(map(with_unit, space.state))}",
+            f"command     {', '.join(map(with_unit, space.command))}",
             f"nominal     {data.nominal}",
         ]
     )
@@ -170,7 +162,7 @@ def show_scores(state: Sequence[Quantity], validation: Validation, compared: Seq
     """
     console, headings = _console(stream), [f"better than {other}" for other in compared]
     for index, quantity in enumerate(state):
-        table = _table(console.is_terminal, _with_unit(quantity), "RMSE", "log density", "within 95 %", *headings)
+        table = _table(console.is_terminal, with_unit(quantity), "RMSE", "log density", "within 95 %", *headings)
         for kind, held in validation.held_out.items():
             scores = (_format(held.rmse[index], ".4g"), _format(held.log_density[index], ".2f"))
             inside = _format(100 * held.coverage[index], ".0f")
@@ -203,10 +195,6 @@ def _compared_all(validation: Validation, kind: str, others: Sequence[str], coor
 
 def _format(value: float, form: str) -> str:
     return f"{value:{form}}" if np.isfinite(value) else "–"
-
-
-def _with_unit(quantity: Quantity) -> str:
-    return f"{quantity.name} [{quantity.unit}]" if quantity.unit else quantity.name
 
 
 def fit_report(logs: Sequence[Path], data: FitData, validation: Validation) -> dict[str, Any]:
