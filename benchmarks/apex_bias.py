@@ -11,12 +11,12 @@ import tempfile
 from pathlib import Path
 
 from stepgap.base.random_streams import random_stream
-from stepgap.control.reference import paper_reference
 from stepgap.experiment.loop import run_experiment
 from stepgap.experiment.plants import choose_plants
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.records.steps_csv import read_step_log
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.reality_gap import RealityGap

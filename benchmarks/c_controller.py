@@ -26,11 +26,11 @@ from threadpoolctl import threadpool_limits
 
 import stepgap
 from stepgap.base.random_streams import random_stream
-from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loaded_run import LoadedRun
 from stepgap.experiment.portable.c_source import Real, c_source
 from stepgap.experiment.portable.portable_controller import PortableController, portable_controller
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.simulation import TwinSimulation
 from stepgap.step import Array, StepRecord, StepStatus

@@ -15,7 +15,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.base.random_streams import random_stream
-from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loop import deployment_generator
 from stepgap.experiment.nominal import load_nominal
@@ -25,6 +24,7 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.plant import Plant, RepeatablePlant
 from stepgap.records.steps_csv import read_step_log, row_of
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.step import Array, StepRecord, StepSpace
 
 REPEATS = 8

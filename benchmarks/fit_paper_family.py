@@ -44,13 +44,13 @@ from fit_paper_gap import (
 )
 
 from stepgap.base.random_streams import random_stream
-from stepgap.control.reference import paper_reference
 from stepgap.experiment.loop import run_experiment
 from stepgap.experiment.plants import choose_plants
 from stepgap.experiment.settings import METHODS, Experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.records import paper
 from stepgap.records.steps_csv import read_step_log
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.twin.family import DRAWN, NOT_IN_PRESET, gap_of_shares, random_shares

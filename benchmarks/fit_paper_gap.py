@@ -29,17 +29,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.base.random_streams import random_stream
-from stepgap.control.reference import SETTLING_STEPS, paper_reference
+from stepgap.control.reference import SETTLING_STEPS
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.outcome import summarise
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.records.paper import NO_GP
 from stepgap.records.summary import Deployment
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.paper import NO_GP, paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.twin.model import GroundProfile
 from stepgap.robots.hopper.twin.reality_gap import RealityGap

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stepgap.control.reference import paper_reference
+from stepgap.robots.hopper.paper import paper_reference
 
 STEPGAP = [sys.executable, "-c", "from stepgap.cli.app import main; main()"]
 

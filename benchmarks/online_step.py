@@ -18,7 +18,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from stepgap.control.cautious_controller import CautiousController
-from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
 from stepgap.learning.background import BackgroundThread
 from stepgap.learning.learner import Learner
@@ -26,6 +25,7 @@ from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.model_plant import ModelPlant
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import RobotParameters
 
 NOISE = np.array([0.008, 0.0013])

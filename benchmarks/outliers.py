@@ -17,12 +17,12 @@ from scipy.stats import t
 from threadpoolctl import threadpool_limits
 
 from stepgap.base.random_streams import random_stream
-from stepgap.control.reference import paper_reference
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.simulation import TwinPlant, TwinSimulation
 

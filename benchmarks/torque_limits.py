@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from stepgap.base.random_streams import random_stream
-from stepgap.control.reference import paper_reference
 from stepgap.experiment.bands import interval_coverage
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.loop import run_experiment
@@ -31,6 +30,7 @@ from stepgap.learning.step_log import StepLog
 from stepgap.records.run_folder import read_run_folder
 from stepgap.report.sentences import headline
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.robot import Hopper
 from stepgap.robots.hopper.simulation import TwinPlant
 from stepgap.robots.hopper.twin.reality_gap import RealityGap

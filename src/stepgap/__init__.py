@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from stepgap.control.limit_cycle import fixed_point as fixed_point
     from stepgap.control.limit_cycle import reachable_set as reachable_set
     from stepgap.control.reference import Reference as Reference
-    from stepgap.control.reference import paper_reference as paper_reference
     from stepgap.control.settings import ControlSettings as ControlSettings
     from stepgap.control.step_controller import StepController as StepController
     from stepgap.control.step_controller import StepPlan as StepPlan
@@ -57,6 +56,7 @@ if TYPE_CHECKING:
     from stepgap.rigs.rig import SensorModel as SensorModel
     from stepgap.robots.hopper.apex_map import ApexMap as ApexMap
     from stepgap.robots.hopper.hop_control import HopperControl as HopperControl
+    from stepgap.robots.hopper.paper import paper_reference as paper_reference
     from stepgap.robots.hopper.parameters import CommandBounds as CommandBounds
     from stepgap.robots.hopper.parameters import Gains as Gains
     from stepgap.robots.hopper.parameters import RobotParameters as RobotParameters
@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from stepgap.robots.mjcf.section import touchdown as touchdown
     from stepgap.robots.nominal_maps.simulator import Simulator as Simulator
     from stepgap.robots.nominal_maps.simulator import SimulatorMap as SimulatorMap
+    from stepgap.robots.published_result import PublishedResult as PublishedResult
     from stepgap.robots.robot import Robot as Robot
     from stepgap.robots.robot import Simulation as Simulation
     from stepgap.robots.scene import Kinematics as Kinematics
@@ -121,6 +122,7 @@ _MODULES = {
     "Observer": "experiment.loop",
     "Outcome": "step",
     "Plant": "plants.plant",
+    "PublishedResult": "robots.published_result",
     "Quantity": "step",
     "ReachableSet": "control.limit_cycle",
     "RealityGap": "robots.hopper.twin.reality_gap",
@@ -158,7 +160,7 @@ _MODULES = {
     "fixed_point": "control.limit_cycle",
     "load_run": "experiment.loaded_run",
     "number": "base.json_data",
-    "paper_reference": "control.reference",
+    "paper_reference": "robots.hopper.paper",
     "reachable_set": "control.limit_cycle",
     "require": "base.ranges",
     "run_experiment": "experiment.loop",

@@ -13,19 +13,6 @@ from stepgap.bench.learning_summary import (
     describe_learning,
     summarise_learning,
 )
-from stepgap.experiment.bands import PAPER_BAND, hops_to_band
-
-
-def test_the_band_is_reached_when_no_later_window_leaves_it() -> None:
-    errors = np.zeros((60, 2))
-    assert hops_to_band(errors) == 20
-    errors[:10] = 10 * PAPER_BAND
-    assert hops_to_band(errors) == 30, "the last bad step must have left the window"
-    errors[45] = 10 * PAPER_BAND
-    assert hops_to_band(errors) is None, "the last window is not in the band"
-    errors[45] = [0.0, 4 * PAPER_BAND[1]]  # 4 bands once in 20 are 0.9 bands on average
-    assert hops_to_band(errors) == 30
-    assert hops_to_band(np.zeros((19, 2))) is None
 
 
 def row(method: str, seed: int, error: float, falls: int = 0, **more: object) -> DeploymentRow:

@@ -3,30 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.control.reference import Reference, paper_reference, parse_reference, read_reference
+from stepgap.control.reference import Reference, parse_reference, read_reference
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds
 
 SPACE = CommandBounds().space()
-
-
-def test_paper_reference_is_the_profile_of_fig_4():
-    reference = paper_reference()
-    assert reference.names == ("speed", "height")
-    assert reference.targets.shape == (227, 2)
-    reference.check(SPACE)
-    for step, target in {1: (0, 0.55), 19: (0, 0.55), 20: (0.17, 0.58), 78: (0.392, 0.58), 79: (0.17, 0.5963)}.items():
-        assert tuple(reference.targets[step - 1]) == target
-    for step, target in {150: (0.17, 0.6126), 151: (0.2255, 0.6126), 198: (0.392, 0.6126), 227: (0.281, 0.629)}.items():
-        assert tuple(reference.targets[step - 1]) == target
-
-
-def test_paper_reference_changes_eighteen_times():
-    reference = paper_reference()
-    changes = [20, 31, 43, 55, 67, 79, 91, 103, 115, 127, 139, 151, 163, 175, 187, 199, 211, 223]
-    assert list(reference.changes + 1) == changes
-    assert len(reference.transient) == 4 * 18
-    assert list(reference.transient[:5] + 1) == [20, 21, 22, 23, 31]
-    assert list(reference.steady[:8] + 1) == [24, 25, 26, 27, 28, 29, 30, 35]
 
 
 def test_steady_and_transient_cover_all_from_the_first_change_on_once():

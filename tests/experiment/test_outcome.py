@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stepgap.base.random_streams import random_stream
-from stepgap.control.reference import Reference, paper_reference
+from stepgap.control.reference import Reference
 from stepgap.experiment.deployment import deploy
 from stepgap.experiment.outcome import (
     count_cut,
@@ -22,6 +22,7 @@ from stepgap.learning.step_log import LoggedStep, StepLog
 from stepgap.plants.rig_plant import RigPlant
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin import Twin
 from stepgap.step import Array, StepRecord, StepStatus

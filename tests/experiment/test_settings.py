@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stepgap.base.errors import InputError
-from stepgap.control.reference import paper_reference
 from stepgap.experiment import settings
 from stepgap.experiment.inputs import load_reference, write_experiment
 from stepgap.experiment.settings import METHODS, Experiment, read_experiment
 from stepgap.learning.settings import LearningSettings
 from stepgap.robots.entry_points import load_robot
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.parameters import CommandBounds, Gains
 from stepgap.robots.hopper.robot import Hopper, as_hopper
 from stepgap.robots.hopper.twin.reality_gap import RealityGap

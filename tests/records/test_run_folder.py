@@ -43,7 +43,6 @@ def test_record_is_what_was_written(folder: Path) -> None:
     (folder / "experiment.toml").write_text("seed = 0\n")
     record = read_run_folder(folder)
     assert record.space.state_names == NAMES
-    assert [quantity.unit for quantity in record.space.state] == ["m/s", ""]
     assert [len(record.steps.of_iteration(number)) for number in record.shown_iterations] == [5, 5]
     np.testing.assert_array_equal(record.deployments[1].errors["rmse"], [np.nan, 0.25])
     np.testing.assert_array_equal(record.noise_floor, [np.nan, np.nan])
@@ -82,6 +81,14 @@ def test_header_gives_the_names_back(tmp_path: Path, state: tuple[str, ...], com
     else:
         found = space_of_header(path)
         assert (found.state_names, found.command_names) == (state, command)
+
+
+def test_no_unit_follows_from_a_name(tmp_path: Path) -> None:
+    space = StepSpace((Quantity("height", "mm", -1, 1),), (Quantity("fx", "kN", -1, 1),))
+    path = tmp_path / "steps.csv"
+    path.write_text(",".join(column_names(space)) + "\n", encoding="utf-8")
+    found = space_of_header(path)
+    assert [quantity.unit for quantity in (*found.state, *found.command)] == ["", ""]
 
 
 def test_space_may_be_given(folder: Path) -> None:

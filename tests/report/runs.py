@@ -15,6 +15,7 @@ from stepgap.records.steps_csv import column_names, row_of
 from stepgap.records.summary import MEASURES
 from stepgap.report import NO_CONTEXT, RunContext, read_run_folder, write_report
 from stepgap.report.motion import INTERVAL
+from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.scene import Link, Motion, Scene
 from stepgap.step import Array, Quantity, StepMap, StepRecord, StepSpace, StepStatus
 from tests.control.maps import LossyHopper
@@ -133,6 +134,11 @@ def motion(frames: int) -> Motion:
     return Motion(time, np.floor(time / 0.8), np.stack([body, foot], axis=1), touching, np.zeros(frames), signals)
 
 
-def report_of(folder: Path, context: RunContext = NO_CONTEXT, space: StepSpace | None = None) -> Path:
+def report_of(
+    folder: Path,
+    context: RunContext = NO_CONTEXT,
+    space: StepSpace | None = None,
+    published: PublishedResult | None = None,
+) -> Path:
     """Writes the report of a run folder and returns the path of the page."""
-    return write_report(read_run_folder(folder, space), context).path
+    return write_report(read_run_folder(folder, space, published), context).path

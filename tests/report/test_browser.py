@@ -12,6 +12,7 @@ from stepgap.report.motion import Replay
 from tests.browser import Watched
 from tests.browser import chromium as chromium  # fixtures
 from tests.browser import watched_page as watched_page
+from tests.control.maps import LossyHopper
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.runs import SCENE, make_run, motion, report_of
 from tests.view.conftest import run_folder as run_folder
@@ -25,7 +26,7 @@ def fallen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make_run(tmp_path_factory.mktemp("fallen") / "run", 1, lasts=(3,))
     with pytest.MonkeyPatch.context() as patch:
         leave_out_files_of_figures(patch)
-        return report_of(folder, RunContext(replay=Replay({0: motion(400)}, SCENE)))
+        return report_of(folder, RunContext(replay=Replay({0: motion(400)}, SCENE)), LossyHopper().space)
 
 
 def test_the_replay_scrubs_and_plays(run_folder: Path, watched_page: Watched) -> None:

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
 from stepgap.report import comparison_html, read_run_folder
 from stepgap.report.comparison import run_names
 from stepgap.report.seed_spread import FEWEST_SEEDS, seed_groups, spread_tables
 from stepgap.report.settings_table import changed_settings, differing, flat_settings
+from stepgap.robots.hopper.paper import paper_reference, paper_result
 from tests.report.pages import Page, check_alone
 from tests.report.runs import make_run, write_run
 
@@ -43,12 +43,12 @@ def test_runs_side_by_side(folders: list[Path], tmp_path: Path) -> None:
 
 def test_the_papers_band_is_compared_along_its_reference_only(folders: list[Path], tmp_path: Path) -> None:
     targets = paper_reference().targets
-    like_paper = [
-        read_run_folder(write_run(tmp_path / name, ("speed", "height"), 227, 1, targets=targets)) for name in "ab"
-    ]
+    runs = [write_run(tmp_path / name, ("speed", "height"), 227, 1, targets=targets) for name in "ab"]
+    like_paper = [read_run_folder(run, published=paper_result()) for run in runs]
     band = "until the error stays in the paper&#x27;s band"
     assert band in comparison_html(like_paper)
-    assert band not in comparison_html([like_paper[0], read_run_folder(folders[0])])
+    assert band not in comparison_html([like_paper[0], read_run_folder(folders[0], published=paper_result())])
+    assert band not in comparison_html([like_paper[0], read_run_folder(runs[1])])
 
 
 def test_runs_of_another_state_are_refused(folders: list[Path], tmp_path: Path) -> None:

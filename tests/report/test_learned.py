@@ -30,7 +30,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_last_model_and_its_numbers(folder: Path) -> None:
-    record, saved = read_run_folder(folder), json.loads((folder / "models" / "iteration_2.json").read_text())
+    record, saved = (
+        read_run_folder(folder, LossyHopper().space),
+        json.loads((folder / "models" / "iteration_2.json").read_text()),
+    )
     learned = read_learned_residual(folder, 2, record.space)
     assert isinstance(learned, LearnedResidual)
     assert len(learned.residual.regressions) == 2

@@ -19,6 +19,7 @@ from stepgap.report.comparison import comparison_html
 from stepgap.report.error_table import band_table
 from stepgap.report.figures import command_figure, error_figure, map_figure, tracking_figure
 from stepgap.report.learned import described_residual
+from stepgap.robots.hopper.paper import paper_result
 from tests.control.maps import LossyHopper
 from tests.report.pages import Page
 from tests.report.runs import TARGETS, make_run
@@ -102,9 +103,9 @@ def test_predictions_of_exploratory_steps_are_no_reference(record: RunRecord) ->
 
 
 def test_hops_to_the_band_include_exploratory_ones(record: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
-    tracking = hops_to_band(tracking_errors(record.steps))
+    tracking = hops_to_band(tracking_errors(record.steps), paper_result().band)
     assert tracking is not None
-    monkeypatch.setattr(RunRecord, "like_paper", True)
+    monkeypatch.setattr(RunRecord, "compared_result", paper_result())
     total, hops = len(TARGETS) + EXPLORATION, tracking + EXPLORATION
     assert f'<th scope="row">all</th><td>{total}</td><td>{hops}</td>' in band_table(record)
     other = replace(record, folder=record.folder.parent / "other")

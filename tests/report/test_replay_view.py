@@ -11,6 +11,7 @@ import pytest
 from stepgap.report import RunContext, read_run_folder
 from stepgap.report.motion import INTERVAL, Replay
 from stepgap.report.replay_view import LEVELS, MOST_FRAMES, replay_view
+from tests.control.maps import LossyHopper
 from tests.report.pages import Page, check_alone
 from tests.report.runs import SCENE, make_run, motion, report_of
 
@@ -23,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("frames", [1, 500, 2 * MOST_FRAMES + 1])
 def test_channels_are_read_back(folder: Path, frames: int) -> None:
     shown = motion(frames)
-    page = replay_view(read_run_folder(folder), Replay({1: shown}, SCENE))
+    page = replay_view(read_run_folder(folder, LossyHopper().space), Replay({1: shown}, SCENE))
     found = re.search(r'id="replay-data">(.*?)</script>', page)
     assert found
     data = json.loads(found[1])

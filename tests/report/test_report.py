@@ -12,10 +12,8 @@ from matplotlib import rc_context
 from matplotlib.image import imread
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from stepgap.control.reference import paper_reference
 from stepgap.experiment.bands import interval_coverage
 from stepgap.learning.step_log import StepLog
-from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, NoiseFloor
 from stepgap.report import RunContext, read_run_folder
@@ -24,7 +22,9 @@ from stepgap.report.drawing import LOOK
 from stepgap.report.figures import command_figure, error_figure, tracking_figure
 from stepgap.report.page import captions
 from stepgap.report.run_figures import draw_run_figures
+from stepgap.robots.hopper.paper import STATE_NAMES, paper_reference, paper_result
 from stepgap.step import Quantity, StepSpace
+from tests.control.maps import LossyHopper
 from tests.quick_runs import leave_out_files_of_figures
 from tests.report.pages import Page, check_alone, check_same_files
 from tests.report.runs import make_run, report_of, write_run, write_summary
@@ -40,7 +40,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     content["versions"] = {"stepgap": "0.1.0"}
     (folder / "summary.json").write_text(json.dumps(content))
     (folder / "experiment.toml").write_text("seed = 0\nreference = 'a<b>.csv'\n")
-    assert report_of(folder) == folder / "report.html"
+    assert report_of(folder, space=LossyHopper().space, published=paper_result()) == folder / "report.html"
     return folder
 
 
@@ -56,7 +56,7 @@ def like_paper(tmp_path_factory: pytest.TempPathFactory) -> Page:
     folder = write_run(tmp_path_factory.mktemp("like_paper") / "run", ("speed", "height"), 227, 5, targets=targets)
     with pytest.MonkeyPatch.context() as patch:
         leave_out_files_of_figures(patch)
-        return Page(report_of(folder))
+        return Page(report_of(folder, published=paper_result()))
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +81,9 @@ def test_numbers_are_those_of_the_summary(page: Page, summary: dict[str, Any]) -
 def test_the_papers_numbers_are_shown_only_for_its_reference(page: Page, like_paper: Page) -> None:
     rows = [row for row in like_paper.cells if any(kind.startswith("paper") for kind, _ in row)]
     assert len(rows) == 2 * 5
-    for row, (name, iteration) in zip(rows, product(paper.STATE_NAMES, range(5)), strict=True):
+    for row, (index, iteration) in zip(rows, product(range(2), range(5)), strict=True):
         theirs = [number for kind, number in row if kind.startswith("paper")]
-        assert theirs == [paper.paper_error(measure, name, iteration) for measure in MEASURED]
+        assert theirs == [paper_result().error(measure, iteration, index) for measure in MEASURED]
         assert len([kind for kind, _ in row if kind.startswith("run")]) == len(MEASURED), "true errors are not known"
     theirs = ("On the paper's hardware", "For comparison", "The paper's points", "Hops to the paper's band")
     assert not [text for text in theirs if text in page.text]
@@ -125,7 +125,7 @@ def test_pictures_are_pictures(written: Path) -> None:
 @pytest.mark.usefixtures("files_of_few_figures")
 def test_writing_again_gives_the_same_bytes(written: Path, tmp_path: Path) -> None:
     again = shutil.copytree(written, tmp_path / written.name, ignore=shutil.ignore_patterns("figures"))
-    report_of(again)
+    report_of(again, space=LossyHopper().space, published=paper_result())
     check_same_files(again, written, 4)
 
 
@@ -156,7 +156,7 @@ def test_curves_are_the_steps(written: Path) -> None:
 
 def test_legends_with_all_entries_are_within_their_figures(written: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a run along the paper's reference, whose noise floor is known."""
-    monkeypatch.setattr(RunRecord, "like_paper", True)
+    monkeypatch.setattr(RunRecord, "compared_result", paper_result())
     record = read_run_folder(written)
     floor = np.full(2, 0.01)
     record = replace(record, summary=replace(record.summary, noise_floor=NoiseFloor(floor, floor, 100.0)))
@@ -182,10 +182,12 @@ def test_along_the_papers_reference(like_paper: Page) -> None:
 def test_a_part_of_the_papers_reference_is_another_one(
     tmp_path: Path, steps: int, failed: int, finished: int, like: bool
 ) -> None:
-    folder = write_run(tmp_path / "run", paper.STATE_NAMES, steps, 2, targets=paper_reference().targets[:steps])
-    record = read_run_folder(folder)
+    folder = write_run(tmp_path / "run", STATE_NAMES, steps, 2, targets=paper_reference().targets[:steps])
+    record = read_run_folder(folder, published=paper_result())
     deployments = tuple(replace(each, failed_steps=failed) for each in record.deployments[:finished])
-    assert replace(record, summary=replace(record.summary, deployments=deployments)).like_paper == like
+    found = replace(record, summary=replace(record.summary, deployments=deployments)).compared_result
+    assert found is (record.published if like else None)
+    assert read_run_folder(folder).compared_result is None
 
 
 @pytest.mark.usefixtures("drawn_page", "unplaced")
@@ -279,15 +281,6 @@ def test_nothing_is_written_for_a_bad_run(written: Path, tmp_path: Path) -> None
 )
 def test_decimal(value: float, text: str) -> None:
     assert decimal(value) == text
-
-
-def test_paper_agrees_with_itself() -> None:
-    for name in paper.STATE_NAMES:
-        assert paper.MAE_BY_ITERATION[name][0] == paper.NO_GP["mae"][name]
-        assert paper.MAE_BY_ITERATION[name][paper.LAST_ITERATION] == paper.WITH_GP["mae"][name]
-        for table in (paper.NO_GP, paper.WITH_GP):
-            assert table["rmse"][name] >= max(table["mae"][name], abs(table["bias"][name]))
-    assert paper.paper_error("rmse", "speed", 1) is None
 
 
 def test_jumps_of_the_standard_deviation_are_explained_where_the_yaw_is_known(written: Path) -> None:

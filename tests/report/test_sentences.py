@@ -13,6 +13,7 @@ from stepgap.records.run_folder import RunRecord, read_run_folder
 from stepgap.report.intervals import rmse_interval
 from stepgap.report.sentences import headline, sentences
 from stepgap.step import Quantity, StepSpace
+from tests.control.maps import LossyHopper
 from tests.report.runs import logged, make_run
 
 
@@ -27,7 +28,7 @@ def changed(run: Path, floor: float, **last: Any) -> RunRecord:
     content["repeatability"] = dict.fromkeys(("speed", "height"), floor)
     content["iterations"][-1] |= last
     (run / "summary.json").write_text(json.dumps(content))
-    return read_run_folder(run)
+    return read_run_folder(run, LossyHopper().space)
 
 
 def test_an_error_above_three_noise_floors_is_not_called_tracking(run: Path) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepgap.control.reference import paper_reference
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.records.missing import Missing
@@ -14,6 +13,7 @@ from stepgap.report.learned import LearnedResidual, read_learned_residual
 from stepgap.report.reference_gait import central_target, centre_of, reference_gait
 from stepgap.report.state_figure import state_error_figure
 from stepgap.report.surface_figure import influential, surface_figure
+from stepgap.robots.hopper.paper import paper_reference
 from tests.control.maps import LossyHopper
 from tests.report.runs import make_run
 

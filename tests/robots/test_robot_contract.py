@@ -85,6 +85,13 @@ def test_its_settings_are_tables_that_are_written_and_read_back(robot: Robot, tm
     assert robot.name in robot_names()
 
 
+def test_its_published_result_is_of_its_state(robot: Robot) -> None:
+    if published := robot.published():
+        published.reference.check(robot.space)
+        shapes = {errors.shape for by_measure in published.errors.values() for errors in by_measure.values()}
+        assert shapes == {robot.space.state_centre.shape}
+
+
 def test_its_maps_fit_its_space_and_track_its_references(robot: Robot) -> None:
     space = robot.space
     for make in robot.nominal_maps().values():

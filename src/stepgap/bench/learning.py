@@ -18,6 +18,7 @@ from stepgap.experiment.bands import executed_hops_to_band, interval_coverage
 from stepgap.experiment.outcome import summarise
 from stepgap.learning.step_log import StepLog
 from stepgap.robots.hopper.apex_map import ApexMap
+from stepgap.robots.hopper.paper import paper_result
 from stepgap.step import Array
 
 
@@ -53,7 +54,7 @@ def _row(trial: Trial, method: str, deployments: Sequence[StepLog]) -> Deploymen
         "transient_rmse": known_numbers(found.transient_rmse),
         "steady_rmse": known_numbers(found.steady_rmse),
         "true_rmse": known_numbers(found.true_rmse),
-        "hops_to_band": None if found.failed_steps else executed_hops_to_band(deployments),
+        "hops_to_band": None if found.failed_steps else executed_hops_to_band(deployments, paper_result().band),
         "covered": covered.tolist(),
         "counted": int(counted.min()),
     }

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from stepgap.bench.paired_differences import CONFIDENCE, LARGEST_RATIO, PairedDifference, holm, paired_difference
-from stepgap.experiment.bands import PAPER_BAND, WINDOW
+from stepgap.experiment.bands import WINDOW
+from stepgap.robots.hopper.paper import paper_result
 
 DeploymentRow = dict[str, Any]
 """Measures of one deployment as plain data for JSON; a deployment without a step has none."""
@@ -156,14 +157,15 @@ def describe_learning(summary: dict[str, Any]) -> str:
     lines = [
         "| " + " | ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)) + " |" for row in table
     ]
+    band = paper_result().band
     lines.insert(1, "|" + "|".join(f"{'-' * (width + 1)}:" for width in widths) + "|")
     lines += [
         "",
         f"Speed and height: RMSE, median over {summary['pairs']} twins and seeds; infinite if a step failed.",
         "true: RMSE of the robot's true state, without the errors of its sensors.",
         "ratio: error of both coordinates together, relative to that of deployment 0.",
-        f"hops: number of hops until the RMSE of {WINDOW} steps stays within {1e3 * PAPER_BAND[0]:.1f} mm/s and "
-        f"{1e3 * PAPER_BAND[1]:.1f} mm; in band: number of twins and seeds that reach this.",
+        f"hops: number of hops until the RMSE of {WINDOW} steps stays within {1e3 * band[0]:.1f} mm/s and "
+        f"{1e3 * band[1]:.1f} mm; in band: number of twins and seeds that reach this.",
         f"relative: error relative to that of {DEFAULT} on the same twin and seed, geometric mean; a failed step",
         f"counts as a ratio of {LARGEST_RATIO:g}. METHOD{WITHOUT}RULE and {ON_TEMPLATE}METHOD are relative to METHOD.",
         "interval: 95 % by Student's t over the means of the twins. significant: p < 0.05 after Holm's correction.",

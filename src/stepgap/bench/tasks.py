@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stepgap.control.reference import Reference, paper_reference
+from stepgap.control.reference import Reference
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 
 DEFAULT_TASK = "reference"

@@ -168,11 +168,10 @@ def _export_controller(folder: Path, to: str, iteration: int | None, fmi: Litera
 
 def _read_run(folder: Path) -> "RunRecord":
     """Reads the record in the folder of a run."""
-    from stepgap.experiment.inputs import recorded_space
-    from stepgap.records.run_folder import read_run_folder
+    from stepgap.experiment.inputs import read_run, recorded_robot
 
     try:
-        return read_run_folder(folder, recorded_space(folder))
+        return read_run(folder, recorded_robot(folder))
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
 

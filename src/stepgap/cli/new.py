@@ -197,12 +197,13 @@ def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog"
 
 def _steps_of_run(path: Path) -> "tuple[StepLog, StepSpace | None]":
     """Steps of a run or of a `steps.csv`, with the ranges of its settings if they are known."""
-    from stepgap.experiment.inputs import recorded_space
+    from stepgap.experiment.inputs import recorded_robot
     from stepgap.records.steps_csv import RecordError, read_step_log, space_of_header
 
     file = path / "steps.csv" if path.is_dir() else path
     try:
-        return read_step_log(file, space_of_header(file)), recorded_space(file.parent)
+        robot = recorded_robot(file.parent)
+        return read_step_log(file, space_of_header(file)), robot.space if robot else None
     except (OSError, RecordError, ValueError) as error:
         hint = "give a run or its steps.csv; for any other CSV file name its columns, see --help"
         raise InputError(f"--from: {message_of(error)}; {hint}") from None

@@ -6,7 +6,7 @@ from pathlib import Path
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.output_files import check_new, writing
-from stepgap.experiment.inputs import load_known, recorded_space, space_of_steps
+from stepgap.experiment.inputs import load_known, read_run, recorded_robot, robot_of_steps
 from stepgap.experiment.loaded_run import LoadedRun
 from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.replay import find_kinematics, logged_ticks, replay
@@ -16,7 +16,7 @@ from stepgap.learning.step_log import as_past
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
 from stepgap.records.model_files import model_path
-from stepgap.records.run_folder import RunRecord, read_run_folder
+from stepgap.records.run_folder import RunRecord
 from stepgap.records.steps_csv import RecordError
 from stepgap.report import RunContext, WrittenReport, comparison_html, write_report
 from stepgap.report.motion import INTERVAL, Replay, kept_motion
@@ -44,7 +44,7 @@ def report_run(
     """
     try:
         settings = _settings_of(folder)
-        record = read_run_folder(folder, None if isinstance(settings, Missing) else space_of_steps(folder, settings))
+        record = read_run(folder, None if isinstance(settings, Missing) else robot_of_steps(folder, settings))
         return write_report(record, _context(record, settings, progress, recorded or {}))
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
@@ -64,7 +64,7 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise InputError("a run is given twice; give each run once")
     try:
-        text = comparison_html([read_run_folder(folder, recorded_space(folder)) for folder in folders])
+        text = comparison_html([read_run(folder, recorded_robot(folder)) for folder in folders])
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
     with writing(page, "--out"), page.open("x", encoding="utf-8") as file:

@@ -18,17 +18,6 @@ Indices = NDArray[np.intp]
 SETTLING_STEPS = 4
 """Steps after a change of the target that count as transient."""
 
-PAPER_STEPS = 227
-PAPER_START = (0.0, 0.55)
-PAPER_STAIR = (0.17, 0.2255, 0.281, 0.3365, 0.392)
-PAPER_FLOORS = (
-    (0.58, (20, 31, 43, 55, 67)),
-    (0.5963, (79, 91, 103, 115, 127)),
-    (0.6126, (139, 151, 163, 175, 187)),
-    (0.629, (199, 211, 223)),
-)
-"""Apex heights [m], each with the steps, counted from 1, at which the speeds of `PAPER_STAIR` [m/s] begin."""
-
 
 @dataclass(frozen=True, eq=False)
 class Reference:
@@ -106,14 +95,6 @@ class Reference:
         steps, changes = np.arange(len(self)), self.changes
         count = np.searchsorted(changes, steps, side="right")
         return np.where(count > 0, steps - np.append(0, changes)[count], -1)
-
-
-def paper_reference() -> Reference:
-    """The 227 targets of the paper's experiment (Fig. 4): four apex heights, with a staircase of speeds at each."""
-    segments = [(1, PAPER_START)]
-    for height, starts in PAPER_FLOORS:
-        segments += [(start, (speed, height)) for start, speed in zip(starts, PAPER_STAIR, strict=False)]
-    return Reference.from_segments(("speed", "height"), segments, PAPER_STEPS)
 
 
 def read_reference(path: str | Path, space: StepSpace) -> Reference:

@@ -1,4 +1,4 @@
-"""Two bands: the error of the paper's robot, for comparison with a run, and the 95 % interval of predictions."""
+"""Two bands: a published error, for comparison with a run, and the 95 % interval of predictions."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -7,11 +7,7 @@ import numpy as np
 
 from stepgap.base.normal import INTERVAL_95
 from stepgap.learning.step_log import StepLog
-from stepgap.records.paper import WITH_GP
 from stepgap.step import Array, Codes, StepStatus
-
-PAPER_BAND: Final = np.array([WITH_GP["rmse"]["speed"], WITH_GP["rmse"]["height"]])
-"""Error of the paper's robot after four redeployments, speed [m/s] and height [m]."""
 
 WINDOW: Final = 20
 """Number of consecutive steps over which an error is compared with the band."""
@@ -23,35 +19,37 @@ def tracking_errors(steps: StepLog) -> Array:
     return completed.next_state - completed.target
 
 
-def hops_to_band(errors: Array) -> int | None:
-    """Number of steps after which the RMSE of 20 consecutive steps stays in the paper's band.
+def hops_to_band(errors: Array, band: Array) -> int | None:
+    """Number of steps after which the RMSE of 20 consecutive steps stays in a band.
 
     Args:
-        errors: Tracking errors; shape (N, 2).
+        errors: Tracking errors; shape (N, n).
+        band: Largest RMSE of each state coordinate, such as that of a published result; shape (n,).
 
     Returns:
         None if the error does not stay in the band, or if there are fewer than 20 steps.
     """
     if len(errors) < WINDOW:
         return None
-    inside = np.all(window_errors(errors) <= PAPER_BAND, axis=1)
+    inside = np.all(window_errors(errors) <= band, axis=1)
     outside = np.flatnonzero(np.logical_not(inside))
     first = int(outside[-1]) + 1 if len(outside) else 0
     return first + WINDOW if first < len(inside) else None
 
 
-def executed_hops_to_band(deployments: Sequence[StepLog]) -> int | None:
-    """Number of hops, from the very first one on, after which the RMSE of 20 tracking hops stays in the paper's band.
+def executed_hops_to_band(deployments: Sequence[StepLog], band: Array) -> int | None:
+    """Number of steps, from the very first one on, after which the RMSE of 20 tracking steps stays in a band.
 
-    Exploratory and failed hops before the end of the 20 are counted, too, since the robot executed them.
+    Exploratory and failed steps before the end of the 20 are counted, too, since the robot executed them.
 
     Args:
         deployments: Steps of consecutive deployments.
+        band: As for `hops_to_band`.
 
     Returns:
         None as from `hops_to_band`.
     """
-    hops = hops_to_band(np.concatenate([tracking_errors(steps) for steps in deployments]))
+    hops = hops_to_band(np.concatenate([tracking_errors(steps) for steps in deployments]), band)
     if hops is None:
         return None
     executed = (logged for steps in deployments for logged in steps)

@@ -14,11 +14,10 @@ import numpy as np
 from stepgap.base.json_data import LARGEST_NUMBER
 from stepgap.base.normal import std_interval_95
 from stepgap.base.settings_file import read_toml_text
-from stepgap.control.reference import paper_reference
 from stepgap.learning.step_log import StepLog
-from stepgap.records.paper import STATE_NAMES
 from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
 from stepgap.records.summary import Deployment, NoiseFloor, Summary, read_summary
+from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepSpace
 
 INPUT_FILES = ("reference.csv", "warm_start.csv", "nominal_map.json", "nominal_map.toml", "nominal_map.csv")
@@ -49,6 +48,7 @@ class RunRecord:
         summary: Errors of the finished deployments.
         settings: Content of `experiment.toml`; None if there is none.
         cut_off: Whether the last row of `steps.csv` was not completely written; it is not in `steps`.
+        published: Published result of the robot; None if there is none, or if the robot is not known.
     """
 
     folder: Path
@@ -57,6 +57,7 @@ class RunRecord:
     summary: Summary
     settings: SettingsFile | None
     cut_off: bool = False
+    published: PublishedResult | None = None
 
     @property
     def deployments(self) -> tuple[Deployment, ...]:
@@ -108,20 +109,14 @@ class RunRecord:
         return names.get(iteration, "none" if nominal else None)
 
     @property
-    def like_paper(self) -> bool:
-        """Whether the run has the paper's state and reference, so that its errors can be compared with the paper's."""
-        if self.space.state_names != STATE_NAMES:
-            return False
-        reference = paper_reference().targets
-        aborted = {each.iteration for each in self.deployments if each.failed_steps}
-        for number in self.steps.iterations:
-            targets = self.steps.of_iteration(number).tracking().target
-            incomplete = number in aborted or number in self.unfinished
-            if not np.array_equal(targets, reference[: len(targets)]):
-                return False
-            if len(targets) != len(reference) and not incomplete:
-                return False
-        return True
+    def compared_result(self) -> PublishedResult | None:
+        """The published result if the run has its reference, so that its errors can be compared; else None."""
+        incomplete = {each.iteration for each in self.deployments if each.failed_steps} | set(self.unfinished)
+        tracked = self.published is not None and all(
+            self.published.is_tracked_by(self.steps.of_iteration(number).tracking().target, number not in incomplete)
+            for number in self.steps.iterations
+        )
+        return self.published if tracked else None
 
     @property
     def unfinished(self) -> dict[int, int]:
@@ -132,12 +127,15 @@ class RunRecord:
         }
 
 
-def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
+def read_run_folder(
+    folder: Path, space: StepSpace | None = None, published: PublishedResult | None = None
+) -> RunRecord:
     """Reads `steps.csv` and, where they exist, `summary.json` and `experiment.toml`.
 
     Args:
         folder: The run folder.
-        space: Names and units of state and command; by default those of the header of `steps.csv`.
+        space: Names and units of state and command; by default the names in the header of `steps.csv`, without units.
+        published: Published result of the robot, if there is one.
 
     Raises:
         ValueError: The content of a file is wrong; the message names the file and the rule.
@@ -151,7 +149,7 @@ def read_run_folder(folder: Path, space: StepSpace | None = None) -> RunRecord:
     steps = _read_steps(path, space)
     _check_same_run(summary, steps, folder / "summary.json")
     settings = read_settings_file(folder / "experiment.toml")
-    return RunRecord(folder, space, steps, summary, settings, not ends_with_whole_row(path))
+    return RunRecord(folder, space, steps, summary, settings, not ends_with_whole_row(path), published)
 
 
 def _read_steps(path: Path, space: StepSpace) -> StepLog:

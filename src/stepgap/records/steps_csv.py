@@ -12,7 +12,6 @@ import numpy as np
 from stepgap.base.errors import InputError
 from stepgap.base.files import naming
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.records.paper import UNITS
 from stepgap.step import Quantity, StepRecord, StepSpace, StepStatus
 
 LARGEST_STEPS_FILE = 256 * 2**20
@@ -103,8 +102,7 @@ def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
 def space_of_header(path: Path) -> StepSpace:
     """Step space with the names of state and command in the header of `steps.csv`.
 
-    The file contains no bounds, so they are −1 and 1, and no units, so they are the paper's for its coordinates, and
-    empty for others.
+    The file contains no units, so they are empty, and no bounds, so they are −1 and 1.
 
     Raises:
         ValueError: The first line is not a header of a step log.
@@ -129,7 +127,7 @@ def space_of_header(path: Path) -> StepSpace:
 
 
 def _coordinate(name: str) -> Quantity:
-    return Quantity(name, UNITS.get(name, ""), -1.0, 1.0)
+    return Quantity(name, "", -1.0, 1.0)
 
 
 def check_not_older(header: Sequence[str], path: Path) -> None:

@@ -5,9 +5,9 @@ the nominal map and the motions. Nothing here builds a plant or a twin.
 
 `learned` reads the learned residual; `reference_gait` computes the limit cycles. `run_figures` draws the figures, which
 `figures` and the modules named after a figure make; `error_table`, `learned_table` and `settings_table` make the
-tables, `sentences` the text, `replay_view` the replay. `page` puts all on one page, next to the paper's results, and
+tables, `sentences` the text, `replay_view` the replay. `page` puts all on one page, next to published results, and
 `missing_parts` lists the missing parts. `comparison` makes the page of several runs, and the package `sweep` the report
-of a sweep.
+of a sweep. `fit`, `fit_results` and `model_application` are the output of `stepgap fit`.
 """
 
 from pathlib import Path

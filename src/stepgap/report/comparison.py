@@ -16,6 +16,7 @@ from stepgap.report.seed_spread import spread_tables
 from stepgap.report.sentences import end_in_a_word, headline
 from stepgap.report.settings_table import DASH, differing, flat_settings
 from stepgap.report.units import with_unit
+from stepgap.step import Array
 
 MOST_RUNS: Final = 12
 """Largest number of runs on one page, so that their curves can be distinguished."""
@@ -150,23 +151,20 @@ def _tables(records: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
         for number in numbers
     ]
     found.append(table("Steps, and how the deployment ended", ["deployment", *names], rows))
-    if all(record.like_paper for record in records):
-        found.append(
-            table(
-                "Number of hops, exploratory ones included, until the error stays in the paper's band",
-                ["", *names],
-                [["hops", *map(_to_band, records)]],
-            )
-        )
+    results = [record.compared_result for record in records]
+    if len({result and result.source for result in results}) == 1 and results[0]:
+        caption = f"Number of hops, exploratory ones included, until the error stays in {results[0].source}'s band"
+        hops = [_to_band(record, results[0].band) for record in records]
+        found.append(table(caption, ["", *names], [["hops", *hops]]))
     return found
 
 
-def _to_band(record: RunRecord) -> str:
+def _to_band(record: RunRecord, band: Array) -> str:
     """Number of hops until the error stays in the band, over all deployments of a run."""
     if not record.deployments:
         return DASH
     logs = [record.steps.of_iteration(entry.iteration) for entry in record.deployments]
-    return hops_in_words(logs, end_in_a_word(record, record.deployments[-1]))
+    return hops_in_words(logs, band, end_in_a_word(record, record.deployments[-1]))
 
 
 def _settings(records: Sequence[RunRecord], names: Sequence[str]) -> str:

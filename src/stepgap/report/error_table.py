@@ -1,38 +1,39 @@
-"""Tables of tracking errors: by deployment next to the paper's, and the number of hops until they are as small."""
+"""Tables of tracking errors: by deployment next to published ones, and the number of hops until they are as small."""
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from stepgap.experiment.bands import PAPER_BAND, WINDOW, executed_hops_to_band, tracking_errors, window_errors
+from stepgap.experiment.bands import WINDOW, executed_hops_to_band, tracking_errors, window_errors
 from stepgap.learning.step_log import StepLog
-from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
 from stepgap.report.decimals import decimal
 from stepgap.report.html import safe, table
 from stepgap.report.sentences import end_in_a_word
-from stepgap.report.units import with_unit
+from stepgap.report.units import unit_suffix, with_unit
+from stepgap.robots.published_result import PublishedResult
+from stepgap.step import Array
 
 
 def error_table(record: RunRecord, row: int, plant: str) -> str:
-    """Errors of one state coordinate by deployment, next to the paper's where the reference is the paper's."""
-    quantity, hardware = record.space.state[row], record.like_paper
+    """Errors of one state coordinate by deployment, next to published ones for the same reference."""
+    quantity, published = record.space.state[row], record.compared_result
     entries = {deployment.iteration: deployment for deployment in record.deployments}
     known = [measure for measure in MEASURES if measure in MEASURED or _is_known(measure, row, entries.values())]
     decimals, lines = _decimals([entry.errors[measure][row] for entry in entries.values() for measure in MEASURES]), []
-    for iteration in sorted(set(entries) | set(range(paper.LAST_ITERATION + 1) if hardware else ())):
+    for iteration in sorted(set(entries) | set(range(published.last + 1) if published else ())):
         entry = entries.get(iteration)
         counts = [entry.residual, str(entry.steps), end_in_a_word(record, entry)] if entry else ["–"] * 3
         ours = [entry.errors[measure][row] if entry else None for measure in known]
-        theirs = [paper.paper_error(measure, quantity.name, iteration) for measure in MEASURED] if hardware else []
+        theirs = [published.error(measure, iteration, row) for measure in MEASURED] if published else []
         texts = "".join(f"<td>{safe(count)}</td>" for count in counts)
         lines.append(
             f'<tr><th scope="row">{iteration}</th>{texts}{_cells(ours, "run", decimals)}{_cells(theirs, "paper")}</tr>'
         )
     return (
         f'<div class="wide"><table><caption>Error of {safe(with_unit(quantity))}</caption>'
-        f"<thead>{_heads(plant, hardware, known)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
+        f"<thead>{_heads(plant, published, known)}</thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
     )
 
 
@@ -41,13 +42,14 @@ def _is_known(measure: str, row: int, entries: Iterable[Deployment]) -> bool:
     return any(np.isfinite(entry.errors[measure][row]) for entry in entries)
 
 
-def _heads(plant: str, hardware: bool, known: Sequence[str]) -> str:
+def _heads(plant: str, published: PublishedResult | None, known: Sequence[str]) -> str:
     """The two header rows: the source of the numbers, and the names of the columns."""
     sources = f'<th colspan="4"></th><th colspan="{len(known)}" scope="colgroup">this run: {safe(plant)}</th>'
     heads = ("deployment", "residual", "steps", "end", *map(_title, known))
     columns = "".join(f'<th scope="col">{head}</th>' for head in heads)
-    if hardware:
-        sources += f'<th colspan="{len(MEASURED)}" scope="colgroup" class="paper">the paper: hardware</th>'
+    if published:
+        source = f"{safe(published.source)}: hardware"
+        sources += f'<th colspan="{len(MEASURED)}" scope="colgroup" class="paper">{source}</th>'
         columns += "".join(f'<th scope="col" class="paper">{_title(measure)}</th>' for measure in MEASURED)
     return f"<tr>{sources}</tr>\n<tr>{columns}</tr>"
 
@@ -78,35 +80,40 @@ def _cells(values: Iterable[float | None], kind: str, decimals: int | None = Non
 
 
 def band_table(record: RunRecord) -> str:
-    """Number of hops until the error stays as small as that of the paper's robot; empty for other references."""
-    if not record.like_paper or not record.deployments:
+    """Number of hops until the error stays as small as the published one; empty for other references."""
+    published, state = record.compared_result, record.space.state
+    if not published or not record.deployments:
         return ""
-    limits = [f"{limit:g} {quantity.unit}" for limit, quantity in zip(PAPER_BAND, record.space.state, strict=True)]
+    limits = [f"{limit:g}{unit_suffix(each)} in {each.name}" for limit, each in zip(published.band, state, strict=True)]
     caption = (
-        f"Hops to the paper's band, exploratory ones included: until the RMSE of {WINDOW} consecutive tracking hops "
-        f"stays at or below {limits[0]} in speed and {limits[1]} in height, the paper's errors after four redeployments"
+        f"Hops to {published.source}'s band, exploratory ones included: until the RMSE of {WINDOW} consecutive "
+        f"tracking hops stays at or below {' and '.join(limits)}, {published.source}'s errors after "
+        f"{published.last} redeployments"
     )
-    heads = ["deployment", "hops", "to the band", f"best {WINDOW} hops: speed [m/s]", "height [m]"]
+    first, *others = map(with_unit, state)
+    heads = ["deployment", "hops", "to the band", f"best {WINDOW} hops: {first}", *others]
     rows, hops, logs = [], 0, []
     for entry in record.deployments:
         log = record.steps.of_iteration(entry.iteration)
-        to_band = hops_in_words([log], end_in_a_word(record, entry))
+        to_band = hops_in_words([log], published.band, end_in_a_word(record, entry))
         rows.append([str(entry.iteration), str(entry.steps), to_band, *_best([log])])
         hops, logs = hops + entry.steps, [*logs, log]
-    rows.append(["all", str(hops), hops_in_words(logs, end_in_a_word(record, record.deployments[-1])), *_best(logs)])
+    to_band = hops_in_words(logs, published.band, end_in_a_word(record, record.deployments[-1]))
+    rows.append(["all", str(hops), to_band, *_best(logs)])
     return table(caption, heads, rows)
 
 
-def hops_in_words(deployments: Sequence[StepLog], end: str) -> str:
+def hops_in_words(deployments: Sequence[StepLog], band: Array, end: str) -> str:
     """Number of hops until the error stays in the band, for a table.
 
     Args:
         deployments: The deployments, in their order.
-        end: How the last one ended, as from `end_in_a_word`.
+        band: Largest RMSE of each state coordinate; shape (n,).
+        end: How the last deployment ended, as from `end_in_a_word`.
     """
     if end != "complete":
         return f"never: {end}"
-    hops = executed_hops_to_band(deployments)
+    hops = executed_hops_to_band(deployments, band)
     return "never" if hops is None else str(hops)
 
 

@@ -15,7 +15,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from stepgap.base.normal import INTERVAL_95
 from stepgap.experiment.outcome import cut_commands
 from stepgap.learning.step_log import StepLog
-from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.colours import BLACK, BLUE, GREY, LIGHT, SKY, VERMILLION
 from stepgap.report.intervals import rmse_interval
@@ -90,11 +89,11 @@ def command_figure(record: RunRecord, bounds: StepSpace | None) -> Figure:
 
 
 def error_figure(record: RunRecord) -> Figure:
-    """RMSE and MAE of the state coordinates by deployment, with the paper's for the same reference (Fig. 5)."""
+    """RMSE and MAE of the state coordinates by deployment, with published ones for the same reference (Fig. 5)."""
     figure, panels = _panels(len(record.space.state))
     numbers = [deployment.iteration for deployment in record.deployments]
-    hardware = record.like_paper
-    panels[0].set_xlim(-0.25, max([*numbers, paper.LAST_ITERATION if hardware else 1]) + 0.25)
+    theirs = record.compared_result
+    panels[0].set_xlim(-0.25, max([*numbers, theirs.last if theirs else 1]) + 0.25)
     for index, (panel, quantity) in enumerate(zip(panels, record.space.state, strict=True)):
         for measure, look in (("rmse", "s-"), ("mae", "o--")):
             values = [deployment.errors[measure][index] for deployment in record.deployments]
@@ -112,9 +111,11 @@ def error_figure(record: RunRecord) -> Figure:
             if np.isfinite(record.noise_floor_interval[:, index]).all():
                 shade = {"color": "0.9", "zorder": 0, "label": "95 % interval of the noise floor"}
                 panel.axhspan(*record.noise_floor_interval[:, index], **shade)
-        if hardware:
-            values = paper.MAE_BY_ITERATION[quantity.name]
-            panel.plot(range(len(values)), values, "^:", color=VERMILLION, label="MAE, the paper's hardware")
+        if theirs:
+            values = {number: theirs.error("mae", number, index) for number in range(theirs.last + 1)}
+            shown = {number: value for number, value in values.items() if value is not None}
+            label = f"MAE, {theirs.source}'s hardware"
+            panel.plot([*shown], [*shown.values()], "^:", color=VERMILLION, label=label)
         panel.set_ylabel(f"Error of\n{axis_label(quantity, capital=False)}")
         log_scale(panel, _drawn(panel))
         if not panel.lines:

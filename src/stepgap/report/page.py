@@ -7,7 +7,6 @@ import numpy as np
 
 from stepgap.control.reference import SETTLING_STEPS
 from stepgap.experiment.bands import interval_coverage
-from stepgap.records import paper
 from stepgap.records.missing import Missing
 from stepgap.records.run_folder import RunRecord
 from stepgap.report.diagnosis_sentences import diagnosis_sentences
@@ -21,8 +20,9 @@ from stepgap.report.learned_table import coverage_table, learned_sentences, lear
 from stepgap.report.reference_gait import ReferenceGait
 from stepgap.report.replay_view import REPLAY_SCRIPT, replay_view
 from stepgap.report.run_context import RunContext
-from stepgap.report.sentences import headline, sentences
+from stepgap.report.sentences import capitalised, headline, sentences
 from stepgap.report.settings_table import changed_settings
+from stepgap.report.units import unit_suffix
 
 CONTENTS: Final = {
     "figures": "Figures",
@@ -123,7 +123,7 @@ def report_html(
 
 def captions(record: RunRecord) -> dict[str, str]:
     """Captions of the figures of the steps, by name of the figure."""
-    several, like_paper = record.shown_iterations[0] != record.shown_iterations[-1], record.like_paper
+    several = record.shown_iterations[0] != record.shown_iterations[-1]
     which = "in the first and the last deployment" if several else f"in deployment {record.shown_iterations[0]}"
     how = "without and with the learned correction" if several else "of a single deployment"
     found = {
@@ -137,8 +137,8 @@ def captions(record: RunRecord) -> dict[str, str]:
         "command. Errors that depend on a coordinate show what the map, or the controller, does not take into account. "
         "Where the map predicted that the target would be reached, the two errors are equal: dots are in circles."
     )
-    if like_paper:
-        found["errors"] += " The paper's points are from its hardware: Fig. 5, and Fig. 4 for deployment 0."
+    if theirs := record.compared_result:
+        found["errors"] += f" {capitalised(theirs.source)}'s points are from its hardware: {theirs.origin}."
     for row in range(len(record.space.state)):
         found[f"map_{row}"] = _map_caption(record, row)
     return found
@@ -146,12 +146,14 @@ def captions(record: RunRecord) -> dict[str, str]:
 
 def _map_caption(record: RunRecord, row: int) -> str:
     quantity, last = record.space.state[row], record.shown_iterations[-1]
-    like = f", drawn like the paper's Fig. {6 + row}" if record.space.state_names == paper.STATE_NAMES else ""
     unsure = [number for number in record.shown_iterations if record.steps.of_iteration(number).std[:, row].any()]
     held = [_held(record, iteration, row) for iteration in record.steps.iterations]
     band = " with 95 % band, noise included," if last in unsure else ""
     reasons = FARTHER + (JUMPS if np.isfinite(record.steps.yaw).any() else "")
-    text = f"Map of {quantity.name}{like}. (a) Its mean{band} and the measured next state, in deployment {last}."
+    text = (
+        f"Map of {quantity.name}, drawn like the paper's Figs. 6 and 7. (a) Its mean{band} and the measured next "
+        f"state, in deployment {last}."
+    )
     if any(held):
         text += f" The band, predicted before the step, contains {', '.join(filter(None, held))}."
     if len(unsure) > 1:
@@ -160,11 +162,12 @@ def _map_caption(record: RunRecord, row: int) -> str:
         text += f" (b) Its standard deviation, noise included, in deployment {unsure[0]}.{reasons}"
     else:
         text += " (b) The map gave no standard deviation, because nothing had been learned yet."
-    if record.like_paper and unsure:
-        before, after = paper.LARGEST_STD[quantity.name]
+    theirs = record.compared_result
+    if theirs and theirs.largest_std and unsure:
+        before, after = (f"{std[row]:g}{unit_suffix(quantity)}" for std in theirs.largest_std)
         text += (
-            f" On the paper's hardware it was at most about {before:g} {quantity.unit} in its first and {after:g} "
-            f"{quantity.unit} in its fourth redeployment."
+            f" On {theirs.source}'s hardware it was at most about {before} in its first and {after} in its last "
+            "redeployment."
         )
     return text
 
@@ -207,14 +210,17 @@ def _comparison_note(record: RunRecord, plant: str) -> str:
         "with the first target of the reference are neither, since they include the start. RMSE and MAE include them, "
         "so they may be smaller than both parts."
     )
-    if record.like_paper:
+    theirs = record.published
+    if theirs is None:
+        return note
+    if record.compared_result:
         return (
-            f"{note} The run tracked the paper's reference. The paper's numbers are from its hardware, a different "
-            "robot: 227 steps per deployment, read off its Figs. 4 and 5."
+            f"{note} The run tracked {theirs.source}'s reference. {capitalised(theirs.source)}'s numbers are from its "
+            f"hardware, a different robot: {theirs.origin}."
         )
-    if record.space.state_names == paper.STATE_NAMES:
-        return f"{note} The run tracked another reference than the paper's, so the paper's errors are not shown."
-    return note
+    return (
+        f"{note} The run tracked another reference than {theirs.source}'s, so {theirs.source}'s errors are not shown."
+    )
 
 
 def _settings(record: RunRecord, defaults: Mapping[str, Any] | Missing) -> str:

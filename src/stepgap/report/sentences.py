@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepgap.experiment.outcome import TRACKED
-from stepgap.records import paper
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import Deployment
 from stepgap.report.decimals import decimal
 from stepgap.report.intervals import between, rmse_interval
 from stepgap.report.units import unit_suffix
+from stepgap.robots.published_result import PublishedResult
 from stepgap.step import Array, StepStatus, ending_of
 
 MOST_NAMED = 6
@@ -40,7 +40,7 @@ def headline(record: RunRecord) -> str:
 
 
 def sentences(record: RunRecord, plant: str) -> list[str]:
-    """Sentences on errors, failed steps and unfinished deployments, and the paper's result for the same reference.
+    """Sentences on errors, failed steps and unfinished deployments, and the published result for the same reference.
 
     Args:
         record: The run.
@@ -50,7 +50,7 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
     if len(record.deployments) > 1:
         found += [_change(record, row) for row in range(len(record.space.state))]
     found += [
-        f"{_title(_ended(record, deployment))}; its errors include only the steps before."
+        f"{capitalised(_ended(record, deployment))}; its errors include only the steps before."
         for deployment in record.deployments
         if deployment.failed_steps
     ]
@@ -65,8 +65,8 @@ def sentences(record: RunRecord, plant: str) -> list[str]:
         f"its {_count(steps, 'step')} so far are not included in the errors."
         for iteration, steps in record.unfinished.items()
     ]
-    if record.like_paper:
-        found.append(_paper_result())
+    if theirs := record.compared_result:
+        found.append(_published(theirs))
     return found
 
 
@@ -89,7 +89,7 @@ def _change(record: RunRecord, row: int) -> str:
     if np.isfinite([*interval, last.errors["rmse"][row]]).all():
         ends = f"{decimal(interval[0])} to {decimal(interval[1])}{unit_suffix(quantity)}"
         parts.insert(1, f"95 % interval of the last RMSE {ends}")
-    title = _title(quantity.name.replace("_", " "))
+    title = capitalised(quantity.name.replace("_", " "))
     return f"{title}, from deployment {first.iteration} to {last.iteration}: {'; '.join(parts)}."
 
 
@@ -185,11 +185,12 @@ def _targets(record: RunRecord, targets: Array) -> str:
     return f"{count} ({'; '.join(texts)}{more})"
 
 
-def _paper_result() -> str:
-    factors = [f"{paper.NO_GP['rmse'][name] / paper.WITH_GP['rmse'][name]:.1f} in {name}" for name in paper.STATE_NAMES]
+def _published(result: PublishedResult) -> str:
+    ratios = result.errors[0]["rmse"] / result.band
+    factors = [f"{ratio:.1f} in {name}" for name, ratio in zip(result.reference.names, ratios, strict=True)]
     return (
-        f"For comparison: on the paper's hardware the RMSE decreased by a factor of {' and '.join(factors)} with "
-        f"{paper.LAST_ITERATION} redeployments."
+        f"For comparison: on {result.source}'s hardware the RMSE decreased by a factor of {' and '.join(factors)} with "
+        f"{result.last} redeployments."
     )
 
 
@@ -227,5 +228,6 @@ def _failures(record: RunRecord) -> str:
     return ", ".join(parts)
 
 
-def _title(text: str) -> str:
+def capitalised(text: str) -> str:
+    """The text as the beginning of a sentence."""
     return text[:1].upper() + text[1:]

@@ -11,6 +11,7 @@ from stepgap.plants.plant import Plant, RepeatablePlant
 from stepgap.plants.tick_control import RobotControl
 from stepgap.plants.ticks.stream import OnTicks, thinned
 from stepgap.rigs.rig import SensorModel
+from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.scene import Kinematics
 from stepgap.step import StepMap, StepSpace
 
@@ -84,6 +85,10 @@ class Robot(ABC):
     def references(self) -> Mapping[str, Callable[[], Reference]]:
         """Its references by name; the first one is the default. Without another, stairs in the ranges of use."""
         return {"stairs": lambda: stairs(self.space)}
+
+    def published(self) -> PublishedResult | None:
+        """The published result with which runs along its reference are compared; None if there is none."""
+        return None
 
     def check(self) -> None:  # noqa: B027  (few robots need it)
         """Raises ValueError, `table.key = value, but it must …`, if settings of different tables do not fit."""

@@ -8,10 +8,10 @@ import pytest
 from stepgap.bench.methods.affine import linearised, mean_target, one_digit, rls_settings, template
 from stepgap.bench.methods.physical_parameters import AdjustedMap
 from stepgap.bench.tasks import square_reference
-from stepgap.control.reference import paper_reference
 from stepgap.control.step_controller import StepController
 from stepgap.learning.learner import Learner
 from stepgap.learning.polynomial import PRIOR_STD
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import StepStatus, difference_jacobian
 from tests.bench.methods.known_robots import NOMINAL, steps_of

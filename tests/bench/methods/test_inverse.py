@@ -8,10 +8,10 @@ import pytest
 from stepgap.bench.methods.affine import linearised
 from stepgap.bench.methods.inverse import InverseMap, inverse_of
 from stepgap.bench.methods.physical_parameters import AdjustedMap
-from stepgap.control.reference import paper_reference
 from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
+from stepgap.robots.hopper.paper import paper_reference
 from stepgap.step import StepStatus
 from tests.bench.methods.known_robots import NOMINAL, steps_of
 

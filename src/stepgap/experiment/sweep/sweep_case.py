@@ -16,9 +16,9 @@ from stepgap.experiment.nominal import load_nominal
 from stepgap.experiment.plants import choose_plants
 from stepgap.experiment.run_start import check_reach
 from stepgap.experiment.settings import read_experiment
-from stepgap.records.paper import STATE_NAMES
 from stepgap.records.steps_csv import read_step_log
 from stepgap.records.summary import Deployment, deployment_entry
+from stepgap.robots.published_result import PublishedResult
 from stepgap.step import StepSpace
 
 _KEPT = {
@@ -53,16 +53,25 @@ def run_case(case: Mapping[str, Any]) -> CaseOutput:
         deployments = run(known=known, control=settings.control)
         files = [file for pattern in _KEPT[case["keep"]] for file in sorted(folder.glob(pattern))]
         kept = {file.relative_to(folder).as_posix(): file.read_text(encoding="utf-8") for file in files}
-        return CaseOutput(_entries(deployments, folder, nominal.space), kept)
+        return CaseOutput(_entries(deployments, folder, nominal.space, settings.robot.published()), kept)
 
 
-def _entries(deployments: list[Deployment], folder: Path, space: StepSpace) -> list[dict[str, Any]]:
-    """Entries of the deployments, with the hops until the error stayed in the band, as known after each of them."""
+def _entries(
+    deployments: list[Deployment], folder: Path, space: StepSpace, published: PublishedResult | None
+) -> list[dict[str, Any]]:
+    """Entries of the deployments, with the hops until the error stayed in the band, as known after each of them.
+
+    Args:
+        deployments: Finished deployments.
+        folder: Folder of the run.
+        space: State and command.
+        published: Result whose error is the band; None if there is none.
+    """
     steps = read_step_log(folder / "steps.csv", space)
     logs = [steps.of_iteration(deployment.iteration) for deployment in deployments]
     entries = []
     for count, deployment in enumerate(deployments, start=1):
-        known = space.state_names == STATE_NAMES and not deployment.failed_steps
-        hops = executed_hops_to_band(logs[:count]) if known else None
+        known = None if deployment.failed_steps else published
+        hops = executed_hops_to_band(logs[:count], known.band) if known else None
         entries.append({**deployment_entry(deployment, space.state_names), "hops_to_band": hops})
     return entries

@@ -7,11 +7,12 @@ from typing import ClassVar, Self
 import numpy as np
 
 from stepgap.base.errors import InputError
-from stepgap.control.reference import Reference, paper_reference
+from stepgap.control.reference import Reference
 from stepgap.rigs.rig import SensorModel
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.robots.hopper.hop_control import HopperControl
 from stepgap.robots.hopper.kinematics import HopperKinematics
+from stepgap.robots.hopper.paper import paper_reference, paper_result
 from stepgap.robots.hopper.parameters import CommandBounds, Gains, RobotParameters
 from stepgap.robots.hopper.sampled_map import SampledApexMap
 from stepgap.robots.hopper.sensors import hopper_sensors
@@ -20,6 +21,7 @@ from stepgap.robots.hopper.twin.family import random_gap
 from stepgap.robots.hopper.twin.paper_family import PAPER_FAMILY
 from stepgap.robots.hopper.twin.reality_gap import RealityGap
 from stepgap.robots.hopper.twin.twin_sensors import twin_sensor_model
+from stepgap.robots.published_result import PublishedResult
 from stepgap.robots.robot import Robot
 from stepgap.step import StepMap, StepSpace
 
@@ -74,6 +76,10 @@ class Hopper(Robot):
     def references(self) -> Mapping[str, Callable[[], Reference]]:
         """The reference of the paper."""
         return {"paper": paper_reference}
+
+    def published(self) -> PublishedResult:
+        """The result of the paper."""
+        return paper_result()
 
     def check(self) -> None:
         """Raises ValueError where a gain does not fit the leg."""

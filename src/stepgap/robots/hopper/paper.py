@@ -1,4 +1,4 @@
-"""Results of the paper's hardware run (Krause, Alaeddini, Bhounsule, IDETC 2023), for comparison with a run.
+"""Reference and results of the paper's hardware run (Krause, Alaeddini, Bhounsule, IDETC 2023).
 
 Read off the plots of its Figs. 4 and 5, 227 steps per deployment; iteration 0 is its controller without a Gaussian
 process. Errors are next state − target, speed in m/s and height in m.
@@ -7,11 +7,25 @@ process. Errors are next state − target, speed in m/s and height in m.
 from collections.abc import Mapping
 from typing import Final
 
+import numpy as np
+
+from stepgap.control.reference import Reference
+from stepgap.robots.published_result import PublishedResult
+from stepgap.step import Array
+
 STATE_NAMES: Final = ("speed", "height")
 """State of the paper's hopper at the apex (Sec. 4.2)."""
 
-UNITS: Final[Mapping[str, str]] = {"speed": "m/s", "height": "m", "fx": "N", "fy": "N"}
-"""Units of its state and its command (Sec. 4.2)."""
+PAPER_STEPS = 227
+PAPER_START = (0.0, 0.55)
+PAPER_STAIR = (0.17, 0.2255, 0.281, 0.3365, 0.392)
+PAPER_FLOORS = (
+    (0.58, (20, 31, 43, 55, 67)),
+    (0.5963, (79, 91, 103, 115, 127)),
+    (0.6126, (139, 151, 163, 175, 187)),
+    (0.629, (199, 211, 223)),
+)
+"""Apex heights [m], each with the steps, counted from 1, at which the speeds of `PAPER_STAIR` [m/s] begin."""
 
 LAST_ITERATION: Final = 4
 """Its last redeployment, "4 hardware deployments" (Sec. 6)."""
@@ -58,15 +72,30 @@ LARGEST_STD: Final[Mapping[str, tuple[float, float]]] = {"speed": (0.03, 0.02), 
 """Approximate largest standard deviation of the learned map at iterations 1 and 4 (Sec. 6, Figs. 6b and 7b)."""
 
 
-def paper_error(measure: str, name: str, iteration: int) -> float | None:
-    """Error of the paper's hardware run; None where the paper does not give it.
+def paper_reference() -> Reference:
+    """The 227 targets of the paper's experiment (Fig. 4): four apex heights, with a staircase of speeds at each."""
+    segments = [(1, PAPER_START)]
+    for height, starts in PAPER_FLOORS:
+        segments += [(start, (speed, height)) for start, speed in zip(starts, PAPER_STAIR, strict=False)]
+    return Reference.from_segments(("speed", "height"), segments, PAPER_STEPS)
 
-    Args:
-        measure: A measure of `summary.json`, such as `rmse`; the true errors are not known.
-        name: `speed` or `height`.
-        iteration: Number of the iteration; 0 is the controller without a GP.
-    """
-    if measure == "mae" and 0 <= iteration <= LAST_ITERATION:
-        return MAE_BY_ITERATION[name][iteration]
-    table = {0: NO_GP, LAST_ITERATION: WITH_GP}.get(iteration)
-    return table[measure][name] if table and measure in table else None
+
+def paper_result() -> PublishedResult:
+    """Errors of the paper's hardware along its reference; the true errors are not known."""
+    mae = zip(*(MAE_BY_ITERATION[name] for name in STATE_NAMES), strict=True)
+    errors = {iteration: {"mae": np.array(both)} for iteration, both in enumerate(mae)}
+    for iteration, table in ((0, NO_GP), (LAST_ITERATION, WITH_GP)):
+        errors[iteration] = {measure: _state(by_name) for measure, by_name in table.items()}
+    first_std, last_std = np.transpose([LARGEST_STD[name] for name in STATE_NAMES])
+    return PublishedResult(
+        source="the paper",
+        origin=f"{PAPER_STEPS} steps per deployment, read off its Figs. 4 and 5",
+        reference=paper_reference(),
+        errors=errors,
+        largest_std=(first_std, last_std),
+    )
+
+
+def _state(by_name: Mapping[str, float]) -> Array:
+    """Numbers of the state coordinates as an array."""
+    return np.array([by_name[name] for name in STATE_NAMES])
