@@ -1,1 +1,1 @@
-"""The method: settings, deployments, the loop, noise floor, replay."""
+"""The method: settings, deployments, the loop, noise floor, replay, diagnosis; fits, cases, portable controllers."""
