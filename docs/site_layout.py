@@ -18,7 +18,10 @@ ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "NOTATION.md
 LINK = re.compile(r"(!?\[[^]]*\])\(([^):# ]+)(#[^) ]+)?\)")
 INCLUDED = re.compile(r'^\[.*\]\((\S+)#(\S+) "included"\)$', re.MULTILINE)
 HEADING = re.compile(r"^(?=#+ )", re.MULTILINE)
-FETCHED = re.compile(r'<(?:script|link|img|iframe|source)\b[^>]*(?:src|href)="?(?:https?:)?//[^>]*>')
+FETCHED = re.compile(
+    r'<(?:script|link(?! rel="?canonical)|img|iframe|source)\b[^>]*(?:src|href)="?(?:https?:)?//[^>]*>'
+)
+"""What a browser fetches from another machine. A canonical link, the page's own address, is not fetched."""
 
 
 def on_files(files: Files, *, config) -> Files:
