@@ -178,6 +178,8 @@ WRONG = {
     "[gap]\npreset = [1]": "[gap] preset = [1], but it must be 'paper' or 'none' or 'paper_1' or",
     "[gap]\npreste = 'none'": "[gap] preste: unknown key; did you mean preset?",
     "[gap]\nground_friction = -1": "[gap] ground_friction = -1.0, but it must be positive",
+    "[gap]\nground_friction = inf": "[gap] ground_friction = inf, but it must be finite with boom_arc = true",
+    "[gap]\npreset = 'none'\nboom_arc = true": "[gap] ground_friction = inf, but it must be finite with boom_arc",
     "[parameters]\nbody_mass = -1": "[parameters] body_mass = -1.0, but it must be positive",
     "[parameters]\nbottom_length = 0.1": "[parameters] bottom_length = 0.1, but it must exceed top_length = 0.11",
     "[gains]\nlanding_length = 0.5": "[gains] landing_length = 0.5, but it must lie between 0.09 (leg folded)",

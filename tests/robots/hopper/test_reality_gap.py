@@ -26,11 +26,18 @@ def test_refuses_a_value_that_is_not_a_number_and_names_it(name: str, value: flo
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_accepts_infinity_only_where_it_means_rigid_exact_or_unlimited(name: str):
+    plane = replace(RealityGap(), boom_arc=False)
     if name in MAY_BE_INFINITE:
-        replace(RealityGap(), **{name: inf})
+        replace(plane, **{name: inf})
     else:
         with pytest.raises(ValueError, match=name):
-            replace(RealityGap(), **{name: inf})
+            replace(plane, **{name: inf})
+
+
+def test_on_the_arc_the_foot_must_be_able_to_slip():
+    for gap, change in ((RealityGap(), {"ground_friction": inf}), (RealityGap.none(), {"boom_arc": True})):
+        with pytest.raises(ValueError, match="ground_friction = inf, but it must be finite with boom_arc = true"):
+            replace(gap, **change)
 
 
 @pytest.mark.parametrize("name", sorted(set(NUMBERS) - SIGNED))

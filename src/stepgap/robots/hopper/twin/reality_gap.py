@@ -72,7 +72,7 @@ class RealityGap:
             slightly on the arc.
         boom_inertia_scale: Factor on the boom inertias I_x, I_z; no gap 1.
         boom_arc: The hip moves on a sphere about the boom's pivot and the leg tilts with the boom, so
-            that the foot scrubs sideways; no gap False, a plane.
+            that the foot scrubs sideways, for which `ground_friction` must be finite; no gap False, a plane.
         boom_pivot_height: Height of the boom's pivot above the mean ground [m]. Known to the
             controller; in the plane it only converts between height and pitch counts.
         boom_stiffness: Stiffness of the boom's tip against its root, vertically and horizontally [N/m].
@@ -84,8 +84,8 @@ class RealityGap:
             carried mass forward by g sin(tilt) sin ψ at yaw ψ; no effect in the plane; no gap 0.
         ground_stiffness: Load per penetration [N/m]; no gap inf, an inelastic impact.
         ground_damping_ratio: Damping ratio of the robot's whole mass on that ground; no effect on rigid ground.
-        ground_friction: Coulomb coefficient; no gap inf, the foot never slips. On the arc inf would
-            lock the boom's pitch in stance, because the foot could not scrub.
+        ground_friction: Coulomb coefficient; no gap inf, the foot never slips. With `boom_arc` inf is refused: it
+            would lock the boom's pitch in stance, because the foot could not scrub.
         ground_roughness: Standard deviation of a smooth random height profile around the circle [m];
             no gap 0.
         ground_slope: Tilt of the floor under the boom [rad]: height R tan(slope) sin ψ at yaw ψ; no gap 0.
@@ -113,6 +113,9 @@ class RealityGap:
             motion; no gap 0.
         takeoff_length: Leg length that counts as take-off [m]; changes the sensor model, not the motion;
             no gap inf, where only the contact force decides.
+
+    Raises:
+        ValueError: A value is out of its range, or the foot would have to scrub on the arc but cannot slip.
     """
 
     body_mass_scale: float = 1.03
@@ -158,6 +161,8 @@ class RealityGap:
         require(abs(self.ground_slope) < pi / 4, "ground_slope", self.ground_slope, "lie within ±π/4 rad")
         require(abs(self.boom_tilt) < pi / 4, "boom_tilt", self.boom_tilt, "lie within ±π/4 rad")
         require(abs(self.torque_imbalance) < 1, "torque_imbalance", self.torque_imbalance, "lie within ±1")
+        rule = "be finite with boom_arc = true, where the foot must scrub sideways; or set boom_arc = false"
+        require(isfinite(self.ground_friction) or not self.boom_arc, "ground_friction", self.ground_friction, rule)
 
     @classmethod
     def none(cls) -> Self:
