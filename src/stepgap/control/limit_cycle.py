@@ -1,4 +1,4 @@
-"""Limit cycles, their stability, and the one-step reachable set (Sec. 4.2)."""
+"""Limit cycles, their stability, and the one-step reachable set (Sec. 4.2 of the paper)."""
 
 from dataclasses import dataclass
 

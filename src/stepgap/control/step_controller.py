@@ -1,8 +1,9 @@
-"""The step controller: the command with which the next apex is the target (Sec. 4.3, Eqs. 11 and 13).
+"""The step controller: the command with which the next apex is the target (Sec. 4.3 of the paper, Eqs. 11, 13).
 
 `StepController` works with any `StepMap`, nominal or corrected. Usually a few damped Gauss–Newton steps within the
 command bounds reach the target. Where they do not, the controller searches a grid of commands for better starting
-points (`bounded_search`).
+points (`bounded_search`). In a run, `DeploymentController` (`experiment.deployment`) calls `CautiousController`, which
+calls this controller, and departs from its command where the map is uncertain or a fall is possible.
 
 The search works on scaled quantities: a *point* is a command scaled so that its bounds are -1 and 1, and errors of the
 state are divided by half the range of each coordinate (`StepSpace.state_scale`).

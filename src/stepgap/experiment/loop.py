@@ -1,4 +1,4 @@
-"""The experiment loop (Sec. 4.4): deploy, learn the map's error, recompute the controller, deploy again.
+"""The experiment loop (Sec. 4.4 of the paper): deploy, learn the map's error, recompute the controller, deploy again.
 
 It does not depend on a robot: it needs only a nominal `StepMap`, a function that makes a `Plant`, and a `Reference`.
 """

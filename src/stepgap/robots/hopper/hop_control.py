@@ -1,4 +1,4 @@
-"""Joint control of Sec. 4.1 as a `TickControl`: the state kept from tick to tick and the compiled call for a tick."""
+"""Joint control (Sec. 4.1 of the paper) as a `TickControl`: state kept from tick to tick, compiled call for a tick."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

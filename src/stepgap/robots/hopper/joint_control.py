@@ -1,4 +1,4 @@
-"""The torque laws of Sec. 4.1; the model, the twin and the hardware run these same functions.
+"""The torque laws of the paper's Sec. 4.1; the model, the twin and the hardware run these same functions.
 
 Motor 1 turns the top link at φ₁ = α₁ + α₂, motor 2 the one at φ₂ = α₁ − α₂, so generalised torques
 on (α₁, α₂) are Q = (τ₁ + τ₂, τ₁ − τ₂).

@@ -1,4 +1,4 @@
-"""Kinematics of the four-bar leg (Sec. 3, Fig. 1).
+"""Kinematics of the four-bar leg (Sec. 3 and Fig. 1 of the paper).
 
 Angles are measured from the downward vertical, forward positive. The top links stand at α₁ ± α₂, the
 bottom links meet at leg length ℓ below the hip along α₁. Every bottom link leans by β against the leg
