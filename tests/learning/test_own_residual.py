@@ -2,12 +2,15 @@
 
 import json
 import re
+import subprocess
 import sys
 import tomllib
+from importlib.metadata import distributions
 from pathlib import Path
 
 import numpy as np
 import pytest
+from uv import find_uv_bin
 
 from stepgap.base.settings_file import InputError
 from stepgap.bench.learning import measure_twin
@@ -27,7 +30,7 @@ from tests.report.runs import REAL, TARGETS, report_of
 
 PAGE = (Path(__file__).parents[2] / "docs" / "own_residual.md").read_text("utf-8")
 MODULE, *USES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-PYPROJECT, SETTINGS = map(tomllib.loads, re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL))
+PYPROJECT, SETTINGS = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 NAME = "bayesian_linear"
 
 
@@ -54,7 +57,8 @@ def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def installed(packages: Path) -> None:
     """The page's package."""
-    install(packages, "own_residual", MODULE, **PYPROJECT["project"]["entry-points"]["stepgap.residuals"])
+    (entries,) = tomllib.loads(PYPROJECT)["project"]["entry-points"].values()
+    install(packages, "own_residual", MODULE, **entries)
 
 
 @pytest.mark.usefixtures("installed")
@@ -62,6 +66,20 @@ class TestOwnResidual(ResidualContract):
     @pytest.fixture
     def model(self) -> ResidualModel:
         return load_residual_model(NAME)
+
+
+def test_the_package_of_the_page_is_installed_with_its_entry_point(tmp_path: Path) -> None:
+    """By uv, without the network; a second module in the folder is left out."""
+    folder, installed = tmp_path / "folder", tmp_path / "installed"
+    folder.mkdir()
+    for name, text in (("pyproject.toml", PYPROJECT), ("own_residual.py", MODULE), ("attempt.py", "")):
+        (folder / name).write_text(text, "utf-8")
+    options = ["--quiet", "--offline", "--no-cache", "--no-deps", "--no-build-isolation", "--python", sys.executable]
+    command = [find_uv_bin(), "pip", "install", *options, "--target", str(installed), str(folder)]
+    subprocess.run(command, check=True, capture_output=True)
+    (found,) = (each for each in distributions(path=[str(installed)]) if each.name == "own-residual")
+    assert [(each.name, each.value) for each in found.entry_points] == [(NAME, "own_residual:MODEL")]
+    assert [path.name for path in installed.glob("*.py")] == ["own_residual.py"]
 
 
 def test_it_is_short() -> None:
@@ -98,7 +116,7 @@ def test_it_is_the_posterior_of_a_gaussian_process_with_a_linear_kernel() -> Non
 def test_settings_accept_it_and_it_adds_its_lagged_inputs() -> None:
     assert NAME in residual_names()
     assert "own_residual" not in sys.modules, "names are known without imports"
-    LearningSettings(**SETTINGS["learning"])
+    LearningSettings(**tomllib.loads(SETTINGS)["learning"])
     assert "own_residual" not in sys.modules
     assert fit_residual(NAME, steps()).history_inputs.lagged_inputs == "previous_error"
     assert fit_residual(NAME, steps(), "previous_step").history_inputs.lagged_inputs == "previous_step"
