@@ -226,5 +226,5 @@ if [ "$1" = uv ]; then
     use_pip_settings
 fi
 unset PYTHONHOME
-export VIRTUAL_ENV="$venv" PATH="$venv/bin:$PATH"
+export VIRTUAL_ENV="$venv" PATH="$venv/bin:$PATH" STEPGAP_GO="$0" # the last: how `stepgap` names commands to type
 exec "$@"

@@ -91,6 +91,15 @@ def test_a_users_command_installs_what_users_need_once(clone: Clone) -> None:
     assert clone.run("stepgap") == (True, [], "")
 
 
+def test_a_command_knows_how_it_was_started(clone: Clone) -> None:
+    clone.run("stepgap")
+    folder = clone.folder / "other"
+    folder.mkdir()
+    command = ["../go", "sh", "-c", "echo $STEPGAP_GO"]
+    result = subprocess.run(command, cwd=folder, env=clone.environment, capture_output=True, text=True, check=True)
+    assert result.stdout == "../go\n"
+
+
 def test_a_developers_command_adds_the_rest_and_it_stays(clone: Clone) -> None:
     clone.run("stepgap")
     ran, asked, output = clone.run("pytest")

@@ -40,6 +40,12 @@ def improved() -> bool:
     return bool((after < 0.5 * before).all())
 
 
+@pytest.fixture(autouse=True)
+def started_without_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in an environment of a user, however the tests were started."""
+    monkeypatch.delenv("STEPGAP_GO", raising=False)
+
+
 @pytest.mark.parametrize("form", ["equations", "mujoco"])
 def test_the_documentation_shows_the_starters(form: str) -> None:
     page = (ROOT / "docs" / {"equations": "own_robot.md", "mujoco": "mujoco_robot.md"}[form]).read_text("utf-8")
@@ -104,6 +110,16 @@ def test_a_wrong_name_in_a_robot_is_one_line_with_its_location(
         stepgap("run", "misspelt/experiment.toml", "--out", "out", "--debug")
 
 
+def test_in_a_clone_the_next_commands_are_typed_with_go(stepgap: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEPGAP_GO", "../my clone/go")
+    go = "'../my clone/go'"
+    install, run = f"{go} uv pip install -e tumbler", f"{go} stepgap run tumbler/experiment.toml"
+    assert stepgap("new", "tumbler").err == f"next: {install}\nnext: {run}\n"
+    refused(stepgap("run", "tumbler/experiment.toml"), f"run it by: {install} && {run}")
+    run = f"{go} stepgap run other/experiment.toml -- python3 other/robot.py"
+    assert stepgap("new", "other", "--process").err == f"next: {run}\n"
+
+
 @pytest.mark.usefixtures("no_report")
 def test_a_program_runs_without_installation(stepgap: Command) -> None:
     made = stepgap("new", "my robot", "--process")
@@ -124,6 +140,8 @@ def test_a_log_is_enough(stepgap: Command) -> None:
     run = ["run", "first/experiment.toml", "--iterations", "0", "--explore", "30", "--out", "recorded", *short]
     assert stepgap(*run, "--", sys.executable, "first/robot.py").code == 0
     assert stepgap("new", "second", "--from", "recorded").code == 0
+    practice = "it jumps to the recorded step that is nearest"
+    assert [practice in Path(name, "README.md").read_text() for name in ("first", "second")] == [False, True]
     settings = tomllib.loads(Path("second/experiment.toml").read_text())
     assert settings["nominal"] == {"kind": "log", "file": "steps.csv"}
     first = tomllib.loads(Path("first/experiment.toml").read_text())

@@ -42,6 +42,10 @@ class Starter(NamedTuple):
 
 EQUATIONS = Starter("equations.py.txt", "BallRobot", "equations", "equations")
 MUJOCO = Starter("mujoco.py.txt", "SpringHopper", "simulator", "model and the controller")
+PRACTICE = """\
+Until then the robot is for practice only: it jumps to the recorded step that is nearest to state and command, and only
+a part of the errors that these jumps cause can be learned."""
+"""What the README says of a robot that replays recorded steps."""
 
 
 def new(
@@ -138,6 +142,7 @@ def _program(name: str, log: "StepLog | None") -> dict[str, str]:
     values = {"name": name, "kind": kind, "file": file, "quantities": _quantities(space)}
     values["function"] = "take_step" if log else "hop"
     values["nominal"] = "the nominal map is fitted to `steps.csv`" if log else "`template.toml` is the nominal map"
+    values["practice"] = f"\n{PRACTICE}" if log else ""
     replayed = Template(_starter("replayed.py.txt"))
     return {
         "experiment.toml": Template(_starter("process.toml.txt")).substitute(values),

@@ -1,6 +1,7 @@
 """Robots by name: those of this package and of others, found by their entry points."""
 
 from dataclasses import fields, is_dataclass
+from os import environ
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -39,12 +40,18 @@ def load_robot(name: str) -> Robot:
 
 
 def next_commands(folder: Path) -> tuple[str, ...]:
-    """The commands that run the robot in a folder made by `stepgap new`; none in another folder."""
-    run = f"stepgap run {quote(str(folder / 'experiment.toml'))}"
+    """The commands that run the robot in a folder made by `stepgap new`; none in another folder.
+
+    They are as they must be typed: through `./go`, if that started this process.
+    """
+    stepgap, install = "stepgap", "pip install -e"
+    if go := environ.get("STEPGAP_GO"):
+        stepgap, install = f"{quote(go)} stepgap", f"{quote(go)} uv pip install -e"
+    run = f"{stepgap} run {quote(str(folder / 'experiment.toml'))}"
     if not (folder / "experiment.toml").is_file():
         return ()
     if (folder / "pyproject.toml").is_file():
-        return f"pip install -e {quote(str(folder))}", run
+        return f"{install} {quote(str(folder))}", run
     if (folder / "robot.py").is_file():
         return (f"{run} -- python3 {quote(str(folder / 'robot.py'))}",)
     return (run,)
