@@ -29,6 +29,9 @@ RUN_ELSEWHERE = {
 }
 """Pages whose blocks need more around them."""
 
+WITH_OUTPUT = ("idea.md",)
+"""Pages that show below their blocks what these print, with rounded numbers."""
+
 EXAMPLES_ELSEWHERE = {"own_robot.py": "test_own_robot.py"}
 """Examples that a test of their own runs as programs."""
 
@@ -73,7 +76,7 @@ def name(page):
 
 
 @pytest.mark.parametrize("page", SCRIPTS, ids=name)
-def test_pages_run(page, tmp_path, monkeypatch):
+def test_pages_run(page, tmp_path, monkeypatch, capsys):
     """Blocks of a page continue each other, examples in the last column of a table after them."""
     monkeypatch.chdir(tmp_path)
     if page.name == "gym.md":
@@ -85,6 +88,16 @@ def test_pages_run(page, tmp_path, monkeypatch):
         runpy.run_path(str(script), run_name="__main__")
     except NoNetwork as reason:
         pytest.skip(str(reason))
+    if page.name in WITH_OUTPUT:
+        check_output(capsys.readouterr().out, "".join(re.findall(r"```text\n(.*?)```", TEXTS[page], re.DOTALL)))
+
+
+def check_output(printed, shown):
+    """Numbers agree within 2e-4 or 0.2 %, the words exactly."""
+    number = r"-?\d\.\d*(?:e-\d+)?"
+    assert re.sub(number, "", printed).split() == re.sub(number, "", shown).split()
+    values, rounded = ([float(found) for found in re.findall(number, text)] for text in (printed, shown))
+    assert values == pytest.approx(rounded, rel=2e-3, abs=2e-4)
 
 
 @pytest.mark.parametrize("page", RUN_ELSEWHERE)
