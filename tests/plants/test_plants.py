@@ -123,7 +123,7 @@ def test_without_any_gap_the_twin_hops_as_the_model():
 
 
 def test_a_first_hop_that_fails_is_a_fault_with_advice():
-    with twin_plant(0, RealityGap(torque_limit=1.0)) as plant, pytest.raises(RigFault, match="first hop failed"):
+    with twin_plant(0, RealityGap(torque_limit=1.0)) as plant, pytest.raises(RigFault, match="first step failed"):
         plant.start()  # motors too weak to carry the robot at all
 
 
