@@ -82,7 +82,7 @@ class DeploymentController:
         return cls(learner, settings, table)
 
     @property
-    def present(self) -> CautiousController:
+    def step_controller(self) -> CautiousController:
         """Controller of the next step."""
         learner = self.learner
         return CautiousController(learner.step_map(), learner.nominal, learner.failures, self.settings, self.table)
@@ -94,7 +94,7 @@ class DeploymentController:
             state: Measured state; shape (n,).
             target: State wanted after the step; shape (n,).
         """
-        return tracking_plan(self.present, state, target, self.command)
+        return tracking_plan(self.step_controller, state, target, self.command)
 
     def after(self, logged: LoggedStep) -> Self:
         """Returns the controller after a step that was executed."""
@@ -124,9 +124,9 @@ def deploy(
         state = plant.start()
         for number in range(1 - exploration, len(reference) + 1):
             if number < 1:
-                present = controller.present
-                goals = goals_of(reference, present.step_map)
-                plan = exploration_plan(present, controller.learner.conditioned_residual, state, goals)
+                step_controller = controller.step_controller
+                goals = goals_of(reference, step_controller.step_map)
+                plan = exploration_plan(step_controller, controller.learner.conditioned_residual, state, goals)
             else:
                 plan = controller.plan(state, reference.targets[number - 1])
             background.compute(controller.learner.pending)  # after the command, so that it causes no delay

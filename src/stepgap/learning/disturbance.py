@@ -124,18 +124,18 @@ class DisturbanceFilter:
         return np.vstack([np.zeros((1, predicted.shape[1])), predicted])
 
 
-def without_yaw_dependence(observations: Observations, present: int) -> Observations:
+def without_yaw_dependence(observations: Observations, iteration: int) -> Observations:
     """Removes the yaw-dependent part of the disturbance from the errors of observations.
 
     Args:
         observations: Observations of one or more deployments. If no yaw is known, they are returned unchanged.
-        present: Number of the deployment that is running, from whose errors nothing is removed: in the first steps of a
+        iteration: Number of the running deployment, from whose errors nothing is removed: in the first steps of a
             turn sine and cosine cannot be distinguished from a constant, and `DisturbanceFilter` estimates all three.
     """
     space, deployment = observations.space, observations.deployment
     if observations.yaw is None or deployment is None:
         return observations
-    yaw = np.where(deployment < present, observations.yaw, np.nan)
+    yaw = np.where(deployment < iteration, observations.yaw, np.nan)
     if not np.isfinite(yaw).any():
         return observations
     points = np.hstack([space.scaled_state(observations.state), space.point_of(observations.command)])

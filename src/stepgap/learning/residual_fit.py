@@ -71,7 +71,7 @@ def fit_residual(
 
 
 def learned_residual(
-    observations: Observations, settings: LearningSettings, present: int, start: Residual | None = None
+    observations: Observations, settings: LearningSettings, iteration: int, start: Residual | None = None
 ) -> Residual:
     """Fits the residual of the settings as a deployment does.
 
@@ -80,13 +80,13 @@ def learned_residual(
     Args:
         observations: Observations to learn from; if there are none, the residual is zero.
         settings: Which residual model is used, and what is left out.
-        present: Number of the deployment that is running, from whose errors nothing is removed.
+        iteration: Number of the deployment that is running, from whose errors nothing is removed.
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
 
     Raises:
         InputError: There is no model of this name, or it cannot be used.
     """
-    residual = _learned_residual(observations, settings, present, start)
+    residual = _learned_residual(observations, settings, iteration, start)
     if not settings.reject_outliers:
         return residual
     kept, without_outliers = np.arange(len(observations)), residual
@@ -97,18 +97,18 @@ def learned_residual(
         kept = kept[~outliers]
         if len(kept) < (1 - MOST_OUTLIERS) * len(observations):
             return residual
-        without_outliers = _learned_residual(observations.selected(kept), settings, present, without_outliers)
+        without_outliers = _learned_residual(observations.selected(kept), settings, iteration, without_outliers)
     left_out = np.delete(observations.labels, kept, axis=0)
     return replace(without_outliers, outliers=tuple((int(deployment), int(number)) for deployment, number in left_out))
 
 
 def _learned_residual(
-    observations: Observations, settings: LearningSettings, present: int, start: Residual | None
+    observations: Observations, settings: LearningSettings, iteration: int, start: Residual | None
 ) -> Residual:
     """Fits the residual of the settings to all observations, which may include outliers."""
     kind = settings.residual if len(observations) else "none"
     if settings.remove_yaw_dependence and kind != "none":
-        cleaned = without_yaw_dependence(observations, present)
+        cleaned = without_yaw_dependence(observations, iteration)
         residual = fit_residual(kind, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
         if residual.kind != "none":
             return residual
