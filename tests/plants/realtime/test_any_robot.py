@@ -3,7 +3,7 @@
 # ruff: noqa: ARG002
 # (The interfaces give more than this robot needs.)
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from math import inf, isnan, nan
 
 import numpy as np
@@ -12,31 +12,25 @@ import pytest
 from stepgap.plants.realtime.board import Board, Request, StepEnd
 from stepgap.plants.realtime.loop import ControlLoop, LoopSettings
 from stepgap.plants.rig_plant import RigPlant
-from stepgap.plants.tick_control import FinishedStep, Mode, Order, RobotControl, TickControl, TickFlag
-from stepgap.plants.ticks.log_description import FieldMeaning
-from stepgap.plants.ticks.tick_table import TickTable
-from stepgap.rigs.limits import RigLimits
+from stepgap.plants.tick_control import FinishedStep, Mode, Order, TickFlag
 from stepgap.rigs.rig import HEALTHY, Health, Reading, Rig, SensorModel, Torques
 from stepgap.rigs.still_rig import StillRig
 from stepgap.step import Quantity, StepSpace, StepStatus
+from tests.plants.realtime.still_robot import StillControl, StillRobot
 
 SPACE = StepSpace(
     (Quantity("x", "m", -1.0, 9.0), Quantity("y", "m", -1.0, 9.0), Quantity("roll", "rad", -1.0, 1.0)),
     (Quantity("push", "N", -2.0, 2.0),),
 )
-UNITS = {"time": "s", "torque_1": "N·m", "torque_2": "N·m", "torque_3": "N·m"}
 TICKS_PER_STEP = 10
 
 
-class MarchControl(TickControl):
+class MarchControl(StillControl):
     """Marches in place: a step takes ten ticks, and its three torques are the command and its multiples."""
 
     def __init__(self) -> None:
-        self._tick, self._row, self._command = 0, (0.0,) * len(UNITS), nan
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        return UNITS
+        super().__init__()
+        self._tick, self._command = 0, nan
 
     @property
     def motors(self) -> int:
@@ -53,7 +47,7 @@ class MarchControl(TickControl):
     ) -> tuple[Torques, int]:
         (command,) = order.command
         assert len(applied) == 3
-        self._row = (time, *applied)
+        self._row = (time, *reading)
         if order.mode != Mode.STEP:
             return (0.0, 0.0, 0.0), TickFlag.NOTHING
         if self._tick % TICKS_PER_STEP == 0:
@@ -65,54 +59,30 @@ class MarchControl(TickControl):
         push = 0.0 if isnan(self._command) else self._command
         return (push, 2 * push, 3 * push), ended | TickFlag.TAKES_COMMAND
 
-    def row(self, applied: Torques) -> Sequence[float]:
-        return (self._row[0], *applied)
-
     def finished_step(self) -> FinishedStep:
         number = self._tick // TICKS_PER_STEP
         return FinishedStep(np.array([number, 0.5, -0.25]), np.array([self._command]), np.array([0.125]), 1.5)
 
-    def failed_step(self, applied: Torques | None) -> FinishedStep:
-        return FinishedStep.stopped(SPACE)
 
-    @property
-    def status(self) -> StepStatus:
-        return StepStatus.OK
-
-    @property
-    def stopped(self) -> str:
-        return ""
-
-
-class MarchRobot(RobotControl):
+class MarchRobot(StillRobot):
     """Makes a `MarchControl`."""
 
     @property
     def space(self) -> StepSpace:
         return SPACE
 
-    @property
-    def units(self) -> Mapping[str, str]:
-        return UNITS
-
-    @property
-    def consent_request(self) -> str:
-        return "Hold the space bar."
-
-    def meaning(self, rig: Rig) -> FieldMeaning:
-        return FieldMeaning()
-
     def control(self, rig: Rig) -> MarchControl:
         return MarchControl()
 
-    def limp_limits(self, rig: Rig) -> RigLimits:
-        return RigLimits()
 
-    def step_ends(self, ticks: TickTable) -> np.ndarray:
-        return np.empty(0, int)
+class RecordedRig(StillRig):
+    """A rig without hardware that keeps the last torques."""
 
-    def describe(self, rig: Rig, tick: Mapping[str, float]) -> dict[str, str]:
-        return {}
+    given: Torques = ()
+
+    def write(self, torques: Torques) -> Torques:
+        self.given = torques
+        return torques
 
 
 @pytest.fixture
@@ -123,12 +93,15 @@ def board() -> Iterator[Board]:
     board.unlink()
 
 
-def marching(board: Board) -> tuple[ControlLoop, list[Sequence[float]]]:
-    """A loop whose robot is about to step, and its rows."""
-    rows, settings = list[Sequence[float]](), LoopSettings(calibrate_time=0, stand_time=0.02, release_time=inf)
-    rig = StillRig(SensorModel(tick=0.01), (0.0,))
+def a_rig() -> RecordedRig:
+    return RecordedRig(SensorModel(tick=0.01), (0.5,))
+
+
+def marching(board: Board) -> tuple[ControlLoop, RecordedRig]:
+    """A loop whose robot is about to step, and its rig."""
+    rig, settings = a_rig(), LoopSettings(calibrate_time=0, stand_time=0.02, release_time=inf)
     board.request = Request.START
-    return ControlLoop(rig, MarchControl(), SPACE, board, rows.append, settings), rows
+    return ControlLoop(rig, MarchControl(), SPACE, board, lambda row: None, settings), rig
 
 
 def next_end(loop: ControlLoop, board: Board, number: int) -> StepEnd:
@@ -140,7 +113,7 @@ def next_end(loop: ControlLoop, board: Board, number: int) -> StepEnd:
 
 
 def test_the_loop_steps_it_with_commands_within_their_bounds(board: Board):
-    loop, rows = marching(board)
+    loop, rig = marching(board)
     first = next_end(loop, board, 0)
     np.testing.assert_array_equal(first.result.requested, [0.0])
     board.post_command(1, (1e9,))
@@ -149,7 +122,7 @@ def test_the_loop_steps_it_with_commands_within_their_bounds(board: Board):
     np.testing.assert_array_equal(end.result.state, [2.0, 0.5, -0.25])
     np.testing.assert_array_equal(end.result.requested, [2.0])
     np.testing.assert_array_equal(end.result.applied, [2.0 - 0.125])
-    assert tuple(rows[-1][1:4]) == (2.0, 4.0, 6.0)
+    assert rig.given == (2.0, 4.0, 6.0)
 
 
 def test_the_loop_refuses_a_command_that_is_not_finite(board: Board):
@@ -166,7 +139,7 @@ def test_the_loop_refuses_a_command_that_is_not_finite(board: Board):
 
 
 def test_a_plant_in_the_same_process_steps_it():
-    with RigPlant(StillRig(SensorModel(tick=0.01), (0.0,)), MarchRobot()) as plant:
+    with RigPlant(a_rig(), MarchRobot()) as plant:
         plant.start()
         record = plant.take_step(np.array([0.5]))
         assert record.status == StepStatus.OK
