@@ -304,7 +304,8 @@ class StepRecord:
     Attributes:
         state: State from which it started, as measured; shape (n,).
         command: Command given by the controller; shape (m,).
-        applied: The part of the command that the joints received, after all limits; shape (m,).
+        applied: The part of the command that the joints received, after all limits; of a failed step, NaN where it is
+            not known; shape (m,).
         next_state: State in which it ended, as measured; NaN if it failed; shape (n,).
         status: How it ended.
         yaw_after: Yaw after the step [rad], such as that of a boom; NaN if the plant does not measure it, or if
@@ -316,7 +317,7 @@ class StepRecord:
             for reports; nothing that controls or learns may read it. Shape (n,).
 
     Raises:
-        ValueError: The yaw is infinite.
+        ValueError: The yaw is infinite, or the status is not a `StepStatus`.
     """
 
     state: Array
@@ -331,6 +332,7 @@ class StepRecord:
     def __post_init__(self) -> None:
         rule = "be an angle, or NaN where it is not known"
         require(not np.isinf(self.yaw_after), "yaw_after", self.yaw_after, rule)
+        object.__setattr__(self, "status", StepStatus(self.status))
         if self.requested is NOT_GIVEN:
             object.__setattr__(self, "requested", self.command)
         if self.true_next_state is NOT_GIVEN:

@@ -45,7 +45,8 @@ def any_step(draw: st.DrawFn) -> LoggedStep:
     predicted = draw(st.one_of(PAIR, st.just(NO_STATE)))
     yaw = draw(st.one_of(FINITE, st.just(math.nan)))
     true_state = draw(st.one_of(PAIR, st.just(NO_STATE)))
-    record = StepRecord(draw(PAIR), draw(PAIR), draw(PAIR), next_state, status, yaw, draw(PAIR), true_state)
+    applied = draw(PAIR if status == StepStatus.OK else st.one_of(PAIR, st.just(NO_STATE)))
+    record = StepRecord(draw(PAIR), draw(PAIR), applied, next_state, status, yaw, draw(PAIR), true_state)
     return LoggedStep(0, 1, draw(PAIR), predicted, draw(PAIR), record)
 
 
@@ -82,6 +83,59 @@ def test_an_infinite_yaw_is_refused() -> None:
     record = step().record
     with pytest.raises(ValueError, match="yaw_after = inf, but it must be an angle, or NaN where it is not known"):
         replace(record, yaw_after=math.inf)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"state": NO_STATE}, "the state of the plant is not finite: nan, nan"),
+        ({"requested": np.array([1.0, math.inf])}, "the requested command of the plant is not finite: 1.0, inf"),
+        ({"applied": NO_STATE}, "the applied command of the plant is not finite: nan, nan"),
+        ({"next_state": NO_STATE}, "the next state of the plant is not finite: nan, nan"),
+        ({"next_state": np.zeros(3)}, "the next state of the plant has shape (3,) instead of (2,)"),
+        ({"true_next_state": np.float64(0.5)}, "the true next state of the plant has shape () instead of (2,)"),
+        ({"std": NO_STATE}, "the standard deviation of nominal map and residual is not finite: nan, nan"),
+        ({"predicted": np.zeros(1)}, "the predicted state of nominal map and residual has shape (1,) instead of (2,)"),
+    ],
+)
+def test_a_step_that_could_not_be_read_is_not_written(tmp_path: Path, wrong: dict, message: str) -> None:
+    path, second = tmp_path / "steps.csv", step(number=2)
+    if wrong.keys() <= {"std", "predicted"}:
+        second = replace(second, **wrong)
+    else:
+        second = replace(second, record=replace(second.record, **wrong))
+    with StepWriter(path, SPACE) as writer:
+        writer.append(step())
+        before = path.read_bytes()
+        with pytest.raises(RecordError) as caught:
+            writer.append(second)
+    assert str(caught.value) == f"{path}: step 2 of deployment 0 cannot be recorded: {message}"
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("state", "command", "message"),
+    [
+        (("step",), (), "the name 'step' of a coordinate is that of another column"),
+        (("iteration",), (), "the name 'iteration'"),
+        (("x",), ("status",), "the name 'status'"),
+        (("x",), ("yaw_after",), "the name 'yaw_after'"),
+        (("x", "place_after"), (), "the name 'place_after'"),
+        (("x",), ("x",), "the name 'x'"),
+        (("x", "next_x"), (), "the name 'next_x'"),
+        (("",), (), "the name '' of a coordinate cannot be a column"),
+        (("a,b",), (), "the name 'a,b'"),
+        (("x",), ("a\nb",), r"the name 'a\\nb'"),
+        ([f"x{number}" for number in range(13)], (), "the state has 13 coordinates, but it must have at most 12"),
+    ],
+)
+def test_names_that_could_not_be_read_are_refused_before_the_first_step(
+    tmp_path: Path, state: tuple[str, ...], command: tuple[str, ...], message: str
+) -> None:
+    coordinates = [tuple(Quantity(name, "", -1.0, 1.0) for name in names) for names in (state, command)]
+    with pytest.raises(RecordError, match=message):
+        StepWriter(tmp_path / "steps.csv", StepSpace(*coordinates))
+    assert not (tmp_path / "steps.csv").exists()
 
 
 def test_each_row_is_on_disk_before_append_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,8 @@ from typing import Protocol, Self, final
 
 import numpy as np
 
+from stepgap.base.errors import StepGapError
+from stepgap.base.ranges import format_value
 from stepgap.control.cautious_controller import CautiousController, CautiousPlan
 from stepgap.control.command_table import CommandTable, build_table
 from stepgap.control.reference import Reference
@@ -15,7 +17,7 @@ from stepgap.learning.background import BackgroundThread, Deferred
 from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.plant import Plant
-from stepgap.step import Array, StepFailed, StepMap, StepStatus
+from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
 
 Steps = Generator[LoggedStep, None, None]
 """Generator of steps as they are executed; closing it stops the plant."""
@@ -118,10 +120,13 @@ def deploy(
         iteration: Number of the deployment.
         exploration: Number of exploratory steps before step 1, which are numbered up to 0.
         control: Settings of step control.
+
+    Raises:
+        StepGapError: The first state of the plant is not finite, or has another shape.
     """
     controller = DeploymentController.start(learner, control)
     with BackgroundThread() as background, plant:
-        state = plant.start()
+        state = _checked_start(plant.start(), plant.space)
         for number in range(1 - exploration, len(reference) + 1):
             if number < 1:
                 step_controller = controller.step_controller
@@ -137,6 +142,16 @@ def deploy(
             if record.status != StepStatus.OK:
                 return
             controller, state = controller.after(logged), record.next_state
+
+
+def _checked_start(state: Array, space: StepSpace) -> Array:
+    """Returns the first state of a plant; raises StepGapError unless it is one finite number for each coordinate."""
+    wanted = (len(space.state),)
+    if np.shape(state) != wanted or not np.isfinite(state).all():
+        raise StepGapError(
+            f"the first state of the plant is {format_value(state)}, but it must be finite numbers of shape {wanted}"
+        )
+    return state
 
 
 def tracking_plan(controller: CautiousController, state: Array, target: Array, guess: Array | None) -> CautiousPlan:

@@ -28,6 +28,9 @@ class RecordError(InputError):
     """A step log cannot be used; the message is one line that names the file and its fault."""
 
 
+_FORMER_YAW = "place_after"
+"""Name of the column `yaw_after` in earlier versions."""
+
 RECOVERY = "; `stepgap recover` saves what comes before it"
 """End of the message about a damaged row."""
 
@@ -46,6 +49,29 @@ def column_names(space: StepSpace) -> list[str]:
         "yaw_after",
         "status",
     ]
+
+
+def check_names(space: StepSpace) -> None:
+    """Ensures that a `steps.csv` with the names of a space can be read.
+
+    Raises:
+        RecordError: There are too many state coordinates, or a name cannot be that of a column.
+    """
+    if len(space.state) > MOST_COORDINATES:
+        raise RecordError(f"the state has {len(space.state)} coordinates, but it must have at most {MOST_COORDINATES}")
+    columns = [*column_names(space), _FORMER_YAW]
+    for name in space.names:
+        if not name or "," in name or not name.isprintable():
+            raise RecordError(
+                f"the name {name!r:.80} of a coordinate cannot be a column of steps.csv: it must be printable text "
+                "without a comma"
+            )
+        if columns.count(name) > 1:
+            raise RecordError(
+                f"the name {name!r:.80} of a coordinate is that of another column of steps.csv; the names of state and "
+                "command must differ from each other, from iteration, step, yaw_after and status, and from the other "
+                "names after target_, requested_, applied_, next_, true_next_, predicted_ or std_"
+            )
 
 
 def values_of(logged: LoggedStep, space: StepSpace) -> dict[str, int | float | str]:
@@ -78,13 +104,35 @@ def _step_of(row: str, space: StepSpace) -> LoggedStep:
     parts = np.split(numbers, np.cumsum([n, n, m, m, m, n, n, n, n]))
     state, target, command, requested, applied, next_state, true_next_state, predicted, std, (yaw,) = parts
     status = StepStatus[cells[-1].upper()]
-    known = [state, target, command, requested, applied, std]
-    if status == StepStatus.OK:
-        known.append(next_state)
-    if not np.isfinite(np.concatenate(known)).all():
-        raise ValueError("a number is not finite")
     record = StepRecord(state, command, applied, next_state, status, float(yaw), requested, true_next_state)
-    return LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
+    logged = LoggedStep(int(cells[0]), int(cells[1]), target, predicted, std, record)
+    _check_numbers(logged, space)
+    return logged
+
+
+def _check_numbers(logged: LoggedStep, space: StepSpace) -> None:
+    """Raises ValueError, which names their source, unless all arrays have their shape and the known numbers are finite.
+
+    Of a failed step, the next state and the applied command may be unknown.
+    """
+    record, n, m = logged.record, len(space.state), len(space.command)
+    completed = record.status == StepStatus.OK
+    numbers = (
+        ("state of the plant", record.state, n, True),
+        ("target of the reference", logged.target, n, True),
+        ("command of the plant", record.command, m, True),
+        ("requested command of the plant", record.requested, m, True),
+        ("applied command of the plant", record.applied, m, completed),
+        ("next state of the plant", record.next_state, n, completed),
+        ("true next state of the plant", record.true_next_state, n, False),
+        ("predicted state of nominal map and residual", logged.predicted, n, False),
+        ("standard deviation of nominal map and residual", logged.std, n, True),
+    )
+    for name, values, size, known in numbers:
+        if np.shape(values) != (size,):
+            raise ValueError(f"the {name} has shape {np.shape(values)} instead of {(size,)}")
+        if known and not np.isfinite(values).all():
+            raise ValueError(f"the {name} is not finite: {', '.join(map(str, np.asarray(values).tolist()))}")
 
 
 def _check_order(last: LoggedStep | None, logged: LoggedStep) -> None:
@@ -132,10 +180,10 @@ def _coordinate(name: str) -> Quantity:
 
 def check_not_older(header: Sequence[str], path: Path) -> None:
     """Raises RecordError if a header has a column name of an earlier version of StepGap."""
-    if "place_after" in header:
+    if _FORMER_YAW in header:
         raise RecordError(
             f"{path}, line 1: recorded by an older version of StepGap, in which the column yaw_after was called "
-            "place_after; run its experiment.toml again, or read the steps alone after renaming the column"
+            f"{_FORMER_YAW}; run its experiment.toml again, or read the steps alone after renaming the column"
         )
     kinds = {name.partition("_")[0] for name in header}
     if "applied" in kinds and "requested" not in kinds:
@@ -254,12 +302,14 @@ class StepWriter:
         recorded: Steps that were already in the file.
 
     Raises:
-        RecordError: Another process is writing the file, or it is not a step log of this space.
+        RecordError: Another process is writing the file, it is not a step log of this space, or `check_names` refuses
+            the space.
         OSError: The file cannot be read or written.
     """
 
     def __init__(self, path: Path, space: StepSpace):
-        self._header = ",".join(column_names(space))
+        check_names(space)
+        self._space, self._header = space, ",".join(column_names(space))
         self._path, self._file = path, path.open("a+b")
         try:
             self._lock(path)
@@ -285,8 +335,14 @@ class StepWriter:
         """Writes one row after the last complete one, and waits until it is on disk.
 
         Raises:
+            RecordError: A plant, map or residual gave what no row can hold; the message names it.
             OSError: The row cannot be written; the rows before it stay as they are.
         """
+        try:
+            _check_numbers(logged, self._space)
+        except ValueError as error:
+            place = f"step {logged.step} of deployment {logged.iteration}"
+            raise RecordError(f"{self._path}: {place} cannot be recorded: {error!s:.200}") from None
         text = row_of(logged) if self._whole else f"{self._header}\n{row_of(logged)}"
         row = f"{text}\n".encode()
         with naming(self._path):
