@@ -120,9 +120,12 @@ def test_wrong_use_is_one_line(stepgap: Command) -> None:
         stepgap("run", "--plant", "process", "--rig", "rig.toml", "--", "./robot"), "--arm, --rig: only for real rigs"
     )
     refused(stepgap("run", "--process.step", "0"), "--process.step = 0.0, but it must be a positive number of seconds")
-    missing = stepgap("run", "--plant", "process", "--out", "x", "--quiet", "--", "./robot")
-    assert missing.code == 1
-    assert missing.err == "stepgap: ./robot: cannot be started: No such file or directory\n"
+    for program, message in (
+        ("./robot", "-- ./robot: cannot be started: no such program; give its path, or a name in PATH"),
+        ("tcp:99999", "-- tcp:99999: there is no such port; it must be 1 to 65535"),
+    ):
+        refused(stepgap("run", "--plant", "process", "--out", "x", "--", program), message)
+        assert not Path("x").exists(), "the corrected command is not refused"
     closed = stepgap("run", "--plant", "process", "--out", "y", "--quiet", "--", "tcp:1")
     assert "127.0.0.1:1: " in closed.err
     Path("e.toml").write_text('plant = "process"\nprogram = "./robot"\n')

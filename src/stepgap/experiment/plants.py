@@ -1,6 +1,7 @@
 """Plants of `stepgap run`: a simulated plant of the robot, another program, or a rig by name."""
 
 import re
+import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -30,6 +31,9 @@ from stepgap.rigs.entry_points import load_rig, rig_names
 from stepgap.rigs.limits import RigLimits
 from stepgap.robots.robot import Simulation
 from stepgap.step import StepMap
+
+LARGEST_PORT = 65535
+"""Largest TCP port."""
 
 
 class Plants(NamedTuple):
@@ -146,6 +150,10 @@ def _of_process(settings: Experiment, program: Sequence[str]) -> Plants:
         example = f"stepgap run --plant {PROCESS} -- ./robot, or -- tcp:5555 if it listens on that port"
         raise InputError(f"--plant {PROCESS}: give the robot's program after two dashes: {example}")
     port = re.fullmatch(r"tcp:(\d{1,5})", program[0]) if len(program) == 1 else None
+    if port and not 0 < int(port[1]) <= LARGEST_PORT:
+        raise InputError(f"-- {program[0]}: there is no such port; it must be 1 to {LARGEST_PORT}")
+    if not port and shutil.which(program[0]) is None:
+        raise InputError(f"-- {program[0]}: cannot be started: no such program; give its path, or a name in PATH")
     connect = partial(Connection, int(port[1])) if port else partial(Child, tuple(program))
     space = settings.robot.space
     return Plants(lambda _: ProcessPlant(connect, space, settings.process), replays=False)
