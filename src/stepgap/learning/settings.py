@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass, field
 from math import inf
-from typing import Final, Literal, get_args
+from typing import Final, Literal, get_args, get_type_hints
 
 from stepgap.base.plugins import plugin_names, suggestion
 from stepgap.base.ranges import require
-from stepgap.base.settings_file import FORMER_NAME
+from stepgap.base.settings_file import FORMER_NAME, as_type
 
 RESIDUALS: Final = "stepgap.residuals"
 """Entry points of this group are residual models; their names are those of the setting `residual`."""
@@ -58,6 +58,8 @@ class LearningSettings:
     exploration: int = field(default=0, metadata={FORMER_NAME: "calibration"})
 
     def __post_init__(self) -> None:
+        for name, kind in get_type_hints(type(self)).items():
+            as_type(getattr(self, name), kind, name)
         names, lags = (AUTO, *plugin_names(RESIDUALS)), (*LAGGED_INPUTS, "auto")
         meant = suggestion(self.residual, names)
         rule = f"be one of {', '.join(names)}{'; ' if meant else ''}{meant}"
