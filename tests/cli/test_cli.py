@@ -144,8 +144,23 @@ def test_only_a_finished_run_is_extended(finished: Path, stepgap: Command) -> No
     (folder / "summary.json").unlink()
     message = "run: the run was interrupted in deployment 0; finish it by: stepgap run --out run --resume"
     refused(stepgap("run", "--out", folder, "--extend", "1"), message)
+    copied(finished / "run", folder)
+    rows = (folder / "steps.csv").read_text().splitlines(keepends=True)
+    (folder / "steps.csv").write_text("".join(rows[:-1]))
+    message = "run: summary.json has 2 deployments with 6 steps, but steps.csv only 5 steps"
+    refused(stepgap("run", "--out", folder, "--extend", "1"), message)
     before = (finished / "run" / "experiment.toml").read_bytes()
     assert (folder / "experiment.toml").read_bytes() == before
+
+
+def test_a_run_interrupted_between_deployments_is_not_extended(finished: Path, stepgap: Command) -> None:
+    folder = copied(finished / "run", Path("run"))
+    settings = (folder / "experiment.toml").read_text()
+    (folder / "experiment.toml").write_text(settings.replace("iterations = 1", "iterations = 4"))
+    before = contents(Path())
+    message = "run: the run was interrupted before deployment 2; finish it by: stepgap run --out run --resume"
+    refused(stepgap("run", "--out", folder, "--extend", "1"), message)
+    assert contents(Path()) == before
 
 
 def test_the_report_is_regenerated(finished: Path, stepgap: Command) -> None:
@@ -314,7 +329,9 @@ def test_a_run_in_progress_is_left_alone(finished: Path, stepgap: Command) -> No
     folder = copied(finished / "run", Path("run"))
     before = contents(folder)
     with StepWriter(folder / "steps.csv", CommandBounds().space()):
-        refused(stepgap("run", "--resume", "--out", "run"), "run/steps.csv: another process is writing this run")
+        for option in (["--resume"], ["--extend", "1"]):
+            message = "run/steps.csv: another process is writing this run"
+            refused(stepgap("run", *option, "--out", "run"), message)
     assert contents(folder) == before
 
 
@@ -525,6 +542,20 @@ def test_an_error_of_standard_output_is_one_line(output: str, reason: str, unbuf
     done = subprocess.run(program, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment, check=False)
     os.close(writer)
     assert (done.returncode, done.stderr) == (1, f"stepgap: standard output: {reason}\n")
+
+
+def test_a_run_that_nobody_reads_any_more_prints_how_to_resume(finished: Path, tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    program = [sys.executable, "-c", "from stepgap.cli.app import main; main()"]
+    command = [*program, "run", finished / "short.toml", "--out", "run", "--json", "--quiet"]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False)
+    os.close(writer)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-2:] == [
+        "stepgap: the run was stopped; resume with: stepgap run --out run --resume",
+        "stepgap: standard output: Broken pipe",
+    ]
 
 
 def test_standard_output_may_be_closed() -> None:

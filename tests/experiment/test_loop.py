@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepgap.base.errors import StepGapError
 from stepgap.base.files import write_whole
 from stepgap.base.random_streams import random_stream
 from stepgap.control.command_table import build_table
@@ -537,6 +538,7 @@ BREAKS: dict[str, Callable[[Path], object]] = {
     "at the first step of a deployment": lambda folder: rows_kept(folder, 17),
     "between steps and summary": lambda folder: (folder / "summary.json").unlink(),
     "models are missing": lambda folder: shutil.rmtree(folder / "models"),
+    "a model is damaged": lambda folder: (folder / "models" / "iteration_1.json").write_text('{"schema": 1'),
     "a model is missing": lambda folder: (folder / "models" / "iteration_1.json").unlink(),
     "a summary was being written": lambda folder: (folder / "summary.json.partial").write_text('{"sch'),
     "a summary was cut off": lambda folder: (folder / "summary.json").write_text('{"schema": 1, "seed"'),
@@ -637,6 +639,26 @@ def test_other_settings_are_refused(copy: Path) -> None:
         assert contents(copy) == before
 
 
+def test_a_model_of_recorded_steps_is_not_overwritten(copy: Path) -> None:
+    before = contents(copy)
+    for learning in (replace(ALWAYS, residual="quadratic"), replace(ALWAYS, residual="quadratic", iterations=3)):
+        with pytest.raises(
+            RecordError, match=r"iteration_1\.json: the model fitted now is not the one of the recorded"
+        ):
+            run_in(copy, learning=learning, replays=False)
+        assert contents(copy) == before
+
+
+def test_hardware_does_not_take_lost_steps_again(copy: Path) -> None:
+    for rows in (40, 16, 0):
+        rows_kept(copy, rows)
+        before = contents(copy)
+        message = rf"summary\.json has 3 deployments with 48 steps, but steps\.csv only {rows} steps"
+        with pytest.raises(RecordError, match=message):
+            run_in(copy, replays=False)
+        assert contents(copy) == before
+
+
 def test_one_process_at_a_time(copy: Path) -> None:
     with StepWriter(copy / "steps.csv", NOMINAL.space), pytest.raises(RecordError, match="another process"):
         run_in(copy)
@@ -671,6 +693,34 @@ def test_a_run_with_a_failed_rig_can_be_resumed(tmp_path: Path, unbroken: Path, 
         run_in(tmp_path, lambda rng: FailingPlant(fails_at, stopped))
     assert stopped
     assert len(read_step_log(tmp_path / "steps.csv", NOMINAL.space)) == max(0, fails_at - 1)
+    run_in(tmp_path)
+    assert contents(tmp_path) == contents(unbroken)
+
+
+class LosingSight(ModelPlant):
+    """A plant that measures no state at its start, or after a step."""
+
+    def __init__(self, lost_after: int):
+        super().__init__(REALITY, START, NOISE, random_stream(3, 0))
+        self._left = lost_after
+
+    def start(self) -> Array:
+        return super().start() if self._left else np.full(2, np.nan)
+
+    def take_step(self, command: Array) -> StepRecord:
+        self._left -= 1
+        record = super().take_step(command)
+        return record if self._left else replace(record, next_state=np.full(2, np.nan))
+
+
+@pytest.mark.parametrize(
+    ("lost_after", "message"),
+    [(0, "the first state of the plant is"), (5, "step 5 of deployment 0 cannot be recorded")],
+)
+def test_a_plant_without_a_state_loses_no_step(tmp_path: Path, unbroken: Path, lost_after: int, message: str) -> None:
+    with pytest.raises(StepGapError, match=message):
+        run_in(tmp_path, lambda rng: LosingSight(lost_after))
+    assert len(read_step_log(tmp_path / "steps.csv", NOMINAL.space)) == max(0, lost_after - 1)
     run_in(tmp_path)
     assert contents(tmp_path) == contents(unbroken)
 

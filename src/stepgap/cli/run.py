@@ -3,18 +3,18 @@
 import json as json_format
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import free_name
 from stepgap.cli.options import Address, FileName, Flag, FolderName, Integer, Name, Overrides, Port, Program
-from stepgap.cli.terminal import announces_compilation, check_consent, warn
+from stepgap.cli.terminal import announces_compilation, check_consent, is_output_error, warn
 
 if TYPE_CHECKING:  # slow imports are made where they are used
     from stepgap.control.reference import Reference
@@ -139,7 +139,7 @@ def run(
     """
     from stepgap.base.signals import terminated_as_interrupted
     from stepgap.experiment.inputs import write_experiment
-    from stepgap.experiment.run_start import start_folder
+    from stepgap.experiment.run_start import folder_to_continue, run_folder, start_folder
 
     if arm:
         check_consent("--arm")
@@ -151,22 +151,33 @@ def run(
         )
     if display.view:
         _check_address(display)
-    ready = _prepare(experiment, out, [*(overrides or []), *shorthand.overrides()], resume, extend)
-    recorder, live = _watchers(ready, display)
-    plants = _choose_plants(ready, arm, recorder, live, program or [])
-    files = (ready.folder, ready.settings, ready.reference, ready.known, ready.nominal.surrogate)
-    if extend is not None:
-        write_experiment(*files)
-    elif not resume:
-        start_folder(*files)
-    try:
-        with terminated_as_interrupted(), live or nullcontext():
-            _execute(ready, plants, recorder, live, display)
-            _finish(_report(ready.folder, recorder, display), live, display)
-    except KeyboardInterrupt:
-        end = f" -- {shlex.join(program)}" if program else ""
-        command = f"stepgap run --out {shlex.quote(str(ready.folder))} --resume{' --arm' if arm else ''}{end}"
-        raise KeyboardInterrupt(f"; resume with: {command}") from None
+    changes = [*(overrides or []), *shorthand.overrides()]
+    if resume or extend is not None:
+        out = folder_to_continue("--resume" if resume else "--extend", experiment, out, changes)
+    with run_folder(out) as folder:
+        ready = _prepare(experiment, folder, changes, resume, extend)
+        recorder, live = _watchers(ready, display)
+        plants = _choose_plants(ready, arm, recorder, live, program or [])
+        files = (ready.folder, ready.settings, ready.reference, ready.known, ready.nominal.surrogate)
+        on_execution = partial(write_experiment, *files) if extend is not None else lambda: None
+        if not resume and extend is None:
+            start_folder(*files)
+        try:
+            with terminated_as_interrupted(), live or nullcontext():
+                _execute(ready, plants, recorder, live, display, on_execution)
+                _finish(_report(ready.folder, recorder, display), live, display)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"; {_how_to_resume(ready.folder, arm, program)}") from None
+        except OSError as error:
+            if is_output_error(error):
+                warn(f"the run was stopped; {_how_to_resume(ready.folder, arm, program)}")
+            raise
+
+
+def _how_to_resume(folder: Path, arm: bool, program: Sequence[str] | None) -> str:
+    """The command that resumes a run, for a message."""
+    end = f" -- {shlex.join(program)}" if program else ""
+    return f"resume with: stepgap run --out {shlex.quote(str(folder))} --resume{' --arm' if arm else ''}{end}"
 
 
 def _check_address(display: Display) -> None:
@@ -177,20 +188,20 @@ def _check_address(display: Display) -> None:
 
 
 def _prepare(
-    experiment: Path | None, out: Path | None, changes: Sequence[tuple[str, str]], resume: bool, extend: int | None
+    experiment: Path | None, folder: Path, changes: Sequence[tuple[str, str]], resume: bool, extend: int | None
 ) -> Prepared:
     """Reads all inputs of a run and checks that the nominal map can track the reference; writes nothing."""
     from stepgap.experiment.inputs import load_known, load_reference
-    from stepgap.experiment.run_start import check_reach, dated_folder, extended, folder_to_continue
+    from stepgap.experiment.run_start import check_reach, extended
     from stepgap.experiment.settings import read_experiment
+    from stepgap.records.steps_csv import check_names
 
     if resume or extend is not None:
-        folder = folder_to_continue("--resume" if resume else "--extend", experiment, out, changes)
         settings = read_experiment(folder / "experiment.toml")
         settings = settings if extend is None else extended(folder, settings, extend)
     else:
-        folder = out or free_name(dated_folder())
         settings = read_experiment(experiment, changes)
+    check_names(settings.robot.space)
     reference = load_reference(settings, settings.robot.space)
     nominal = _load_nominal(settings)
     check_reach(nominal.map, reference, settings.reference)
@@ -256,9 +267,14 @@ def _all_of(record: "OnTicks", live: "LiveView | None") -> "OnTicks":
 
 
 def _execute(
-    ready: Prepared, plants: "Plants", recorder: "TickRecorder", live: "LiveView | None", display: Display
+    ready: Prepared,
+    plants: "Plants",
+    recorder: "TickRecorder",
+    live: "LiveView | None",
+    display: Display,
+    on_execution: Callable[[], None],
 ) -> None:
-    """Runs the experiment and displays its progress."""
+    """Runs the experiment and displays its progress; `on_execution` is called before a deployment is executed."""
     from stepgap.base.garbage_collection import settled_heap
     from stepgap.cli.progress import RunProgress, printing_events
     from stepgap.experiment.loop import run_experiment
@@ -266,7 +282,7 @@ def _execute(
     space, learning = ready.nominal.map.space, ready.settings.learning
     with RunProgress(space, len(ready.reference), learning.iterations, display.quiet) as progress, settled_heap():
         observer = printing_events(progress.observer, space) if display.json else progress.observer
-        observer = recorder.observing(observer)
+        observer = replace(recorder.observing(observer), on_execution=on_execution)
         run_experiment(
             ready.nominal.map,
             plants.make,

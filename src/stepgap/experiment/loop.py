@@ -24,7 +24,6 @@ from stepgap.learning.learner import Learner
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog, as_past
 from stepgap.plants.plant import Plant
-from stepgap.records.model_files import write_model
 from stepgap.records.steps_csv import digest
 from stepgap.records.summary import Deployment, NoiseFloor, Summary
 from stepgap.step import Array, StepMap, StepSpace
@@ -49,6 +48,8 @@ class Observer:
         on_phase: Called with the name of what is done between deployments, and its progress (done, total); the total is
             0 where it is not known.
         on_outliers: Called before a deployment with the number of recorded steps that are not learned from.
+        on_execution: Called before a deployment is executed, which is not done where its steps are taken from the
+            record; then the record is locked, and agrees with the settings up to this deployment.
     """
 
     on_step: Callable[[LoggedStep], None] = lambda logged: None
@@ -56,6 +57,7 @@ class Observer:
     on_fault: Callable[[str], None] = lambda message: None
     on_phase: Callable[[str, int, int], None] = lambda name, done, total: None
     on_outliers: Callable[[int], None] = lambda count: None
+    on_execution: Callable[[], None] = lambda: None
 
 
 def run_experiment(
@@ -94,7 +96,8 @@ def run_experiment(
 
     Raises:
         ValueError: The reference does not fit this map.
-        RecordError: The record in the folder belongs to another experiment, or another process is writing it.
+        RecordError: The record in the folder belongs to another experiment, another process is writing it, or a step
+            cannot be recorded.
     """
     reference.check(nominal.space)
     log, deployments = StepLog(nominal.space), list[Deployment]()
@@ -106,7 +109,7 @@ def run_experiment(
             learner = Learner.start(nominal, past + log, learning, iteration)
             observer.on_outliers(len(learner.residual.outliers))
             if iteration > 0 or len(past):
-                write_model(folder, learner.iteration, learner.residual, nominal)
+                recording.write_model(learner)
             execute = partial(_execute, learner, make_plant, reference, seed, observer, control)
             steps = _observed(recording.steps(iteration, execute), nominal.space, observer)
             log += steps
@@ -115,7 +118,7 @@ def run_experiment(
             summary = _summary(deployments, log, floor, seed, past)
             recording.write_summary(summary)
             observer.on_deployment(deployments[-1])
-            if iteration == learning.iterations or not _continues(deployments, scale, learning):
+            if is_finished(deployments, scale, learning):
                 break
         recording.check_finished()
         if measure_noise_floor:
@@ -139,6 +142,7 @@ def _execute(
 ) -> Steps:
     """Executes a deployment on a new plant, whose fault is reported at the end."""
     iteration = learner.iteration
+    observer.on_execution()
     plant = make_plant(deployment_generator(seed, iteration))
     exploration = 0 if iteration else learner.settings.exploration
     yield from deploy(learner, plant, reference, iteration, exploration, control)
@@ -177,9 +181,17 @@ def _summary(
     )
 
 
-def _continues(deployments: Sequence[Deployment], scale: Array, learning: LearningSettings) -> bool:
-    """Whether a further deployment may reduce the tracking error, or is made in any case."""
-    return not learning.early_stop or _still_improves(deployments, scale, learning.tolerance)
+def is_finished(deployments: Sequence[Deployment], scale: Array, learning: LearningSettings) -> bool:
+    """Whether a run makes no further deployment.
+
+    Args:
+        deployments: The finished ones.
+        scale: Half the range of use of each state coordinate; shape (n,).
+        learning: Settings of learning.
+    """
+    if len(deployments) > learning.iterations:
+        return True
+    return learning.early_stop and not _still_improves(deployments, scale, learning.tolerance)
 
 
 def _still_improves(deployments: Sequence[Deployment], scale: Array, tolerance: float) -> bool:

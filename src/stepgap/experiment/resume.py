@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Self
 
 from stepgap.experiment.deployment import Steps
+from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import LoggedStep, StepLog
+from stepgap.records.model_files import MAP, NominalSource, model_path, read_model, saved_model_text, write_model
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
 from stepgap.step import StepSpace
@@ -32,8 +34,8 @@ class Recording:
             is taken as it is and not continued.
 
     Raises:
-        RecordError: The file is not a step log of this space, another process is writing it, or the summary is that of
-            another version.
+        RecordError: The file is not a step log of this space, another process is writing it, the summary is that of
+            another version, or steps that it counts are lost and cannot be taken again.
         OSError: The file cannot be read or written.
     """
 
@@ -41,7 +43,10 @@ class Recording:
         self._path, self._replays = folder / "steps.csv", replays
         self._writer = StepWriter(self._path, space)
         self._recorded = deque(self._writer.recorded)
+        self._begun = frozenset(self._writer.recorded.iterations)
         try:
+            if not replays:
+                check_no_step_is_lost(folder, self._writer.recorded)
             self._summary = _verified_summary(folder / "summary.json", self._writer.recorded, seed, past)
         except RecordError:
             self._writer.close()
@@ -76,6 +81,22 @@ class Recording:
                     self._writer.append(logged)
                 yield logged
 
+    def write_model(self, learner: Learner) -> None:
+        """Writes the model with which a deployment begins.
+
+        Raises:
+            RecordError: The deployment has recorded steps, and it began with another model.
+            OSError: The file cannot be read or written.
+        """
+        folder, iteration = self._path.parent, learner.iteration
+        if iteration in self._begun and _has_other_model(folder, learner):
+            raise RecordError(
+                f"{model_path(folder, iteration)}: the model fitted now is not the one of the recorded deployment "
+                f"{iteration}, because settings, versions or machine changed; {_REMEDY}, or start another run by "
+                f"--warm-start {folder}"
+            )
+        write_model(folder, iteration, learner.residual, learner.nominal)
+
     def write_summary(self, summary: Summary) -> None:
         """Writes `summary.json`, unless there are recorded steps of later deployments, whose summary it would remove.
 
@@ -107,6 +128,34 @@ class Recording:
 def warm_start_of(past: StepLog) -> WarmStart | None:
     """Entry of `summary.json` on the steps known before a run; None if there were none."""
     return WarmStart(len(past), digest(past)) if len(past) else None
+
+
+def _has_other_model(folder: Path, learner: Learner) -> bool:
+    """Whether the folder has another model of this deployment; one that is damaged does not count."""
+    nominal, path = learner.nominal, model_path(folder, learner.iteration)
+    try:
+        if read_model(folder, learner.iteration, nominal.space) is None:
+            return False
+    except ValueError:
+        return False
+    return path.read_text("utf-8") != saved_model_text(learner.residual, nominal.space, NominalSource(MAP, nominal))
+
+
+def check_no_step_is_lost(folder: Path, recorded: StepLog) -> None:
+    """Ensures that `steps.csv` has all steps of the deployments in `summary.json`, if that can be read.
+
+    Raises:
+        RecordError: It has fewer; the message states both numbers.
+    """
+    try:
+        deployments = read_summary(folder / "summary.json", recorded.space.state_names).deployments
+    except (OSError, ValueError):
+        return
+    if len(recorded) < (steps := sum(deployment.steps for deployment in deployments)):
+        raise RecordError(
+            f"{folder}: summary.json has {len(deployments)} deployments with {steps} steps, but steps.csv only "
+            f"{len(recorded)} steps; restore steps.csv from a copy, or start another run"
+        )
 
 
 def _verified_summary(path: Path, recorded: StepLog, seed: int, past: StepLog) -> Summary:

@@ -9,9 +9,12 @@ from datetime import datetime
 from pathlib import Path
 
 from stepgap.base.errors import InputError, message_of
+from stepgap.base.output_files import free_name
 from stepgap.control.limit_cycle import fixed_point
 from stepgap.control.reference import Reference
 from stepgap.experiment.inputs import write_experiment
+from stepgap.experiment.loop import is_finished
+from stepgap.experiment.resume import check_no_step_is_lost
 from stepgap.experiment.settings import Experiment
 from stepgap.learning.step_log import StepLog
 from stepgap.records.run_folder import INPUT_FILES
@@ -26,6 +29,34 @@ ALSO_WRITTEN = (*INPUT_FILES, "report.html", "figures", "replay", "ticks")
 def dated_folder(home: str = "runs") -> Path:
     """Default folder of a run, named after date and time."""
     return Path(home) / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+
+
+@contextmanager
+def run_folder(out: Path | None) -> Iterator[Path]:
+    """The folder of a run: `out`, or else a new one, which no other process takes; it is removed if it stays empty."""
+    if out is not None:
+        yield out
+        return
+    folder = _made(dated_folder())
+    try:
+        yield folder
+    finally:
+        for unused in (folder, folder.parent):
+            with suppress(OSError):  # it is not empty
+                unused.rmdir()
+
+
+def _made(wanted: Path) -> Path:
+    """Makes a folder of this name, or of the first free one after it; raises InputError if that is not possible."""
+    try:
+        wanted.parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            folder = free_name(wanted)
+            with suppress(FileExistsError):  # another process was faster
+                folder.mkdir()
+                return folder
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be written: {error.strerror}; choose a folder by --out") from None
 
 
 def start_folder(folder: Path, settings: Experiment, reference: Reference, known: StepLog, surrogate: str = "") -> None:
@@ -85,18 +116,22 @@ def extended(folder: Path, settings: Experiment, redeployments: int) -> Experime
         redeployments: At least 1.
 
     Raises:
-        InputError: The run is not finished, or its record cannot be read.
+        InputError: The run is not finished, or its record is not complete or cannot be read.
     """
     if redeployments < 1:
         raise InputError(f"--extend: {redeployments} redeployments; give an integer from 1 on")
     space, remedy = settings.robot.space, f"finish it by: stepgap run --out {folder} --resume"
     try:
-        done = len(read_summary(folder / "summary.json", space.state_names).deployments)
-        begun = len(read_step_log(folder / "steps.csv", space).iterations)
+        deployments = read_summary(folder / "summary.json", space.state_names).deployments
+        recorded = read_step_log(folder / "steps.csv", space)
     except (OSError, ValueError) as error:
         raise InputError(message_of(error)) from None
-    if begun > done:
+    check_no_step_is_lost(folder, recorded)
+    done = len(deployments)
+    if len(recorded.iterations) > done:
         raise InputError(f"{folder}: the run was interrupted in deployment {done}; {remedy}")
+    if not is_finished(deployments, space.state_scale, settings.learning):
+        raise InputError(f"{folder}: the run was interrupted before deployment {done}; {remedy}")
     learning = replace(settings.learning, iterations=done - 1 + redeployments, early_stop=False)
     return replace(settings, learning=learning)
 
