@@ -9,7 +9,7 @@ from typing import Self
 from stepgap.experiment.deployment import Steps
 from stepgap.learning.learner import Learner
 from stepgap.learning.step_log import LoggedStep, StepLog
-from stepgap.records.model_files import MAP, NominalSource, model_path, read_model, saved_model_text, write_model
+from stepgap.records.model_files import read_model, write_model
 from stepgap.records.steps_csv import RecordError, StepWriter, digest, row_of
 from stepgap.records.summary import NoiseFloor, OtherSchema, Summary, WarmStart, read_summary, write_summary
 from stepgap.step import StepSpace
@@ -82,20 +82,22 @@ class Recording:
                 yield logged
 
     def write_model(self, learner: Learner) -> None:
-        """Writes the model with which a deployment begins.
+        """Writes the model with which a deployment begins; that of recorded steps is part of the record, and is kept.
+
+        A model that is fitted again differs in its last bits with other versions or on another machine.
 
         Raises:
-            RecordError: The deployment has recorded steps, and it began with another model.
+            RecordError: The model of recorded steps corrects another nominal map.
             OSError: The file cannot be read or written.
         """
-        folder, iteration = self._path.parent, learner.iteration
-        if iteration in self._begun and _has_other_model(folder, learner):
-            raise RecordError(
-                f"{model_path(folder, iteration)}: the model fitted now is not the one of the recorded deployment "
-                f"{iteration}, because settings, versions or machine changed; {_REMEDY}, or start another run by "
-                f"--warm-start {folder}"
-            )
-        write_model(folder, iteration, learner.residual, learner.nominal)
+        folder, iteration, nominal = self._path.parent, learner.iteration, learner.nominal
+        if iteration in self._begun and _has_intact_model(folder, iteration, nominal.space):
+            try:
+                read_model(folder, iteration, nominal.space, nominal)
+            except ValueError as error:
+                raise RecordError(f"{error}; {_REMEDY}, or start another run by --warm-start {folder}") from None
+            return
+        write_model(folder, iteration, learner.residual, nominal)
 
     def write_summary(self, summary: Summary) -> None:
         """Writes `summary.json`, unless there are recorded steps of later deployments, whose summary it would remove.
@@ -130,15 +132,12 @@ def warm_start_of(past: StepLog) -> WarmStart | None:
     return WarmStart(len(past), digest(past)) if len(past) else None
 
 
-def _has_other_model(folder: Path, learner: Learner) -> bool:
-    """Whether the folder has another model of this deployment; one that is damaged does not count."""
-    nominal, path = learner.nominal, model_path(folder, learner.iteration)
+def _has_intact_model(folder: Path, iteration: int, space: StepSpace) -> bool:
+    """Whether the folder has the model of a deployment, and it is not damaged."""
     try:
-        if read_model(folder, learner.iteration, nominal.space) is None:
-            return False
+        return read_model(folder, iteration, space) is not None
     except ValueError:
         return False
-    return path.read_text("utf-8") != saved_model_text(learner.residual, nominal.space, NominalSource(MAP, nominal))
 
 
 def check_no_step_is_lost(folder: Path, recorded: StepLog) -> None:
