@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from stepgap.base.files import naming, write_whole
+from stepgap.base.errors import InputError
+from stepgap.base.files import create, naming, new_folder, read_bounded_text, write_whole
 from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 
@@ -19,6 +20,25 @@ def test_a_full_disk_leaves_the_old_file_and_the_error_names_it(tmp_path: Path) 
     assert path.read_text() == "old"
 
 
+def test_a_new_file_or_folder_that_cannot_be_written_is_not_left_behind(tmp_path: Path) -> None:
+    with largest_file(1000):
+        with pytest.raises(OSError, match=FILE_TOO_LARGE) as caught:
+            create(tmp_path / "run.mat", b"x" * 1001)
+        with pytest.raises(OSError, match=FILE_TOO_LARGE), new_folder(tmp_path / "robot"):
+            create(tmp_path / "robot" / "robot.py", "x" * 1001)
+    assert caught.value.filename == str(tmp_path / "run.mat")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_exists_already_is_kept(tmp_path: Path) -> None:
+    create(tmp_path / "run.mat", "old")
+    with pytest.raises(FileExistsError):
+        create(tmp_path / "run.mat", "new")
+    with pytest.raises(FileExistsError), new_folder(tmp_path / "run.mat"):
+        pass
+    assert (tmp_path / "run.mat").read_text() == "old"
+
+
 def test_only_errors_without_a_file_name_get_one(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"No space left on device: 'here'"), naming(Path("here")):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -27,3 +47,10 @@ def test_only_errors_without_a_file_name_get_one(tmp_path: Path) -> None:
     assert caught.value.filename == str(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="no file"), naming(Path("here")):
         raise ValueError("no file")
+
+
+def test_a_device_is_not_read_without_end(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="/dev/zero: larger than 1000 bytes, so it is not read"):
+        read_bounded_text(Path("/dev/zero"), 1000)
+    (tmp_path / "short.csv").write_text("height\r\n", encoding="utf-8-sig", newline="")
+    assert read_bounded_text(tmp_path / "short.csv", 11) == "height\r\n"

@@ -33,6 +33,7 @@ from stepgap.records.summary import NoiseFloor
 from stepgap.robots.hopper.parameters import CommandBounds
 from stepgap.robots.hopper.tick import TICK_UNITS
 from tests.cli.command_line import Command, CommandResult, refused
+from tests.full_disk import FILE_TOO_LARGE, largest_file
 from tests.quick_runs import leave_out_report
 from tests.report.runs import make_run
 
@@ -358,6 +359,15 @@ def test_no_file_is_overwritten(run: Path, stepgap: Command) -> None:
 
 
 # The machine
+
+
+def test_a_full_disk_leaves_no_part_of_an_export(run: Path, stepgap: Command) -> None:
+    with largest_file(1000):
+        refused(stepgap("export", run, "--to", "mat", "--out", "run.mat"), "run.mat", FILE_TOO_LARGE)
+        refused(stepgap("new", "ball"), "ball", FILE_TOO_LARGE)
+    assert not Path("run.mat").exists()
+    assert not Path("ball").exists()
+    assert stepgap("export", run, "--to", "mat", "--out", "run.mat").code == 0
 
 
 def test_doctor_lists_the_components(stepgap: Command) -> None:

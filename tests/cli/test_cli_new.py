@@ -188,6 +188,7 @@ def test_a_log_of_another_program_is_enough(stepgap: Command) -> None:
         (["x", "--mujoco", "--process"], ["--mujoco and --process: give only one of them"]),
         (["x", "--mjcf", "none.xml"], ["--mjcf: ", "none.xml: No such file"]),
         (["x", "--mjcf", "wrong.xml"], ["--mjcf wrong.xml: "]),
+        (["x", "--mjcf", "/dev/zero"], ["--mjcf: /dev/zero: larger than 16777216 bytes"]),
         (["x", "--from", "none"], ["--from: ", "none: No such file", "give a run or its steps.csv"]),
         (["x", "--from", "wrong.xml"], ["--from: ", "name its columns"]),
         (["x", "--from", "log.csv"], ["log.csv, line 1: not the header of a step log", "name its columns"]),

@@ -313,6 +313,11 @@ def test_a_wrong_reference_is_refused_by_line(tmp_path: Path, content: bytes, me
     assert message in str(caught.value)
 
 
+def test_a_reference_without_end_is_refused() -> None:
+    with pytest.raises(InputError, match="/dev/zero: larger than 1048576 bytes"):
+        load_reference(Experiment(reference="/dev/zero"), SPACE)
+
+
 def test_a_reference_that_is_missing_is_refused(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text('reference = "none.csv"\n')
     with pytest.raises(InputError, match=r"none\.csv: No such file .*reference must be 'paper' or a CSV file"):

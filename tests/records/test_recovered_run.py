@@ -55,6 +55,7 @@ def test_the_error_of_a_full_disk_names_the_new_file(whole: Path, tmp_path: Path
     with largest_file(100), pytest.raises(InputError) as error:
         recover_file(folder, tmp_path / "out")
     assert str(error.value) == f"{tmp_path / 'out' / file}: {FILE_TOO_LARGE}"
+    assert not (tmp_path / "out").exists(), "a retry finds the name free"
 
 
 def test_a_damaged_run_is_recovered_reported_and_resumed(whole: Path, tmp_path: Path) -> None:

@@ -220,6 +220,17 @@ def test_a_file_without_settings_is_refused(folder: Path, content: bytes, messag
     assert message in text
 
 
+def test_byte_order_marks_of_steps_and_summary_do_no_harm(folder: Path) -> None:
+    before = read_run_folder(folder)
+    for name in ("steps.csv", "summary.json"):
+        (folder / name).write_text((folder / name).read_text(), encoding="utf-8-sig")
+    after = read_run_folder(folder)
+    assert digest(after.steps) == digest(before.steps)
+    assert after.shown_iterations == before.shown_iterations
+    with StepWriter(folder / "steps.csv", before.space) as writer:
+        assert len(writer.recorded) == len(before.steps)
+
+
 def test_a_byte_order_mark_in_the_settings_does_no_harm(folder: Path) -> None:
     (folder / "experiment.toml").write_text("seed = 3\n", encoding="utf-8-sig")
     assert read_run_folder(folder).settings == SettingsFile("seed = 3\n", {"seed": 3})

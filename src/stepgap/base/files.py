@@ -1,9 +1,12 @@
 """Files that are complete at every moment, and errors that name the file they are about."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from stepgap.base.errors import InputError
 
 
 @contextmanager
@@ -19,6 +22,25 @@ def naming(path: Path) -> Iterator[None]:
         if error.filename is None:
             error.filename = str(path)
         raise
+
+
+def read_bounded_text(path: Path, largest: int) -> str:
+    """Reads a text file in UTF-8, with or without the byte-order mark that some editors and spreadsheets write.
+
+    No more than `largest` bytes are read, also of a device or a pipe, which have no size.
+
+    Raises:
+        InputError: The file is larger than `largest` bytes.
+        UnicodeDecodeError: It is not text in UTF-8.
+        OSError: It cannot be read.
+    """
+    content = bytearray()
+    with path.open("rb") as file:  # in parts, because read(n) takes memory for n bytes, however short the file is
+        while len(content) <= largest and (part := file.read(min(2**16, largest + 1 - len(content)))):
+            content += part
+    if len(content) > largest:
+        raise InputError(f"{path}: larger than {largest} bytes, so it is not read")
+    return content.decode("utf-8-sig")
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -42,3 +64,43 @@ def write_whole(path: Path, content: str | bytes) -> None:
             partial.unlink(missing_ok=True)  # a part of the content would only fill the disk
             raise
         partial.replace(path)
+
+
+def create(path: Path, content: str | bytes) -> None:
+    """Writes a file that must not exist; if this fails or is interrupted, it does not exist afterwards either.
+
+    Raises:
+        FileExistsError: It exists already.
+        OSError: It cannot be written.
+    """
+    with naming(path):
+        file = path.open("xb")
+        with _removed_on_failure(path), file:
+            file.write(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[None]:
+    """Makes a folder, which is filled within the block; if this fails or is interrupted, the folder is removed.
+
+    Raises:
+        FileExistsError: It exists already.
+        OSError: It cannot be made.
+    """
+    with naming(path):
+        path.mkdir()
+    with _removed_on_failure(path):
+        yield
+
+
+@contextmanager
+def _removed_on_failure(path: Path) -> Iterator[None]:
+    """Removes a file or a folder if the block does not end normally."""
+    try:
+        yield
+    except BaseException:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+        raise

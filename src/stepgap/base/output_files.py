@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stepgap.base.errors import InputError
+from stepgap.base.files import create
 
 PICTURE_FORMATS = ("pdf", "png", "svg")
 """File formats of a figure."""
@@ -42,9 +43,9 @@ def writing(path: Path, option: str) -> Iterator[None]:
 
 
 def write_new(path: Path, option: str, content: str | bytes) -> None:
-    """Writes a new file and prints its path."""
-    with writing(path, option), path.open("xb") as file:
-        file.write(content.encode() if isinstance(content, str) else content)
+    """Writes a new file and prints its path; where it cannot be written completely, there is none."""
+    with writing(path, option):
+        create(path, content)
     print(path)
 
 

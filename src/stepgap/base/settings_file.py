@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
 from stepgap.base.errors import InputError
+from stepgap.base.files import read_bounded_text
 from stepgap.base.plugins import suggestion
 from stepgap.base.ranges import LARGEST_INTEGER, format_value
 
@@ -42,18 +43,14 @@ def read_toml_text(path: Path, what: str) -> tuple[str, dict[str, Any]]:
         InputError: The file cannot be read, is too large, is not text, or is not TOML.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_SETTINGS_FILE + 1)
-        if len(content) > LARGEST_SETTINGS_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes, so it is not {what}")
-        text = content.decode("utf-8").removeprefix(BYTE_ORDER_MARK)
+        text = read_bounded_text(path, LARGEST_SETTINGS_FILE)
         return text, parse_toml(text)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give an existing TOML file") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not text; {what} is a TOML file in UTF-8") from None
-    except InputError:
-        raise
+    except InputError as error:
+        raise InputError(f"{error}; {what} is a TOML file in UTF-8") from None
     except ValueError as error:
         raise InputError(f"{path}: not TOML: {error}") from None
 

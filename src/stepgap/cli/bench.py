@@ -10,7 +10,7 @@ from typing import Any
 
 from cyclopts import App
 
-from stepgap.base.output_files import check_new, free_name, writing
+from stepgap.base.output_files import check_new, free_name, write_new
 from stepgap.cli.bench_learning import bench_learning_
 from stepgap.cli.options import Flag, Overrides, add_verb
 from stepgap.cli.terminal import announces_compilation
@@ -88,9 +88,7 @@ def _new_file(out: Path | None, default: str) -> Path:
 
 
 def _write_json(file: Path, result: dict[str, Any]) -> None:
-    with writing(file, "--out"), file.open("x", encoding="utf-8") as stream:
-        json.dump(result, stream, indent=2)
-    print(file)
+    write_new(file, "--out", json.dumps(result, indent=2))
 
 
 def _announce(line: str) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import tomli_w
 
 from stepgap.base.errors import InputError
+from stepgap.base.files import create
 from stepgap.base.settings_file import to_table
 from stepgap.base.signals import handled
 from stepgap.rigs.ethercat.emulator.emulator import emulated, run_emulator
@@ -138,8 +139,7 @@ def _write_settings(file: Path, text: str) -> None:
     if _has_settings(file, text):
         return
     try:
-        with file.open("x", encoding="utf-8") as stream:
-            stream.write(text)
+        create(file, text)
     except FileExistsError:
         raise InputError(f"{file}: exists and describes another rig; choose another --settings") from None
     except OSError as error:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter, validators
 
 from stepgap.base.errors import InputError, message_of
+from stepgap.base.files import create, new_folder
 from stepgap.base.output_files import check_new, free_name, write_new, writing
 from stepgap.cli.export_controller import CONTROLLER_FILES, controller_file
 from stepgap.cli.options import Integer
@@ -154,10 +155,11 @@ def _export_model(folder: Path, iteration: int | None, out: Path | None) -> None
     _, twin = simulation.direct_rig(deployment_generator(settings.seed, 0))
     files = mjcf_files(twin, simulation.hopper.parameters.boom_length)
     target = _target(folder, "mjcf", out)
-    with writing(target, "--out"):
-        target.mkdir()
-    for name, content in files.items():
-        write_new(target / name, "--out", content)
+    with writing(target, "--out"), new_folder(target):
+        for name, content in files.items():
+            create(target / name, content)
+    for name in files:
+        print(target / name)
 
 
 def _export_controller(folder: Path, to: str, iteration: int | None, fmi: Literal[2, 3], out: Path | None) -> None:

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import check_new, writing
+from stepgap.base.output_files import check_new, write_new
 from stepgap.cli.execution import THIS_MACHINE, Execution
 from stepgap.cli.map_table import map_table, named_values
 from stepgap.cli.options import Integer, NamedValues, Overrides, Seconds, values_by_name
@@ -121,9 +121,7 @@ def _map_rows(nominal: "StepMap", rows: Path, out: Path | None) -> None:
     if out is None:
         print(text, end="")
         return
-    with writing(out, "--out"), out.open("x", encoding="utf-8") as file:
-        file.write(text)
-    print(out)
+    write_new(out, "--out", text)
 
 
 def describe_step(space: "StepSpace", next_state: "Array", jacobian: "Array") -> str:

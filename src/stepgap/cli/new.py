@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError, message_of
+from stepgap.base.files import create, new_folder, read_bounded_text
 from stepgap.base.output_files import writing
 from stepgap.cli.options import NO_COLUMNS, ColumnNames, Flag
 from stepgap.cli.terminal import warn
@@ -40,6 +41,8 @@ class Starter(NamedTuple):
     what: str
 
 
+LARGEST_MJCF = 2**24
+"""Largest MuJoCo model that is copied [bytes]."""
 EQUATIONS = Starter("equations.py.txt", "BallRobot", "equations", "equations")
 MUJOCO = Starter("mujoco.py.txt", "SpringHopper", "simulator", "model and the controller")
 PRACTICE = """\
@@ -86,9 +89,10 @@ def new(
     from stepgap.robots.entry_points import next_commands
 
     with writing(folder, "FOLDER"):
-        folder.mkdir(parents=True)
-        for name, text in contents.items():
-            (folder / name).write_text(text, encoding="utf-8")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with new_folder(folder):
+            for name, text in contents.items():
+                create(folder / name, text)
     print(folder / "README.md")
     if mjcf:
         warn(f"adapt the controller in {folder / folder.name}.py to the joints and actuators of {mjcf} first")
@@ -163,8 +167,8 @@ def _named(starter: Starter) -> str:
 
 def _model_text(model: Path) -> str:
     try:
-        return model.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return read_bounded_text(model, LARGEST_MJCF)
+    except (OSError, ValueError) as error:
         raise InputError(f"--mjcf: {message_of(error)}; give a MuJoCo model") from None
 
 

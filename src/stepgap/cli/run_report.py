@@ -5,6 +5,7 @@ from pathlib import Path
 
 from stepgap.base.blas import one_blas_thread
 from stepgap.base.errors import InputError, message_of
+from stepgap.base.files import create
 from stepgap.base.output_files import check_new, writing
 from stepgap.experiment.inputs import load_known, read_run, recorded_robot, robot_of_steps
 from stepgap.experiment.loaded_run import LoadedRun
@@ -67,8 +68,8 @@ def compare_runs(folders: Sequence[Path], page: Path) -> None:
         text = comparison_html([read_run(folder, recorded_robot(folder)) for folder in folders])
     except (ValueError, OSError) as error:
         raise InputError(message_of(error)) from None
-    with writing(page, "--out"), page.open("x", encoding="utf-8") as file:
-        file.write(text)
+    with writing(page, "--out"):
+        create(page, text)
 
 
 def _context(

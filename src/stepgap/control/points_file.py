@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stepgap.base.files import read_bounded_text
 from stepgap.control.reference import numbers_in_row
 from stepgap.step import Array, Outcome, StepSpace, StepStatus
 
@@ -25,9 +26,7 @@ def read_points(path: Path, space: StepSpace) -> Array:
     names = list(space.names)
     wanted = f"it must be a CSV file with the columns {','.join(names)}"
     try:
-        if path.stat().st_size > LARGEST_POINTS_FILE:
-            raise ValueError(f"{path}: larger than {LARGEST_POINTS_FILE} bytes; {wanted}")
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_bounded_text(path, LARGEST_POINTS_FILE)
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror}; {wanted}") from None
     except UnicodeDecodeError:

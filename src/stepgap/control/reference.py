@@ -10,10 +10,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from stepgap.base.files import read_bounded_text
 from stepgap.step import Array, Quantity, StepSpace
 
 Indices = NDArray[np.intp]
 """Row numbers of `Reference.targets`, from 0."""
+
+LARGEST_REFERENCE = 2**20
+"""Largest file of a reference that is read [bytes]."""
 
 SETTLING_STEPS = 4
 """Steps after a change of the target that count as transient."""
@@ -105,7 +109,7 @@ def read_reference(path: str | Path, space: StepSpace) -> Reference:
         OSError: The file cannot be read.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = read_bounded_text(Path(path), LARGEST_REFERENCE)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: this is not text; a reference is a CSV file in UTF-8") from error
     return parse_reference(text, space, str(path))
@@ -123,7 +127,7 @@ def parse_reference(text: str, space: StepSpace, source: str = "reference") -> R
         ValueError: The message names the source, line and column, and states what is valid.
     """
     names = space.state_names
-    rows = csv.reader(StringIO(text))
+    rows = csv.reader(StringIO(text, newline=""))
     header = [cell.strip() for cell in next(rows, [])]
     if sorted(header) != sorted(names):
         raise ValueError(

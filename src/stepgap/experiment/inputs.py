@@ -5,10 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from stepgap.base.errors import InputError, message_of
-from stepgap.base.files import write_whole
-from stepgap.base.settings_file import LARGEST_SETTINGS_FILE
+from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.control.reference import Reference, read_reference, reference_text
-from stepgap.experiment.settings import Experiment, read_experiment
+from stepgap.experiment.settings import LARGEST_NOMINAL_FILE, Experiment, read_experiment
 from stepgap.experiment.settings_text import experiment_toml
 from stepgap.learning.step_log import StepLog, joined
 from stepgap.records.run_folder import RunRecord, read_run_folder
@@ -35,8 +34,6 @@ def load_reference(experiment: Experiment, space: StepSpace) -> Reference:
     names = " or ".join(f"'{name}'" for name in built_in)
     path, wanted = Path(experiment.reference), f"reference must be {names} or a CSV file of targets"
     try:
-        if path.stat().st_size > LARGEST_SETTINGS_FILE:
-            raise InputError(f"{path}: larger than {LARGEST_SETTINGS_FILE} bytes; {wanted}")
         return read_reference(path, space)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {wanted}") from None
@@ -146,6 +143,6 @@ def write_experiment(
 
 def _text_of(path: Path) -> str:
     try:
-        return path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return read_bounded_text(path, LARGEST_NOMINAL_FILE)
+    except (OSError, ValueError) as error:
         raise InputError(f"nominal.file: {message_of(error)}") from None

@@ -10,9 +10,10 @@ from time import perf_counter
 from typing import NamedTuple
 
 from stepgap.base.errors import InputError, StepGapError, message_of
+from stepgap.base.files import read_bounded_text
 from stepgap.base.random_streams import random_stream
 from stepgap.base.start_method import process_context
-from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, Experiment
+from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, LARGEST_NOMINAL_FILE, Experiment
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.differenced_map import has_no_formula, with_suitable_step
@@ -164,6 +165,6 @@ def _log_map(path: Path, space: StepSpace) -> StepMap:
 
 def _read_surrogate(path: Path, space: StepSpace) -> SurrogateMap:
     try:
-        return surrogate_from_dict(space, json.loads(path.read_text("utf-8")))
+        return surrogate_from_dict(space, json.loads(read_bounded_text(path, LARGEST_NOMINAL_FILE)))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not the surrogate of a simulator with this state and command ({error})") from None

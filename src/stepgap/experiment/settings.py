@@ -42,6 +42,9 @@ PROCESS = "process"
 FROM_TEMPLATE, FROM_LOG = "template", "log"
 """Kinds of nominal map that every robot has, each with a file."""
 
+LARGEST_NOMINAL_FILE = 2**28
+"""Largest file of a nominal map that is read [bytes]."""
+
 PAPER_LEARNING = LearningSettings(
     residual="fitrgp",
     early_stop=False,

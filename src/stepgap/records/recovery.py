@@ -7,7 +7,7 @@ from pathlib import Path
 from mcap.writer import MCAP0_MAGIC
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import naming, write_whole
+from stepgap.base.files import create, new_folder, write_whole
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.model_files import model_path, read_model
@@ -56,14 +56,13 @@ def _recover_ticks(path: Path, out: Path) -> list[str]:
 
 def _recover_run(folder: Path, out: Path) -> list[str]:
     steps, fault = _intact_steps(folder / "steps.csv")
-    with naming(out):
-        out.mkdir()
-    for name in ("experiment.toml", *INPUT_FILES):
-        if (folder / name).is_file():
-            write_whole(out / name, (folder / name).read_bytes())
     lines = [fault] if fault else []
-    lines += _recover_models(folder, out, steps) + _recover_summary(folder, out, steps)
-    write_whole(out / "steps.csv", text_of(steps))
+    with new_folder(out):
+        for name in ("experiment.toml", *INPUT_FILES):
+            if (folder / name).is_file():
+                write_whole(out / name, (folder / name).read_bytes())
+        lines += _recover_models(folder, out, steps) + _recover_summary(folder, out, steps)
+        write_whole(out / "steps.csv", text_of(steps))
     return [*lines, _counted(len(steps), "step", bool(fault))]
 
 
@@ -110,8 +109,7 @@ def _intact_steps(path: Path) -> tuple[StepLog, str]:
 
 def _recover_steps(path: Path, out: Path) -> list[str]:
     steps, fault = _intact_steps(path)
-    with naming(out), out.open("x", encoding="utf-8") as file:
-        file.write(text_of(steps))
+    create(out, text_of(steps))
     return [*([fault] if fault else []), _counted(len(steps), "step", bool(fault))]
 
 

@@ -4,6 +4,7 @@ import errno
 import fcntl
 import hashlib
 import os
+from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -157,7 +158,7 @@ def space_of_header(path: Path) -> StepSpace:
         OSError: The file cannot be read.
     """
     with path.open("rb") as file:
-        header = file.readline(LONGEST_HEADER).decode(errors="replace").rstrip("\r\n").split(",")
+        header = file.readline(LONGEST_HEADER).decode("utf-8-sig", "replace").rstrip("\r\n").split(",")
     if header == [""]:
         raise ValueError(f"{path}: no step yet; it must have a header and at least one row below it")
     check_not_older(header, path)
@@ -267,9 +268,13 @@ def _readable(content: bytes) -> int:
 
 
 def _steps_in(content: bytes, path: Path, space: StepSpace) -> Iterator[LoggedStep]:
-    """Yields the steps of the complete lines; raises RecordError at the first line that does not hold a step."""
+    """Yields the steps of the complete lines; raises RecordError at the first line that does not hold a step.
+
+    Spreadsheets write a byte-order mark, which is left out.
+    """
     if len(content) > LARGEST_STEPS_FILE:
         raise RecordError(f"{path}: larger than {LARGEST_STEPS_FILE} bytes, so it is not read")
+    content = content.removeprefix(BOM_UTF8)
     header = ",".join(column_names(space))
     if header.encode().startswith(content):
         return  # cut off before the first line was complete

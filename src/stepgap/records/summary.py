@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from stepgap.base.errors import StepGapError
-from stepgap.base.files import write_whole
+from stepgap.base.errors import InputError, StepGapError
+from stepgap.base.files import read_bounded_text, write_whole
 from stepgap.base.json_data import as_object, describe_value, integer, is_measurement, parse_json
 from stepgap.step import Array
 
@@ -244,12 +244,10 @@ def read_text(path: Path, largest: int) -> str | None:
         return None
     if not path.is_file():
         raise ValueError(f"{path}: not a file; it must be a text file that the run wrote")
-    if path.stat().st_size > largest:
-        raise ValueError(
-            f"{path}: larger than {largest} bytes, so it is not read; it must be the file that the run wrote"
-        )
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bounded_text(path, largest)
+    except InputError as error:
+        raise InputError(f"{error}; it must be the file that the run wrote") from None
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: not a text file ({error.reason}); it must be the file that the run wrote") from None
 

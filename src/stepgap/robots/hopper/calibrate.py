@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from stepgap.base.errors import InputError
+from stepgap.base.files import create
 from stepgap.base.settings_file import parse_toml
 from stepgap.plants.commissioning.limp import LimpTicks
 from stepgap.rigs.rig import RigFault
@@ -166,8 +167,7 @@ def write_calibrated(rig_file: Path, out: Path, settings: RigSettings) -> None:
     zeros = {table: getattr(settings, table).zero for table in SENSORS}
     try:
         text = replaced_zeros(rig_file.read_bytes().decode("utf-8-sig"), zeros)
-        with out.open("xb") as file:
-            file.write(text.encode("utf-8"))
+        create(out, text)
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror}; choose another --out") from None
     try:
