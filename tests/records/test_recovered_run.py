@@ -1,6 +1,7 @@
 """The intact part of a damaged run folder can be reported, and resumed to the whole run."""
 
 import json
+import re
 from pathlib import Path
 from shutil import copytree
 
@@ -11,6 +12,7 @@ from stepgap.experiment.loop import run_experiment
 from stepgap.experiment.resume import Recording
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import StepLog
+from stepgap.records import recovery
 from stepgap.records.model_files import read_model
 from stepgap.records.recovery import recover_file
 from stepgap.records.run_folder import read_run_folder
@@ -83,6 +85,38 @@ def test_a_truncated_model_is_named_and_left_out(whole: Path, tmp_path: Path) ->
     assert any("iteration_1.json: not a residual" in message and "left out" in message for message in messages)
     assert not (tmp_path / "out" / "models" / "iteration_1.json").exists()
     assert (tmp_path / "out" / "summary.json").read_bytes() == (whole / "summary.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fault"),
+    [
+        ("experiment.toml", b"seed = ", "not TOML"),
+        ("experiment.toml", b"\xff", "this is not text"),
+        ("reference.csv", b"speed\n0.1\n", "line 1: the header is"),
+        ("warm_start.csv", b"speed\n0.1\n", "line 1: the columns must be"),
+        ("nominal_map.json", b"{", "Expecting property name"),
+    ],
+)
+def test_a_damaged_input_is_named_and_copied(
+    whole: Path, tmp_path: Path, name: str, content: bytes, fault: str
+) -> None:
+    folder = copytree(whole, tmp_path / "run")
+    (folder / name).write_bytes(content)
+    messages = recover_file(folder, tmp_path / "out")
+    assert re.fullmatch(rf"{re.escape(str(folder / name))}(:|, line 1:) .*; copied as it is", messages[0])
+    assert fault in messages[0]
+    assert re.fullmatch(r"\d+ steps recovered", messages[1])
+    assert (tmp_path / "out" / name).read_bytes() == content
+
+
+def test_a_model_without_permission_is_named(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*arguments: object) -> None:
+        raise PermissionError(13, "Permission denied", "run/models/iteration_1.json")
+
+    monkeypatch.setattr(recovery, "read_model", forbidden)
+    messages = recover_file(whole, tmp_path / "out")
+    assert "run/models/iteration_1.json: Permission denied; left out" in messages
+    assert messages[-1].endswith("steps recovered")
 
 
 def test_nothing_is_overwritten_and_other_folders_are_refused(whole: Path, tmp_path: Path) -> None:

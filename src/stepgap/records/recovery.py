@@ -1,19 +1,24 @@
 """Recovery of the intact part of truncated or damaged records: a run folder, its `steps.csv`, or a tick log."""
 
+import csv
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
 
 from mcap.writer import MCAP0_MAGIC
 
-from stepgap.base.errors import InputError
-from stepgap.base.files import create, new_folder, write_whole
+from stepgap.base.errors import InputError, message_of
+from stepgap.base.files import create, new_folder, read_bounded_text, write_whole
+from stepgap.base.json_data import parse_json
+from stepgap.base.settings_file import read_toml
+from stepgap.control.reference import read_reference
 from stepgap.learning.step_log import StepLog
 from stepgap.plants.ticks.tick_log import TickLogError, recover_ticks
 from stepgap.records.model_files import model_path, read_model
 from stepgap.records.run_folder import INPUT_FILES
-from stepgap.records.steps_csv import digest, recover_steps, space_of_header, text_of
+from stepgap.records.steps_csv import LARGEST_STEPS_FILE, digest, read_step_log, recover_steps, space_of_header, text_of
 from stepgap.records.summary import read_summary, write_summary
+from stepgap.step import StepSpace
 
 
 def recover_file(path: Path, out: Path) -> list[str]:
@@ -58,12 +63,34 @@ def _recover_run(folder: Path, out: Path) -> list[str]:
     steps, fault = _intact_steps(folder / "steps.csv")
     lines = [fault] if fault else []
     with new_folder(out):
-        for name in ("experiment.toml", *INPUT_FILES):
-            if (folder / name).is_file():
-                write_whole(out / name, (folder / name).read_bytes())
+        lines += _copy_inputs(folder, out, steps.space)
         lines += _recover_models(folder, out, steps) + _recover_summary(folder, out, steps)
         write_whole(out / "steps.csv", text_of(steps))
-    return [*lines, _counted(len(steps), "step", bool(fault))]
+    return [*lines, _counted(len(steps), "step", bool(lines))]
+
+
+def _copy_inputs(folder: Path, out: Path, space: StepSpace) -> list[str]:
+    """Copies the inputs of a run as they are; returns the faults of those that are damaged."""
+    inputs = [path for name in ("experiment.toml", *INPUT_FILES) if (path := folder / name).is_file()]
+    for path in inputs:
+        write_whole(out / path.name, path.read_bytes())
+    return [f"{fault}; copied as it is" for path in inputs if (fault := _input_fault(path, space))]
+
+
+def _input_fault(path: Path, space: StepSpace) -> str:
+    """Why an input cannot be read, with its name; empty if it can."""
+    try:
+        if path.suffix == ".toml":
+            read_toml(path, "a file that the run wrote")
+        elif path.name == "reference.csv":
+            read_reference(path, space)
+        elif path.suffix == ".csv":
+            read_step_log(path, space)
+        else:
+            parse_json(read_bounded_text(path, LARGEST_STEPS_FILE))
+    except (ValueError, csv.Error) as error:
+        return str(error) if str(path) in str(error) else f"{path}: {error}"
+    return ""
 
 
 def _recover_models(folder: Path, out: Path, steps: StepLog) -> list[str]:
@@ -75,7 +102,7 @@ def _recover_models(folder: Path, out: Path, steps: StepLog) -> list[str]:
                 continue
             content = model_path(folder, iteration).read_bytes()
         except (ValueError, OSError) as error:
-            faults.append(f"{error}; left out")
+            faults.append(f"{message_of(error)}; left out")
         else:
             write_whole(model_path(out, iteration), content)
     return faults
@@ -87,7 +114,7 @@ def _recover_summary(folder: Path, out: Path, steps: StepLog) -> list[str]:
     try:
         summary = read_summary(folder / "summary.json", names)
     except (ValueError, OSError) as error:
-        return [f"{error}; left out"]
+        return [f"{message_of(error)}; left out"]
     whole = takewhile(lambda each: len(steps.of_iteration(each.iteration)) == each.steps, summary.deployments)
     deployments = tuple(whole)
     if deployments:
