@@ -177,14 +177,24 @@ def test_a_log_of_another_program_is_enough(stepgap: Command) -> None:
     assert 'UNITS = {"state": {"speed": "m/s"}' in Path("mine/robot.py").read_text()
 
 
+def test_a_unit_with_quotation_marks_is_read_back(stepgap: Command) -> None:
+    Path("log.csv").write_text("h,u\n0,1\n1,1\n1,0\n0,2\n2,1\n1,3\n")
+    Path("columns.toml").write_text('state = ["h"]\ncommand = ["u"]\n[units]\nh = "12\\""\n')
+    assert stepgap("new", "x", "--from", "log.csv", "--columns", "columns.toml").code == 0
+    assert read_experiment(Path("x/experiment.toml")).robot.space.state[0].unit == '12"'
+
+
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
         (["there"], ["there: exists already; choose another name"]),
         (["json"], ["json: not the name of a new Python module"]),
-        (["numpy"], ["numpy: not the name of a new Python module", "no installed module or known robot has it"]),
+        (["numpy"], ["numpy: not the name of a new Python module", "or known robot has it"]),
         (["hopper"], ["hopper: not the name of a new Python module"]),
-        (["my-robot"], ["my-robot: not the name of a new Python module", "letters, digits and underscores"]),
+        (["my-robot"], ["my-robot: not the name of a new Python module", "from a to z, digits and underscores"]),
+        (["Übung"], ["Übung: not the name of a new Python module", "letters from a to z"]),
+        (["robot_"], ["robot_: not the name of a new Python module", "no underscore last"]),
+        (["_robot"], ["_robot: not the name of a new Python module", "a letter first"]),
         (["x", "--mujoco", "--process"], ["--mujoco and --process: give only one of them"]),
         (["x", "--mjcf", "none.xml"], ["--mjcf: ", "none.xml: No such file"]),
         (["x", "--mjcf", "wrong.xml"], ["--mjcf wrong.xml: "]),

@@ -2,6 +2,7 @@
 
 import json
 import keyword
+import re
 import sys
 from importlib.resources import files
 from importlib.util import find_spec
@@ -45,6 +46,8 @@ LARGEST_MJCF = 2**24
 """Largest MuJoCo model that is copied [bytes]."""
 EQUATIONS = Starter("equations.py.txt", "BallRobot", "equations", "equations")
 MUJOCO = Starter("mujoco.py.txt", "SpringHopper", "simulator", "model and the controller")
+PACKAGE_NAME = "[A-Za-z]([A-Za-z0-9_]*[A-Za-z0-9])?"
+"""Names that are valid for a module, a project and a key of TOML."""
 PRACTICE = """\
 Until then the robot is for practice only: it jumps to the recorded step that is nearest to state and command, and only
 a part of the errors that these jumps cause can be learned."""
@@ -104,8 +107,12 @@ def _package(name: str, starter: Starter, model: Path | None) -> dict[str, str]:
     """Files of a package with a robot in Python."""
     from stepgap.robots.entry_points import robot_names
 
-    if not name.isidentifier() or keyword.iskeyword(name) or name in robot_names() or find_spec(name):
-        rule = "letters, digits and underscores, and no installed module or known robot has it"
+    valid = re.fullmatch(PACKAGE_NAME, name) and not keyword.iskeyword(name)
+    if not valid or name in robot_names() or find_spec(name):
+        rule = (
+            "letters from a to z, digits and underscores, a letter first and no underscore last, and no installed "
+            "module or known robot has it"
+        )
         raise InputError(f"{name}: not the name of a new Python module: {rule}; choose another")
     code = _starter(starter.file).replace(_named(starter), f'    name = "{name}"\n')
     extra: dict[str, str] = {}
@@ -254,9 +261,18 @@ def _covered_space(log: "StepLog") -> "StepSpace":
 
 def _quantities(space: "StepSpace") -> str:
     """The tables of state and command of a custom robot."""
+    import tomli_w
+
     blocks = [
-        f'\n[[quantities.{kind}]]\nname = "{quantity.name}"\nunit = "{quantity.unit}"\n'
-        f"lower = {float(quantity.lower)!r}\nupper = {float(quantity.upper)!r}\n"
+        f"\n[[quantities.{kind}]]\n"
+        + tomli_w.dumps(
+            {
+                "name": quantity.name,
+                "unit": quantity.unit,
+                "lower": float(quantity.lower),
+                "upper": float(quantity.upper),
+            }
+        )
         for kind in ("state", "command")
         for quantity in getattr(space, kind)
     ]
