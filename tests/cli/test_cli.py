@@ -558,6 +558,31 @@ def test_a_run_that_nobody_reads_any_more_prints_how_to_resume(finished: Path, t
     ]
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_what_the_encoding_of_standard_output_lacks_is_replaced(encoding: str) -> None:
+    program = [sys.executable, "-c", "from stepgap.cli.app import main; main()", "settings"]
+    whole, replaced = (
+        subprocess.run(program, env={**os.environ, "PYTHONIOENCODING": name}, capture_output=True, check=True).stdout
+        for name in ("utf-8", encoding)
+    )
+    assert not whole.isascii()
+    assert replaced == whole.decode().encode(encoding, "replace")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["export", "run", "--to", "mat", "--out", ""], "--out"),
+        (["run", "--warm-start", ""], "--warm-start"),
+        (["run", "--reference="], "--reference"),
+        (["report", ""], "an argument"),
+    ],
+)
+def test_an_empty_value_is_refused(stepgap: Command, arguments: list[str], named: str) -> None:
+    refused(stepgap(*arguments), f"{named}: empty; give a value")
+    assert not list(Path().iterdir())
+
+
 def test_standard_output_may_be_closed() -> None:
     program = f"{sys.executable} -c 'from stepgap.cli.app import main; main()' settings >&-"
     done = subprocess.run(["/bin/sh", "-c", program], stderr=subprocess.PIPE, text=True, check=False)

@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Sequence
 from inspect import signature
+from itertools import pairwise
 
 import cyclopts
 from cyclopts import App, Parameter
@@ -31,7 +32,7 @@ from stepgap.cli.run import run
 from stepgap.cli.settings import settings
 from stepgap.cli.steps import steps
 from stepgap.cli.sweep import sweep
-from stepgap.cli.terminal import discard_output, flush_output, is_output_error, warn
+from stepgap.cli.terminal import discard_output, flush_output, is_output_error, replace_unwritable_characters, warn
 from stepgap.cli.view import view
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
@@ -67,6 +68,7 @@ app.command(rig)
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command and exits with its code."""
+    replace_unwritable_characters()
     arguments, program = split_program(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     try:
@@ -91,6 +93,7 @@ def _run_verb(arguments: Sequence[str], program: list[str]) -> None:
         InputError: The verb takes no settings or runs no other command, but some were given.
     """
     tokens, overrides = split_overrides(arguments)
+    check_not_empty(tokens)
     verb, bound, ignored = app.parse_args(tokens, exit_on_error=False, print_error=False)
     if "overrides" in ignored:
         bound.arguments["overrides"] = overrides
@@ -151,6 +154,19 @@ def split_program(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Separates a command line given after `--` from the arguments before it."""
     end = list(arguments).index("--") if "--" in arguments else len(arguments)
     return list(arguments[:end]), list(arguments[end + 1 :])
+
+
+def check_not_empty(tokens: Sequence[str]) -> None:
+    """Refuses empty values: that of a variable of the shell that is not set would name the current folder.
+
+    Raises:
+        InputError: An argument, or the value of an option, is empty.
+    """
+    for before, token in pairwise(("", *tokens)):
+        if not token:
+            raise InputError(f"{before if before.startswith('-') else 'an argument'}: empty; give a value")
+        if re.fullmatch("--[^=]*=", token):
+            raise InputError(f"{token.removesuffix('=')}: empty; give a value")
 
 
 def split_overrides(arguments: Sequence[str]) -> tuple[list[str], list[tuple[str, str]]]:

@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable
 from functools import wraps
+from io import TextIOWrapper
 from typing import Any, TypeGuard
 
 from stepgap.base.errors import InputError
@@ -13,6 +14,12 @@ from stepgap.base.errors import InputError
 def warn(message: str) -> None:
     """Prints one line on stderr."""
     print(f"stepgap: {' '.join(message.split())}", file=sys.stderr)
+
+
+def replace_unwritable_characters() -> None:
+    """Lets standard output write `?` for a character that its encoding, such as ASCII or Latin-1, does not have."""
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="replace")
 
 
 def flush_output() -> None:
