@@ -191,6 +191,8 @@ def test_a_table_that_another_process_completed_is_left_as_it_is(
         ("map --table none/t.npz --points 2", ["none/t.npz: cannot be written", "choose another --table"]),
         ("map --csv good.csv --out good.csv", ["good.csv: exists already; choose another --out"]),
         ("map --csv good.csv --out none/n.csv", ["none/n.csv: cannot be written", "choose another --out"]),
+        ("map --nominal.kind log --nominal.file none.csv", ["stepgap: nominal.file: none.csv: No such file"]),
+        ("map --tick -1", ["--tick: "]),
         ("map --csv none.csv", ["none.csv: No such file or directory; it must be a CSV file with the columns"]),
         ("map --csv folder", ["folder: Is a directory; it must be a CSV file"]),
         ("map --csv empty.csv", ["empty.csv, line 1: the header is ''; it must be 'speed,height,fx,fy'"]),

@@ -90,7 +90,7 @@ def _nominal(settings: "Experiment", tick: float | None) -> "StepMap":
     try:
         return sampled_map(settings, tick)
     except ValueError as error:
-        raise InputError(f"--tick: {error}") from None
+        raise InputError(str(error) if tick is None else f"--tick: {error}") from None
 
 
 def _map_point(nominal: "StepMap", state: list[float], command: list[float]) -> None:

@@ -55,6 +55,11 @@ def test_a_file_without_axes_is_one_case(tmp_path: Path) -> None:
     assert (len(sweep), sweep.experiment(0)) == (1, Experiment())
 
 
+def test_a_range_of_an_integer_setting_has_integers(tmp_path: Path) -> None:
+    axis = sweep_of(tmp_path, "[axes]\nlearning.iterations = { from = 0, to = 3, points = 4 }").axes[0]
+    assert [(type(point), point) for (point,) in axis.points] == [(int, 0), (int, 1), (int, 2), (int, 3)]
+
+
 def test_grids_and_nested_keys(tmp_path: Path) -> None:
     sweep = sweep_of(
         tmp_path,
@@ -160,7 +165,8 @@ def test_settings_that_do_not_fit_together_are_an_error_of_the_case(tmp_path: Pa
         ('[axes]\n"learning.iterations" = [1.5]', ["must be an integer"]),
         ('[axes]\n"gap.preset" = ["moon"]', ["gap.preset = 'moon'", "'paper' or 'none'"]),
         ("[axes]\ngap.delay = { from = 1, to = 0, points = 3 }", ["the smaller number first"]),
-        ("[axes]\ngap.delay = { from = 0, to = 1, points = 1 }", ["points = 1", "an integer from 2"]),
+        ("[axes]\ngap.delay = { from = 0, to = 1, points = 1 }", ["points = 1", "an integer from 2 to 1000000"]),
+        ("[axes]\nlearning.iterations = { from = 0, to = 3, points = 3 }", ["learning.iterations = 1.5", "an integer"]),
         ('[axes]\ngap.delay = { from = 0, to = 1, points = 3, scale = "log" }', ["scale = 'log'", "positive"]),
         ("[axes]\ngap.delay = { from = 0, to = 1, point = 3 }", ["points = None"]),
         ("[axes]\nseed = [1]", ["[axes] seed: give seeds = "]),
@@ -181,6 +187,7 @@ def test_settings_that_do_not_fit_together_are_an_error_of_the_case(tmp_path: Pa
         ('[axes]\n"learning" = [{ residual = "linear" }]', ["[axes] learning", "a list of values"]),
         ('[axes]\n"gap.delay" = [0, 0.0]', ["its values must differ"]),
         ("[sobol]\npoints = 60", ["points = 60", "power of 2"]),
+        ("[sobol]\npoints = 1048576", ["points = 1048576", "a power of 2 up to 1000000"]),
         ("[sobol]\npoints = 64", ["ranges: missing"]),
         ('[sobol]\npoints = 64\n[sobol.ranges]\n"gap.delay" = [1]', ["[sobol.ranges] gap.delay = [1]"]),
         ('[sobol]\npoints = 4\n[sobol.ranges]\n"learning.iterations" = [1, 9]', ["must be an integer"]),

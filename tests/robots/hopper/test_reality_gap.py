@@ -59,6 +59,12 @@ def test_refuses_a_wall_for_a_floor_and_a_motor_that_pulls_back(name: str):
             replace(RealityGap(), **{name: value})
 
 
+@pytest.mark.parametrize("delay", [1.001, 1e5, 1e6])
+def test_refuses_a_delay_that_the_simulation_cannot_keep(delay: float):
+    with pytest.raises(ValueError, match=r"delay = .*, but it must be at most 1 s"):
+        replace(RealityGap(), delay=delay)
+
+
 def test_is_frozen():
     with pytest.raises(FrozenInstanceError):
         RealityGap().delay = 1.0  # pyright: ignore[reportAttributeAccessIssue]

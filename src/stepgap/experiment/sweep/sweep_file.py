@@ -13,7 +13,15 @@ from stepgap.base.random_streams import random_stream
 from stepgap.base.ranges import format_value
 from stepgap.base.settings_file import check_keys, inner_table, read_toml
 from stepgap.experiment.inputs import load_reference
-from stepgap.experiment.settings import PATHS, ROBOT, Experiment, in_folder, merged_experiment, read_experiment
+from stepgap.experiment.settings import (
+    PATHS,
+    ROBOT,
+    Experiment,
+    experiment_table,
+    in_folder,
+    merged_experiment,
+    read_experiment,
+)
 from stepgap.experiment.sweep.sweep import (
     KEEP,
     POINTS_SHA256,
@@ -57,7 +65,7 @@ def read_sweep(path: Path) -> Sweep:
     axes = (
         *_twins(table, path),
         *_sobol(table, path),
-        *_axes(values, path),
+        *_axes(base, values, path),
         Axis((SEED,), tuple((seed,) for seed in _integers(table["seeds"], f"{path}: seeds"))),
     )
     load_reference(base, base.robot.space)  # a missing file is reported now, not in every case
@@ -116,7 +124,7 @@ def _twins(table: Mapping[str, Any], path: Path) -> list[Axis]:
     return [Axis((TWIN_NUMBER,), tuple((number,) for number in _integers(numbers, f"{path}: twins", wanted)))]
 
 
-def _axes(table: Mapping[str, Any], path: Path) -> list[Axis]:
+def _axes(base: Experiment, table: Mapping[str, Any], path: Path) -> list[Axis]:
     """Axes of single settings, each with a list of values or a range."""
     found = []
     for name, value in table.items():
@@ -124,6 +132,8 @@ def _axes(table: Mapping[str, Any], path: Path) -> list[Axis]:
         if name in (TWIN_NUMBER, SEED):
             raise InputError(f"{location}: give {name}s = […] at the top of the file instead")
         values = _evenly(value, location) if isinstance(value, Mapping) else value
+        if isinstance(value, Mapping) and _is_integer(base, name):
+            values = [int(each) if each.is_integer() else each for each in values]
         single = isinstance(values, list) and not any(isinstance(each, Mapping | list) for each in values)
         if not values or not single:
             wanted = "a list of values that is not empty, or a range such as { from = 0.5, to = 1, points = 6 }"
@@ -143,7 +153,7 @@ def _sobol(table: Mapping[str, Any], path: Path) -> list[Axis]:
     check_keys(sobol, ("points", "seed", "ranges"), f"{location} ")
     points = sobol.get("points")
     if type(points) is not int or not 1 <= points <= MOST_CASES or points & (points - 1):
-        rule = "a power of 2, such as 64, because only then is the sequence balanced"
+        rule = f"a power of 2 up to {MOST_CASES}, such as 64, because only then is the sequence balanced"
         raise InputError(f"{location} points = {format_value(points)}, but it must be {rule}")
     (seed,) = _integers([sobol.get("seed", 0)], f"{location} seed")
     ranges = dict(_flat(inner_table(sobol, "ranges", f"{location} ")))
@@ -181,9 +191,18 @@ def _evenly(value: Mapping[str, Any], location: str) -> list[float]:
     """Values at equal distances in a range, or with equal ratios if the scale is log."""
     points = value.get("points")
     if type(points) is not int or not 2 <= points <= MOST_CASES:
-        raise InputError(f"{location}: points = {format_value(points)}, but it must be an integer from 2")
+        rule = f"an integer from 2 to {MOST_CASES}"
+        raise InputError(f"{location}: points = {format_value(points)}, but it must be {rule}")
     interval = _range({key: each for key, each in value.items() if key != "points"}, location)
     return interval.at(np.linspace(0, 1, points))
+
+
+def _is_integer(base: Experiment, name: str) -> bool:
+    """Whether the value of a setting, given by its dotted name, is an integer."""
+    value: Any = experiment_table(base)
+    for key in name.split("."):
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return type(value) is int
 
 
 def _range(value: Any, location: str) -> _Range:

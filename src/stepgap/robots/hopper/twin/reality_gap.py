@@ -6,6 +6,9 @@ from typing import Self
 
 from stepgap.base.ranges import require
 
+LONGEST_DELAY = 1.0
+"""Longest delay of the drives [s]; the simulation keeps the torques of this time."""
+
 POSITIVE = frozenset(
     {
         "body_mass_scale",
@@ -103,7 +106,7 @@ class RealityGap:
         torque_lag: Time constant of the current loop, a first-order lag [s]; no gap 0.
         torque_limit: Largest torque of the drives [N·m], in addition to the robot's own limit; no gap inf.
         delay: Time from writing a torque to its start in the drive [s], rounded to an integer number
-            of physics steps; no gap 0.
+            of physics steps; at most 1 s, no gap 0.
         motor_offset_1: Offset of motor encoder 1, reading minus true angle [rad]; no gap 0.
         motor_offset_2: Offset of motor encoder 2, reading minus true angle [rad]; no gap 0.
         motor_counts: Counts per turn of the motor encoders; no gap inf, exact.
@@ -160,6 +163,7 @@ class RealityGap:
                 _check(field.name, getattr(self, field.name))
         require(abs(self.ground_slope) < pi / 4, "ground_slope", self.ground_slope, "lie within ±π/4 rad")
         require(abs(self.boom_tilt) < pi / 4, "boom_tilt", self.boom_tilt, "lie within ±π/4 rad")
+        require(self.delay <= LONGEST_DELAY, "delay", self.delay, f"be at most {LONGEST_DELAY:g} s")
         require(abs(self.torque_imbalance) < 1, "torque_imbalance", self.torque_imbalance, "lie within ±1")
         rule = "be finite with boom_arc = true, where the foot must scrub sideways; or set boom_arc = false"
         require(isfinite(self.ground_friction) or not self.boom_arc, "ground_friction", self.ground_friction, rule)
