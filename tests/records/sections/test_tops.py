@@ -33,6 +33,12 @@ def test_equal_maxima_are_one_top() -> None:
     assert_all_hops_are_found(0.005, 0.0, 7, 1000.0, hops=60)
 
 
+def test_times_may_be_rounded_coarser_than_samples_are_apart() -> None:
+    log = hopping(12, np.random.default_rng(3))
+    found = tops(Signal(np.round(log.time, 2), log.height))
+    np.testing.assert_allclose(found, log.apexes[:, 0], atol=0.04)
+
+
 def test_a_spike_is_no_top() -> None:
     log = hopping(12, np.random.default_rng(3))
     height = log.height.copy()

@@ -43,8 +43,12 @@ class Signal:
 
     @property
     def interval(self) -> float:
-        """Median time between successive samples [s]; infinite for less than two."""
-        return float(np.median(np.diff(self.time))) if len(self) > 1 else np.inf
+        """Median time between successive samples [s]; infinite for less than two.
+
+        Where most times are repeated, because they are rounded coarser than the samples are apart, it is the mean.
+        """
+        intervals = np.diff(self.time)
+        return float(np.median(intervals) or np.mean(intervals)) if len(intervals) else np.inf
 
 
 @final
