@@ -7,6 +7,7 @@ import pytest
 
 from stepgap.base.errors import InputError
 from stepgap.base.files import create, naming, new_folder, read_bounded_text, write_whole
+from stepgap.base.output_files import write_together
 from tests.full_disk import FILE_TOO_LARGE, largest_file
 
 
@@ -28,6 +29,17 @@ def test_a_new_file_or_folder_that_cannot_be_written_is_not_left_behind(tmp_path
             create(tmp_path / "robot" / "robot.py", "x" * 1001)
     assert caught.value.filename == str(tmp_path / "run.mat")
     assert not list(tmp_path.iterdir())
+
+
+def test_files_that_belong_together_are_all_written_or_none(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    contents: dict[Path, str | bytes] = {tmp_path / "steps.csv": "1,2\n", tmp_path / "columns.csv": "x" * 1001}
+    with largest_file(1000), pytest.raises(InputError, match=rf"columns\.csv: cannot be written: {FILE_TOO_LARGE}"):
+        write_together(contents, "--out")
+    assert not list(tmp_path.iterdir())
+    assert capsys.readouterr().out == ""
+    write_together(contents, "--out")
+    assert {path.name for path in tmp_path.iterdir()} == {"steps.csv", "columns.csv"}
+    assert capsys.readouterr().out == f"{tmp_path}/steps.csv\n{tmp_path}/columns.csv\n"
 
 
 def test_what_exists_already_is_kept(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def create(path: Path, content: str | bytes) -> None:
     """
     with naming(path):
         file = path.open("xb")
-        with _removed_on_failure(path), file:
+        with removed_on_failure(path), file:
             file.write(content.encode("utf-8") if isinstance(content, str) else content)
 
 
@@ -89,12 +89,12 @@ def new_folder(path: Path) -> Iterator[None]:
     """
     with naming(path):
         path.mkdir()
-    with _removed_on_failure(path):
+    with removed_on_failure(path):
         yield
 
 
 @contextmanager
-def _removed_on_failure(path: Path) -> Iterator[None]:
+def removed_on_failure(path: Path) -> Iterator[None]:
     """Removes a file or a folder if the block does not end normally."""
     try:
         yield

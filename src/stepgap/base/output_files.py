@@ -1,12 +1,12 @@
 """Output files of the verbs: no existing file is overwritten, and an error is one line."""
 
 import os
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from stepgap.base.errors import InputError
-from stepgap.base.files import create
+from stepgap.base.files import create, removed_on_failure
 
 PICTURE_FORMATS = ("pdf", "png", "svg")
 """File formats of a figure."""
@@ -44,9 +44,18 @@ def writing(path: Path, option: str) -> Iterator[None]:
 
 def write_new(path: Path, option: str, content: str | bytes) -> None:
     """Writes a new file and prints its path; where it cannot be written completely, there is none."""
-    with writing(path, option):
-        create(path, content)
-    print(path)
+    write_together({path: content}, option)
+
+
+def write_together(contents: Mapping[Path, str | bytes], option: str) -> None:
+    """Writes new files and prints their paths; where one of them cannot be written completely, there is none."""
+    with ExitStack() as written:
+        for path, content in contents.items():
+            with writing(path, option):
+                create(path, content)
+            written.enter_context(removed_on_failure(path))
+    for path in contents:
+        print(path)
 
 
 def free_name(path: Path) -> Path:

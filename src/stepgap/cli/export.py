@@ -7,7 +7,7 @@ from cyclopts import Parameter, validators
 
 from stepgap.base.errors import InputError, message_of
 from stepgap.base.files import create, new_folder
-from stepgap.base.output_files import check_new, free_name, write_new, writing
+from stepgap.base.output_files import check_new, free_name, write_new, write_together, writing
 from stepgap.cli.export_controller import CONTROLLER_FILES, controller_file
 from stepgap.cli.options import Integer
 from stepgap.cli.terminal import announces_compilation
@@ -63,8 +63,7 @@ def _export_c(folder: Path, iteration: int | None, real: Literal["double", "floa
     target = out or _target(folder, "controller.c", None)
     for name in (target, target.with_suffix(".h")):
         check_new(name, "--out")
-    for name, content in c_files(folder, target, iteration, real).items():
-        write_new(name, "--out", content)
+    write_together(c_files(folder, target, iteration, real), "--out")
 
 
 def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None) -> None:
@@ -86,9 +85,7 @@ def _export_steps(folder: Path, to: str, iteration: int | None, out: Path | None
     legend = target.with_stem(f"{target.stem}_columns")
     if to == "csv":
         check_new(legend, "--out")
-    write_new(target, "--out", content)
-    if to == "csv":
-        write_new(legend, "--out", columns_text(columns))
+    write_together({target: content, **({legend: columns_text(columns)} if to == "csv" else {})}, "--out")
 
 
 def _export_ticks(folder: Path, iteration: int | None, out: Path | None) -> None:

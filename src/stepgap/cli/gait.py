@@ -1,9 +1,10 @@
 """The verb `stepgap gait`."""
 
+from io import BytesIO
 from pathlib import Path
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import format_by_name, free_name, writing
+from stepgap.base.output_files import check_new, format_by_name, free_name, write_new
 from stepgap.cli.map_table import named_values
 from stepgap.cli.options import NamedValues, Overrides, values_by_name
 from stepgap.cli.terminal import announces_compilation, warn
@@ -35,8 +36,8 @@ def gait(
     settings = read_experiment(experiment, overrides or [])
     space = settings.robot.space
     wanted = values_by_name("--state", state, space.state, space.state_centre)
-    if out and out.exists():
-        raise InputError(f"{out}: exists already; choose another --out")
+    if out:
+        check_new(out, "--out")
     nominal, _, warnings = load_nominal(settings)
     for sentence in warnings:
         warn(sentence)
@@ -50,8 +51,7 @@ def gait(
     figure = gait_figure(nominal.space, point, reachable)
     picture = out or free_name(Path("gait.png"))
     formats = figure.canvas.get_supported_filetypes()
-    format_by_name(picture, formats)
-    with writing(picture, "--out"):
-        figure.savefig(picture, dpi=150)
+    content = BytesIO()
+    figure.savefig(content, dpi=150, format=format_by_name(picture, formats))
     print(describe_gait(nominal.space, point, reachable))
-    print(picture)
+    write_new(picture, "--out", content.getvalue())

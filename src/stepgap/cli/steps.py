@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from stepgap.base.errors import InputError
-from stepgap.base.output_files import check_new, format_by_name, write_new
+from stepgap.base.output_files import check_new, format_by_name, write_new, write_together
 from stepgap.cli.options import Flag, Name, Names, Seconds
 
 if TYPE_CHECKING:  # slow imports are made where they are used
@@ -113,9 +113,9 @@ def steps(
     _draw(found, picture)
     if refusals := [each.refusal for each in found if each.refusal]:
         raise InputError(f"{'; '.join(refusals)}. {picture} shows them; nothing else was written")
-    write_new(out, "--out", steps_table(found))
-    if text := columns_toml(found[0], settings):
-        write_new(meaning, "--out", text)
+    text = columns_toml(found[0], settings)
+    write_together({out: steps_table(found), **({meaning: text} if text else {})}, "--out")
+    if text:
         print(f"stepgap fit {out} --columns {meaning} shows what can be learned from these steps", file=sys.stderr)
     else:
         print("without --command or --target, stepgap fit cannot use these steps", file=sys.stderr)

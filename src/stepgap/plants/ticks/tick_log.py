@@ -28,6 +28,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from stepgap.base.errors import StepGapError
+from stepgap.base.files import removed_on_failure
 from stepgap.plants.ticks.log_description import DESCRIPTION, EVENT, LogDescription, LogEvent
 from stepgap.plants.ticks.tick_message import CHANNEL, HEAD_SIZE, SCHEMA_NAME, TickLayout
 from stepgap.step import Array
@@ -222,7 +223,8 @@ def recover_ticks(path: Path, out: Path) -> Recovered:
     with _opened(path) as file:
         layout = _layout(file, path)
         description, events = _described(file)
-        with TickLog(out, layout.units, description) as log:
+        log = TickLog(out, layout.units, description)
+        with removed_on_failure(out), log:
             for messages in _messages(file, layout, faults):
                 log.append(layout.rows(messages))
                 ticks += len(messages)

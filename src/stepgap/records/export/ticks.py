@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from stepgap.base.files import new_folder, removed_on_failure
 from stepgap.plants.ticks.tick_log import TickLog, TickLogError, read_ticks, recover_ticks
 from stepgap.plants.ticks.tick_table import TickTable
 
@@ -14,12 +15,9 @@ def write_ticks(ticks: TickTable, out: Path) -> None:
     Raises:
         TickLogError: The file exists or cannot be written.
     """
-    with TickLog(out, ticks.units) as log:
-        try:
-            log.append(ticks.rows)
-        except BaseException:
-            out.unlink()  # an incomplete file would look complete
-            raise
+    log = TickLog(out, ticks.units)
+    with removed_on_failure(out), log:  # an incomplete file would look complete
+        log.append(ticks.rows)
 
 
 def copy_ticks(logs: Path, out: Path) -> Iterator[str]:
@@ -28,16 +26,16 @@ def copy_ticks(logs: Path, out: Path) -> Iterator[str]:
     Raises:
         OSError: A file cannot be read or written.
     """
-    out.mkdir(parents=True)
-    for log in sorted(logs.glob("*.mcap")):
-        copy = out / log.name
-        try:
-            read_ticks(log)
-        except TickLogError:
-            yield _recovered(log, copy)
-        else:
-            shutil.copyfile(log, copy)
-            yield str(copy)
+    with new_folder(out):
+        for log in sorted(logs.glob("*.mcap")):
+            copy = out / log.name
+            try:
+                read_ticks(log)
+            except TickLogError:
+                yield _recovered(log, copy)
+            else:
+                shutil.copyfile(log, copy)
+                yield str(copy)
 
 
 def logged_units(logs: Path) -> Mapping[str, str]:
