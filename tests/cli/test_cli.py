@@ -583,6 +583,25 @@ def test_an_empty_value_is_refused(stepgap: Command, arguments: list[str], named
     assert not list(Path().iterdir())
 
 
+CTRL_C_IN_AN_IMPORT = """
+import sys
+
+class Interrupted:
+    def find_spec(self, name, path=None, target=None):
+        if name == "cyclopts":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupted())
+from stepgap.cli.start import start
+start()
+"""
+
+
+def test_ctrl_c_during_the_first_imports_is_one_line() -> None:
+    done = subprocess.run([sys.executable, "-c", CTRL_C_IN_AN_IMPORT], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "stepgap: stopped\n")
+
+
 def test_standard_output_may_be_closed() -> None:
     program = f"{sys.executable} -c 'from stepgap.cli.app import main; main()' settings >&-"
     done = subprocess.run(["/bin/sh", "-c", program], stderr=subprocess.PIPE, text=True, check=False)

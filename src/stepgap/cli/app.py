@@ -32,13 +32,20 @@ from stepgap.cli.run import run
 from stepgap.cli.settings import settings
 from stepgap.cli.steps import steps
 from stepgap.cli.sweep import sweep
-from stepgap.cli.terminal import discard_output, flush_output, is_output_error, replace_unwritable_characters, warn
+from stepgap.cli.terminal import (
+    STOPPED,
+    discard_output,
+    flush_output,
+    is_output_error,
+    replace_unwritable_characters,
+    warn,
+)
 from stepgap.cli.view import view
 
 OVERRIDE = re.compile(r"--(robot|[a-z_][a-z0-9_-]*\.[a-z0-9_.-]+)(?:=(.*))?", re.DOTALL)
 
-_BAD_INPUT, _FAILED, _STOPPED = 2, 1, 130
-"""Exit codes; the last one after Ctrl-C, as in shells."""
+_BAD_INPUT, _FAILED = 2, 1
+"""Exit codes."""
 
 app = App(
     name="stepgap",
@@ -75,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _run_verb([argument for argument in arguments if argument != "--debug"], program)
     except KeyboardInterrupt as interrupt:
         warn(f"stopped{interrupt}")
-        sys.exit(_STOPPED)
+        sys.exit(STOPPED)
     except Exception as error:
         if debug:
             raise
