@@ -255,7 +255,10 @@ RIG = Path(__file__).parents[2] / "examples" / "rig.toml"
         ("gait --state fast", ["--state fast: it must be names"]),
         ("gait --state height=-1", ["height -1.000000 m: no command makes a step from this state"]),
         ("gait --out file", ["file: exists already; choose another --out"]),
-        ("gait --out file/below.png", ["file/below.png: cannot be written: no folder to write in; choose another --out"]),
+        (
+            "gait --out file/below.png",
+            ["file/below.png: cannot be written: no folder to write in; choose another"],
+        ),
         ("gait --out none/gait.png", ["none/gait.png: cannot be written: no folder to write in"]),
         ("gait --out gait.xyz", ["gait.xyz: the name must end with one of .", ".png"]),
     ],

@@ -38,13 +38,13 @@ def edit_summary(folder: Path, change: Callable[[dict[str, Any]], object]) -> No
 
 
 def test_record_is_what_was_written(folder: Path) -> None:
-    edit_summary(folder, lambda content: content["iterations"][1]["rmse"].update(tilt=0.25))
+    edit_summary(folder, lambda content: content["iterations"][1]["mae"].update(tilt=0.25))
     edit_summary(folder, lambda content: content.update(versions={"mujoco": "3.17", "cores": 2}))
     (folder / "experiment.toml").write_text("seed = 0\n")
     record = read_run_folder(folder)
     assert record.space.state_names == NAMES
     assert [len(record.steps.of_iteration(number)) for number in record.shown_iterations] == [5, 5]
-    np.testing.assert_array_equal(record.deployments[1].errors["rmse"], [np.nan, 0.25])
+    np.testing.assert_array_equal(record.deployments[1].errors["mae"], [np.nan, 0.25])
     np.testing.assert_array_equal(record.noise_floor, [np.nan, np.nan])
     assert record.summary.versions == (("mujoco", "3.17"), ("cores", "2"))
     assert record.settings == SettingsFile("seed = 0\n", {"seed": 0})
@@ -218,6 +218,17 @@ def test_a_file_without_settings_is_refused(folder: Path, content: bytes, messag
     text = complaint(folder)
     assert text.startswith("RUN/experiment.toml: ")
     assert message in text
+
+
+def test_an_error_that_is_not_that_of_the_steps_is_refused(folder: Path) -> None:
+    first = read_run_folder(folder).steps.of_iteration(0)
+    rmse = float(np.sqrt(np.mean((first.next_state - first.target)[:, 0] ** 2)))
+    edit_summary(folder, lambda content: content["iterations"][0]["rmse"].update(speed=rmse))
+    assert read_run_folder(folder).deployments[0].rmse[0] == rmse
+    edit_summary(folder, lambda content: content["iterations"][0]["rmse"].update(speed=1e-6))
+    text = complaint(folder)
+    assert text.startswith("RUN/summary.json: rmse of speed of deployment 0 is 1e-06")
+    assert f"that of its steps in steps.csv is {rmse:.6g}" in text
 
 
 def test_byte_order_marks_of_steps_and_summary_do_no_harm(folder: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 from stepgap.learning.step_log import StepLog
+from stepgap.records.summary import parse_summary
 from stepgap.report import comparison_html, read_run_folder
 from stepgap.report.comparison import run_names
 from stepgap.report.seed_spread import FEWEST_SEEDS, seed_groups, spread_tables
@@ -97,11 +98,12 @@ def test_the_spread_is_that_of_runs_that_differ_in_the_seed_only(folders: list[P
         shutil.copytree(folders[1], tmp_path / str(seed))
         content = json.loads((tmp_path / str(seed) / "summary.json").read_text())
         content["seed"], content["iterations"][1]["rmse"]["speed"] = seed, error
-        (tmp_path / str(seed) / "summary.json").write_text(json.dumps(content))
         other = seed == len(errors) - 1
         settings = f"seed = {seed}\n[gains]\nstiffness = {2500 if other else 2400}\n"
         (tmp_path / str(seed) / "experiment.toml").write_text(settings)
-        records.append(read_run_folder(tmp_path / str(seed)))
+        record = read_run_folder(tmp_path / str(seed))
+        summary = parse_summary(json.dumps(content), record.space.state_names, "summary.json")
+        records.append(replace(record, summary=summary))
     assert seed_groups(records) == [[0, 1, 2]]
     assert seed_groups(records[: FEWEST_SEEDS - 1]) == []
     logs = np.log(errors[:3])

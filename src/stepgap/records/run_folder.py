@@ -6,6 +6,7 @@ The run may still be in progress: `steps.csv` may hold steps of a deployment tha
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
+from math import isclose, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -178,6 +179,22 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
     count = sum(deployment.steps for deployment in summary.deployments)
     if summary.steps_sha256 and summary.steps_sha256 != digest(StepLog(steps.space, islice(steps, count))):
         raise ValueError(f"{path}: steps.csv was changed after it was written; both must be of the same run")
+    for deployment in summary.deployments:
+        _check_rmse(deployment, steps, path)
+
+
+def _check_rmse(deployment: Deployment, steps: StepLog, path: Path) -> None:
+    """Raises ValueError unless the RMSE of a deployment is that of its steps; one that is not known is not checked."""
+    tracked = steps.of_iteration(deployment.iteration).completed().tracking()
+    if not len(tracked):
+        return
+    found = np.sqrt(np.mean((tracked.next_state - tracked.target) ** 2, axis=0))
+    for name, error, computed in zip(steps.space.state_names, deployment.rmse, found, strict=True):
+        if isfinite(error) and not isclose(error, computed, rel_tol=1e-6):
+            raise ValueError(
+                f"{path}: rmse of {name} of deployment {deployment.iteration} is {error:.6g}, but that of its steps in "
+                f"steps.csv is {computed:.6g}; both must be of the same run"
+            )
 
 
 def read_settings_file(path: Path) -> SettingsFile | None:
