@@ -184,6 +184,21 @@ def test_a_unit_with_quotation_marks_is_read_back(stepgap: Command) -> None:
     assert read_experiment(Path("x/experiment.toml")).robot.space.state[0].unit == '12"'
 
 
+def test_a_command_that_did_not_vary_in_the_log_is_named(stepgap: Command) -> None:
+    rows = [f"{0.1 * (number % 7)},0.0,{0.05 * (number % 7) + 0.1}" for number in range(30)]
+    Path("log.csv").write_text("\n".join(["v,u,v2", *rows]))
+    made = stepgap("new", "mine", "--from", "log.csv", "--state", "v", "--command", "u", "--next", "v2")
+    assert made.code == 0
+    assert (
+        "stepgap: --from log.csv: u did not vary in the log, so its effect is unknown: the map has none\n" in made.err
+    )
+    loaded = load_nominal(read_experiment(Path("mine/experiment.toml")))
+    assert loaded.map.jacobian([0.3], [0.0]) == pytest.approx(np.array([[0.5, 0.0]]), rel=1e-3)
+    assert [sentence.partition(": ")[2] for sentence in loaded.warnings] == [
+        "u did not vary in the log, so its effect is unknown: the map has none"
+    ]
+
+
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [

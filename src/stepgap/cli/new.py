@@ -199,16 +199,23 @@ def _parts_of(model: Path) -> str:
 
 
 def _read_log(path: Path, columns: Path | None, names: ColumnNames) -> "StepLog":
-    """Recorded steps; their ranges are those of the run, if it is one, or those that the steps cover."""
+    """Recorded steps; their ranges are those of the run, if it is one, or those that the steps cover.
+
+    Effects that the steps do not show are warned of.
+    """
     from stepgap.learning.step_log import StepLog
     from stepgap.records.columns import read_columns
+    from stepgap.robots.nominal_maps.log_map import fit_log_map
 
     meaning = read_columns(columns, names.given())
     steps, space = _steps_of_run(path) if meaning is None else (_steps_of_others(path, meaning), None)
     least = len(steps.space.state) + len(steps.space.command) + 2
     if len(steps.completed()) < least:
         raise InputError(f"--from {path}: fewer than {least} completed steps; record some more")
-    return StepLog(space or _covered_space(steps), steps)
+    log = StepLog(space or _covered_space(steps), steps)
+    for gap in fit_log_map(log).gaps:
+        warn(f"--from {path}: {gap}")
+    return log
 
 
 def _steps_of_run(path: Path) -> "tuple[StepLog, StepSpace | None]":

@@ -17,7 +17,7 @@ from stepgap.experiment.settings import FROM_LOG, FROM_TEMPLATE, LARGEST_NOMINAL
 from stepgap.records.steps_csv import RecordError, read_step_log
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.robots.nominal_maps.differenced_map import has_no_formula, with_suitable_step
-from stepgap.robots.nominal_maps.log_map import fit_log_map
+from stepgap.robots.nominal_maps.log_map import LogMap, fit_log_map
 from stepgap.robots.nominal_maps.simulator import SimulatorMap
 from stepgap.robots.nominal_maps.surrogate_map import MapFunction, SurrogateMap, fit_surrogate, surrogate_from_dict
 from stepgap.robots.nominal_maps.template_file import gaps_of_template, read_template
@@ -67,6 +67,8 @@ def load_nominal(settings: Experiment, on_samples: Callable[[int, Array], None] 
             example = "template.toml" if kind == FROM_TEMPLATE else "steps.csv"
             raise InputError(f"nominal.kind = {kind}: give its file by nominal.file, such as {example}")
         found = _read_map(kind, Path(file), robot.space)
+        if isinstance(found, LogMap):
+            return Nominal(found, warnings=tuple(f"{file}: {gap}" for gap in found.gaps))
         return Nominal(found, warnings=gaps_of_template(Path(file), found) if isinstance(found, AffineMap) else ())
     maps = robot.nominal_maps()
     if kind not in maps:

@@ -1,18 +1,32 @@
 """A nominal map fitted to recorded steps, for a robot without equations of motion and without a simulator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stepgap.base.errors import StepGapError
 from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.observations import observe
+from stepgap.learning.residual import join_points
 from stepgap.learning.residual_fit import fit_residual
 from stepgap.learning.step_log import StepLog
 from stepgap.robots.nominal_maps.affine_map import AffineMap
 from stepgap.step import Array, Outcome, StepMap, StepSpace
+
+RELATIVE_ROUNDING = 1e-9
+"""Variation that counts as rounding, as a fraction of the largest absolute value of a coordinate."""
+
+ABSOLUTE_ROUNDING = 1e-12
+"""Variation that counts as rounding in any case [unit of the coordinate]."""
+
+DEPENDENT = 1e-12
+"""Coordinates, each in standard deviations, vary only together if their variance in some direction is less than this
+fraction of the largest one."""
+
+NAMED_COMPONENT = 0.01
+"""Least component of a coordinate in such a direction, a unit vector, with which it is named."""
 
 
 @final
@@ -24,9 +38,11 @@ class LogMap(StepMap):
 
     Attributes:
         fitted: A constant map, corrected by the regression.
+        gaps: Sentences on effects that the steps do not show.
     """
 
     fitted: CorrectedMap
+    gaps: tuple[str, ...] = ()
 
     @property
     def space(self) -> StepSpace:
@@ -48,6 +64,8 @@ def fit_log_map(log: StepLog) -> LogMap:
     Where commands were chosen by a controller, they and the states vary together, and their effects are known only
     together. So vary the commands at random while the log is recorded.
 
+    The derivative by a coordinate that did not vary is zero.
+
     Args:
         log: Steps of the robot, at least two more than there are coordinates of state and command.
 
@@ -56,7 +74,33 @@ def fit_log_map(log: StepLog) -> LogMap:
     """
     space = log.space
     n, m = len(space.state), len(space.command)
-    if len(log.completed()) < n + m + 2:
-        raise StepGapError(f"{len(log.completed())} completed steps, but a map needs at least {n + m + 2}")
     flat = AffineMap(space, space.state_centre, space.command_centre, space.state_centre, np.zeros((n, n + m)))
-    return LogMap(CorrectedMap(flat, fit_residual("linear", observe(log, flat))))
+    observed = observe(log, flat)
+    if len(observed) < n + m + 2:
+        raise StepGapError(f"{len(observed)} completed steps, but a map needs at least {n + m + 2}")
+    points = join_points(observed.state, observed.command)
+    fixed, centre = _fixed(points), join_points(space.state_centre, space.command_centre)
+    points = np.where(fixed, centre, points)  # where the scaled coordinate is zero, so is its weight
+    varied = replace(observed, state=points[:, :n], command=points[:, n:])
+    return LogMap(CorrectedMap(flat, fit_residual("linear", varied)), _gaps(space, points, fixed))
+
+
+def _fixed(points: Array) -> NDArray[np.bool_]:
+    """Which coordinates of points (N, k) do not vary by more than rounding; shape (k,)."""
+    return np.ptp(points, axis=0) <= np.maximum(RELATIVE_ROUNDING * np.abs(points).max(axis=0), ABSOLUTE_ROUNDING)
+
+
+def _gaps(space: StepSpace, points: Array, fixed: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Sentences on the coordinates of points (N, n + m) that are fixed, and on those that vary only together."""
+    names = np.array(space.names)
+    gaps = [f"{name} did not vary in the log, so its effect is unknown: the map has none" for name in names[fixed]]
+    if not fixed.all():
+        variances, directions = np.linalg.eigh(np.atleast_2d(np.corrcoef(points[:, ~fixed].T)))
+        unseen = directions[:, variances < DEPENDENT * variances[-1]]
+        together = names[~fixed][(np.abs(unseen) > NAMED_COMPONENT).any(axis=1)]
+        if together.size:
+            listed = ", ".join(together)
+            gaps.append(
+                f"{listed} vary only together in the log, so only their common effect is known; vary each alone"
+            )
+    return tuple(gaps)
