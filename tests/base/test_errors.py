@@ -11,7 +11,11 @@ from stepgap.base.errors import InputError, StepGapError, message_of
 from stepgap.base.ranges import require
 
 PACKAGE = Path(stepgap.__file__).parent
-BUILT_IN = {name for name, kind in vars(builtins).items() if isinstance(kind, type) and issubclass(kind, BaseException)}
+BUILT_IN = {
+    name
+    for name, kind in vars(builtins).items()
+    if isinstance(kind, type) and issubclass(kind, BaseException) and not issubclass(kind, Warning)
+}
 
 
 def test_every_error_derives_from_the_root() -> None:

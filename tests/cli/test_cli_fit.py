@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stepgap.cli.app import main
-from stepgap.learning.residual_fit import residual_from_dict
+from stepgap.learning.residual_fit import fit_residual, residual_from_dict
 from stepgap.learning.step_log import LoggedStep
 from stepgap.records.model_files import MAP, NominalSource, read_saved_model, write_model
 from stepgap.records.steps_csv import StepWriter
@@ -16,6 +16,10 @@ from stepgap.robots.hopper import CommandBounds
 from stepgap.robots.hopper.apex_map import ApexMap
 from stepgap.step import StepRecord, StepStatus
 from tests.cli.command_line import Command, refused
+from tests.learning.test_own_residual import install, packages
+from tests.learning.test_residual import steps
+
+__all__ = ["packages"]
 
 FOREIGN = ("--state", "v,y", "--next", "v2,y2", "--command", "fx,fy", "--nominal", "state")
 
@@ -329,3 +333,37 @@ def test_help(stepgap: Command) -> None:
     assert (result.code, result.err) == (0, "")
     for word in ("LOG", "--columns", "--next", "--nominal", "--folds", "--save"):
         assert word in result.out
+
+
+OUT_OF_SPACE = """
+from stepgap.learning.regression import ResidualModel
+def fit(data, start):
+    raise OSError(28, "No space left")
+MODEL = ResidualModel("own", "a model that fails", fit, fit)
+"""
+
+
+@pytest.mark.filterwarnings("default::stepgap.base.errors.StepGapWarning")
+def test_a_residual_that_fails_is_left_out_with_one_line(
+    stepgap: Command, packages: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(packages, "broken", OUT_OF_SPACE, own="broken:MODEL")
+    compare_few_kinds(monkeypatch, "none", "constant", "own")
+    write_log(Path("log.csv"), offset=0.5)
+    result = stepgap("fit", "log.csv", *FOREIGN, "--out", "fit.json")
+    assert result.code == 0
+    assert result.err.count("stepgap: left out: residual 'own': OSError: [Errno 28] No space left\n") == 1
+    compared = json.loads(Path("fit.json").read_text())["residuals"]
+    assert [each["kind"] for each in compared] == ["none", "constant"]
+
+
+def test_a_residual_that_fails_in_a_run_is_named_by_its_file_and_line(
+    stepgap: Command, packages: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(packages, "broken", OUT_OF_SPACE, own="broken:MODEL")
+    monkeypatch.setattr("stepgap.cli.app._run_verb", lambda arguments, program: fit_residual("own", steps()))
+    result = stepgap("run")
+    assert result.code == 2
+    assert result.err.startswith(
+        "stepgap: packages/broken.py, line 4: residual 'own': OSError: [Errno 28] No space left ("
+    )

@@ -1,4 +1,4 @@
-"""The error types of StepGap: they have one root, so that a program can catch all of them.
+"""The error types of StepGap, which have one root, so that a program can catch all of them; and its warning.
 
 An error that belongs to one module is defined there and derives from `StepGapError` or `InputError`.
 """
@@ -10,6 +10,10 @@ class StepGapError(Exception):
 
 class InputError(StepGapError, ValueError):
     """Invalid input of the user; the message is one line that states what is valid."""
+
+
+class StepGapWarning(UserWarning):
+    """What StepGap leaves out or doubts, for the user; the message is one line, and `stepgap` shows it as such."""
 
 
 def message_of(error: Exception) -> str:

@@ -7,14 +7,17 @@ Exit codes: 0 done; 2 bad input, with one line that gives the rule; 130 Ctrl-C; 
 
 import re
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from inspect import signature
 from itertools import pairwise
+from typing import Any
 
 import cyclopts
 from cyclopts import App, Parameter
 
-from stepgap.base.errors import InputError, StepGapError, message_of
+from stepgap.base.errors import InputError, StepGapError, StepGapWarning, message_of
 from stepgap.cli.bench import bench
 from stepgap.cli.completion import completion
 from stepgap.cli.doctor import doctor
@@ -79,7 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments, program = split_program(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     try:
-        _run_verb([argument for argument in arguments if argument != "--debug"], program)
+        with _warnings_as_lines():
+            _run_verb([argument for argument in arguments if argument != "--debug"], program)
     except KeyboardInterrupt as interrupt:
         warn(f"stopped{interrupt}")
         sys.exit(STOPPED)
@@ -118,6 +122,23 @@ def _run_verb(arguments: Sequence[str], program: list[str]) -> None:
     flush_output()
 
 
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Shows each warning of StepGap once, as one line on stderr."""
+    show_other, shown = warnings.showwarning, set[str]()
+
+    def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if not issubclass(category, StepGapWarning):
+            show_other(message, category, *place)
+        elif str(message) not in shown:
+            shown.add(str(message))
+            warn(str(message))
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
+
+
 def _is_bad_input(error: Exception) -> bool:
     """Whether the user gave wrong input, or a file or folder without permission to use it."""
     forbidden = isinstance(error, PermissionError) and error.filename is not None
@@ -126,13 +147,14 @@ def _is_bad_input(error: Exception) -> bool:
 
 def _explained(error: Exception) -> tuple[str, int]:
     """Message of an error and exit code; an unexpected exception in a plug-in is bad input, named by file and line."""
-    if isinstance(error, StepGapError | OSError | cyclopts.CycloptsError):
-        return _line_of(error), _BAD_INPUT if _is_bad_input(error) else _FAILED
-    from stepgap.cli.plugin_errors import location_in_plugin
+    explained = isinstance(error, StepGapError | OSError | cyclopts.CycloptsError)
+    unexpected = error.__cause__ if isinstance(error, StepGapError) else None if explained else error
+    if unexpected:
+        from stepgap.cli.plugin_errors import location_in_plugin
 
-    text = error.args[0] if isinstance(error, KeyError) and error.args else error  # str(KeyError) is in quotes
-    line, location = f"{type(error).__name__}: {text}", location_in_plugin(error)
-    return (f"{location}: {line} (--debug shows the calls that led there)", _BAD_INPUT) if location else (line, _FAILED)
+        if location := location_in_plugin(unexpected):
+            return f"{location}: {_line_of(error)} (--debug shows the calls that led there)", _BAD_INPUT
+    return _line_of(error), _BAD_INPUT if _is_bad_input(error) else _FAILED
 
 
 def _line_of(error: Exception) -> str:
@@ -145,7 +167,8 @@ def _line_of(error: Exception) -> str:
     about_a_file = isinstance(error, OSError) and error.filename is not None
     if _is_bad_input(error) or about_a_file or isinstance(error, StepGapError):
         return f"{message_of(error)}{_hint(error)}"
-    return f"{type(error).__name__}: {error}"
+    text = error.args[0] if isinstance(error, KeyError) and error.args else error  # str(KeyError) is in quotes
+    return f"{type(error).__name__}: {text}"
 
 
 def _hint(error: Exception) -> str:

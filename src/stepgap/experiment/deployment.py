@@ -14,7 +14,9 @@ from stepgap.control.reference import Reference
 from stepgap.control.settings import ALL_RULES, ControlSettings
 from stepgap.experiment.exploration import exploration_plan, goals_of
 from stepgap.learning.background import BackgroundThread, Deferred
-from stepgap.learning.residual import Residual
+from stepgap.learning.corrected_map import CorrectedMap
+from stepgap.learning.residual import Residual, join_points
+from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.step_log import LoggedStep
 from stepgap.plants.plant import Plant
 from stepgap.step import Array, StepFailed, StepMap, StepSpace, StepStatus
@@ -95,6 +97,9 @@ class DeploymentController:
         Args:
             state: Measured state; shape (n,).
             target: State wanted after the step; shape (n,).
+
+        Raises:
+            ResidualError: The learned residual has no finite prediction of the step.
         """
         return tracking_plan(self.step_controller, state, target, self.command)
 
@@ -123,6 +128,7 @@ def deploy(
 
     Raises:
         StepGapError: The first state of the plant is not finite, or has another shape.
+        ResidualError: The learned residual failed, or has no finite prediction of a step.
     """
     controller = DeploymentController.start(learner, control)
     with BackgroundThread() as background, plant:
@@ -132,6 +138,7 @@ def deploy(
                 step_controller = controller.step_controller
                 goals = goals_of(reference, step_controller.step_map)
                 plan = exploration_plan(step_controller, controller.learner.conditioned_residual, state, goals)
+                plan = _checked(step_controller.step_map, state, plan)
             else:
                 plan = controller.plan(state, reference.targets[number - 1])
             background.compute(controller.learner.pending)  # after the command, so that it causes no delay
@@ -155,9 +162,23 @@ def _checked_start(state: Array, space: StepSpace) -> Array:
 
 
 def tracking_plan(controller: CautiousController, state: Array, target: Array, guess: Array | None) -> CautiousPlan:
-    """The command for a target; the middle of the bounds where the map has no command that makes a step."""
+    """The command for a target; the middle of the bounds where the map has no command that makes a step.
+
+    Raises:
+        ResidualError: The residual that corrects the map has no finite prediction of the step.
+    """
     try:
-        return controller(state, target, guess=guess)
+        plan = controller(state, target, guess=guess)
     except StepFailed:
         command = controller.step_map.space.command_centre
-        return CautiousPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))
+        plan = CautiousPlan(command, np.full_like(target, np.nan), controller.step_std(state, command))
+    return _checked(controller.step_map, state, plan)
+
+
+def _checked(step_map: StepMap, state: Array, plan: CautiousPlan) -> CautiousPlan:
+    """Returns a plan; raises ResidualError if it lacks a prediction because the residual of the map has none."""
+    predicted = np.isfinite([plan.predicted, plan.std]).all()
+    if not predicted and np.isfinite(state).all() and isinstance(step_map, CorrectedMap):
+        residual, point = step_map.residual, join_points(state, plan.command)
+        check_prediction(residual.kind, residual.mean(point), residual.std(point))
+    return plan

@@ -1,7 +1,9 @@
 """Residual models by name: those of this package and of others, found by their entry points."""
 
+import warnings
+
+from stepgap.base.errors import InputError, StepGapWarning
 from stepgap.base.plugins import load_plugin, plugin_names
-from stepgap.base.settings_file import InputError
 from stepgap.learning.regression import ResidualModel
 from stepgap.learning.settings import RESIDUALS
 
@@ -25,9 +27,11 @@ def load_residual_model(name: str) -> ResidualModel:
 
 
 def residual_models() -> list[ResidualModel]:
-    """Loads all installed residual models, from simple to complex.
-
-    Raises:
-        InputError: One of them cannot be used.
-    """
-    return sorted(map(load_residual_model, residual_names()), key=lambda model: (model.complexity, model.name))
+    """Loads all installed residual models, from simple to complex; a `StepGapWarning` names each that is unusable."""
+    models: list[ResidualModel] = []
+    for name in residual_names():
+        try:
+            models.append(load_residual_model(name))
+        except InputError as error:
+            warnings.warn(f"left out: {error}", StepGapWarning, stacklevel=1)
+    return sorted(models, key=lambda model: (model.complexity, model.name))

@@ -11,6 +11,7 @@ from stepgap.learning.corrected_map import CorrectedMap
 from stepgap.learning.disturbance_estimator import DisturbanceEstimator
 from stepgap.learning.observations import error_of, history_after, next_history, observe
 from stepgap.learning.residual import Residual, join_points, no_residual
+from stepgap.learning.residual_check import check_prediction
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_log import LoggedStep, StepLog
@@ -170,7 +171,11 @@ class Learner:
         return CorrectedMap(self.nominal, residual, *self.disturbance.predict(residual, self.yaw))
 
     def after(self, logged: LoggedStep) -> "Learner":
-        """Returns the learner after the step just executed."""
+        """Returns the learner after the step just executed.
+
+        Raises:
+            ResidualError: The residual has no finite prediction of this step, or a new fit failed.
+        """
         record, log = logged.record, StepLog(self.log.space, [*self.log, logged])
         error, point = error_of(record, self.nominal), _point_of(record)
         failed = record.status not in _NO_FAILURE
@@ -183,7 +188,9 @@ class Learner:
         if not np.isfinite(error).all():
             return learner._with_refit()
         residual, scale = self.conditioned_residual, self.nominal.space.state_scale
-        remaining, std = error - residual.mean(point), residual.std(point, include_noise=True)
+        mean, std = residual.mean(point), residual.std(point, include_noise=True)
+        check_prediction(residual.kind, mean, std)
+        remaining = error - mean
         offset, _ = self.disturbance.predict(residual, self.yaw)
         monitor = self.monitor.updated(error / scale, (remaining - offset) / scale)  # of what was deployed
         disturbance = self.disturbance.after(residual, remaining, std, self.yaw)

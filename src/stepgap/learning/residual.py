@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from stepgap.base.ranges import require
 from stepgap.learning.regression import Regression, ResidualModel
+from stepgap.learning.residual_check import ResidualError
 from stepgap.learning.settings import LAGGED_INPUTS, LaggedInputs
 from stepgap.learning.zero import NONE, Zero
 from stepgap.step import Array
@@ -66,6 +67,10 @@ class Residual:
         history_inputs: Which c inputs there are besides state and command.
         history_values: The values of those c inputs; None until they are known.
         outliers: Deployment and number of each step to which it was not fitted because it is an outlier.
+
+    Raises:
+        ResidualError: The model made something else than a regression.
+        ValueError: The number of inputs is not that of state, command and history inputs.
     """
 
     model: ResidualModel
@@ -76,6 +81,9 @@ class Residual:
     outliers: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
+        for regression in self.regressions:
+            if not isinstance(regression, Regression):
+                raise ResidualError(f"residual '{self.kind}': made {regression!r:.40}; it must make a Regression")
         n, m = self.sizes
         c = self.history_inputs.of(np.zeros(2 * n + m + 1), n).size
         inputs = sorted({regression.inputs for regression in self.regressions})

@@ -17,6 +17,7 @@ from stepgap.learning.observations import Observations
 from stepgap.learning.outliers import LEAST_KNOWN, MOST_OUTLIERS, outliers_among
 from stepgap.learning.regression import Regression, ResidualModel, TrainingData
 from stepgap.learning.residual import HistoryInputs, Residual, no_residual
+from stepgap.learning.residual_check import check_regression, failed, naming_model
 from stepgap.learning.settings import AUTO, LAGGED_INPUTS, LaggedInputs, LearningSettings
 from stepgap.learning.zero import NONE
 
@@ -48,6 +49,7 @@ def fit_residual(
 
     Raises:
         InputError: There is no model of this name, or it cannot be used.
+        ResidualError: The model failed, or what it returned is not valid.
         ValueError: There is nothing to learn from.
     """
     space = observations.space
@@ -84,7 +86,8 @@ def learned_residual(
         start: A residual fitted to fewer observations, from which a search for hyper-parameters may start.
 
     Raises:
-        InputError: There is no model of this name, or it cannot be used.
+        InputError: There is no model of this name, or it cannot be used; even if there are no observations.
+        ResidualError: The model failed, or what it returned is not valid.
     """
     residual = _learned_residual(observations, settings, iteration, start)
     if not settings.reject_outliers:
@@ -106,14 +109,16 @@ def _learned_residual(
     observations: Observations, settings: LearningSettings, iteration: int, start: Residual | None
 ) -> Residual:
     """Fits the residual of the settings to all observations, which may include outliers."""
-    kind = settings.residual if len(observations) else "none"
-    if settings.remove_yaw_dependence and kind != "none":
+    model = AUTO if settings.residual == AUTO else load_residual_model(settings.residual)
+    if not len(observations):
+        model = NONE  # that of the settings was loaded nevertheless: if it cannot be, no robot moves
+    if settings.remove_yaw_dependence and model != NONE:
         cleaned = without_yaw_dependence(observations, iteration)
-        residual = fit_residual(kind, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
-        if residual.kind != "none":
+        residual = fit_residual(model, cleaned, settings.lagged_inputs, settings.forgetting_time, start)
+        if residual.kind != NONE.name:
             return residual
-        kind = "none"  # without a correction no disturbance is estimated: it counts as noise
-    return fit_residual(kind, observations, settings.lagged_inputs, settings.forgetting_time, start)
+        model = NONE  # without a correction no disturbance is estimated: it counts as noise
+    return fit_residual(model, observations, settings.lagged_inputs, settings.forgetting_time, start)
 
 
 def _outliers_of(residual: Residual, observations: Observations) -> NDArray[np.bool_]:
@@ -202,14 +207,18 @@ def _best(fits: Sequence[Residual], observations: Observations) -> Residual:
 def _fit(
     model: ResidualModel, history_inputs: HistoryInputs, observations: Observations, start: Residual | None
 ) -> Residual:
-    """Fits a residual of one model."""
+    """Fits a residual of one model; what it returns is checked."""
     if start is None or start.kind != model.name or start.history_inputs != history_inputs:
         starts: Sequence[Regression | None] = [None] * len(observations.space.state)
     else:
         starts = start.regressions
     data = [training_data(observations, history_inputs, coordinate) for coordinate in range(len(starts))]
-    regressions = tuple(model.fit(*arguments) for arguments in zip(data, starts, strict=True))
-    return Residual(model, regressions, len(observations.space.command), history_inputs)
+    with naming_model(model):
+        regressions = tuple(model.fit(*arguments) for arguments in zip(data, starts, strict=True))
+        residual = Residual(model, regressions, len(observations.space.command), history_inputs)
+        for regression in regressions:
+            check_regression(model, regression, data[0].points)
+    return residual
 
 
 def training_data(observations: Observations, history_inputs: HistoryInputs, coordinate: int) -> TrainingData:
@@ -236,3 +245,5 @@ def _regression(model: ResidualModel, saved: object, where: str) -> Regression:
         return model.from_dict(saved)
     except ValueError as error:
         raise ValueError(f"{where}.{error}") from error
+    except Exception as error:
+        raise failed(model, error) from error

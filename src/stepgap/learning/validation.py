@@ -8,7 +8,9 @@ fits it, without the yaw-dependent part of their errors; then the held-out steps
 with the disturbance that a `DisturbanceEstimator`, as that of `Learner`, finds in the held-out steps before it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
 from math import sqrt
@@ -18,10 +20,12 @@ from typing import Final
 import numpy as np
 from scipy.special import stdtrit
 
+from stepgap.base.errors import StepGapWarning
 from stepgap.base.normal import INTERVAL_95, log_density
 from stepgap.learning.disturbance_estimator import DisturbanceEstimator
 from stepgap.learning.observations import Observations
 from stepgap.learning.residual import Residual, join_points
+from stepgap.learning.residual_check import ResidualError, check_prediction
 from stepgap.learning.residual_fit import learned_residual
 from stepgap.learning.settings import LearningSettings
 from stepgap.learning.step_table import Labels, StepTable
@@ -208,7 +212,7 @@ def validate(
     learning: LearningSettings = DEFAULT_LEARNING,
     on_fit: Callable[[int, int], None] = lambda done, total: None,
 ) -> Validation:
-    """Holds out every fold from every residual.
+    """Holds out every fold from every residual; a `StepGapWarning` names each that is left out because it fails.
 
     Args:
         kinds: Names of the residuals, from simple to complex.
@@ -220,7 +224,8 @@ def validate(
     held_out, done = {}, count(1)
     for kind in kinds:
         settings = replace(learning, residual=kind, lagged_inputs="none")
-        held_out[kind] = _hold_out(steps, folds, settings, lambda: on_fit(next(done), len(kinds) * folds.count))
+        with _leaving_out_unusable():
+            held_out[kind] = _hold_out(steps, folds, settings, lambda: on_fit(next(done), len(kinds) * folds.count))
     return Validation(folds, held_out)
 
 
@@ -233,6 +238,8 @@ def validate_on(
 ) -> Validation:
     """Fits every residual to some steps and predicts others, such as those of another day or robot.
 
+    A `StepGapWarning` names each residual that is left out because it fails.
+
     Args:
         kinds: Names of the residuals, from simple to complex.
         steps: Steps to fit, with predictions of the nominal map.
@@ -243,10 +250,11 @@ def validate_on(
     held_out = {}
     for done, kind in enumerate(kinds, 1):
         settings = replace(learning, residual=kind, lagged_inputs="none")
-        begin = perf_counter()
-        residual = fit_steps(steps, settings)
-        seconds = perf_counter() - begin
-        held_out[kind] = HeldOut(kind, test.error, *_predict_deployments(residual, test, settings), seconds)
+        with _leaving_out_unusable():
+            begin = perf_counter()
+            residual = fit_steps(steps, settings)
+            seconds = perf_counter() - begin
+            held_out[kind] = HeldOut(kind, test.error, *_predict_deployments(residual, test, settings), seconds)
         on_fit(done, len(kinds))
     return Validation(_one_fold(len(test)), held_out)
 
@@ -264,6 +272,15 @@ def validate_fitted(residual: Residual, test: StepTable, learning: LearningSetti
     return Validation(
         _one_fold(len(test)), {"none": HeldOut("none", test.error, zero, zero, np.nan), residual.kind: fitted}
     )
+
+
+@contextmanager
+def _leaving_out_unusable() -> Iterator[None]:
+    """Leaves out what a residual model that fails was to be computed for, with a warning: others are compared."""
+    try:
+        yield
+    except ResidualError as error:
+        warnings.warn(f"left out: {error}", StepGapWarning, stacklevel=1)
 
 
 def _one_fold(steps: int) -> Folds:
@@ -309,6 +326,7 @@ def _predict(residual: Residual, steps: StepTable, learning: LearningSettings) -
     parts = np.array_split(points, -(-len(points) // TOGETHER))
     mean = np.concatenate([residual.mean(part) for part in parts])
     std = np.concatenate([residual.std(part, include_noise=True) for part in parts])
+    check_prediction(residual.kind, mean, std)
     if not learning.drift or residual.kind == "none":
         return mean, std
     yaw = np.full(len(steps), np.nan) if steps.yaw is None else steps.yaw

@@ -17,6 +17,7 @@ import numpy as np
 from stepgap.base.files import write_whole
 from stepgap.base.ranges import require
 from stepgap.learning.residual import Residual
+from stepgap.learning.residual_check import naming_model
 from stepgap.learning.residual_fit import residual_from_dict
 from stepgap.records.summary import read_text
 from stepgap.step import Array, StepMap, StepSpace
@@ -68,13 +69,17 @@ def saved_model_text(residual: Residual, space: StepSpace, nominal: NominalSourc
         residual: The residual.
         space: Names and units of its state and command.
         nominal: Source of the nominal next states whose error it predicts.
+
+    Raises:
+        ResidualError: What a regression saves cannot be written as JSON.
     """
     names = {
         key: [[quantity.name, quantity.unit] for quantity in quantities]
         for key, quantities in (("state", space.state), ("command", space.command))
     }
     steps = {"nominal_steps": _steps_of(nominal.step_map)} if nominal.step_map is not None else {}
-    return json.dumps({"schema": SCHEMA, **names, "nominal": nominal.name, **steps, **residual.to_dict()})
+    with naming_model(residual.model):
+        return json.dumps({"schema": SCHEMA, **names, "nominal": nominal.name, **steps, **residual.to_dict()})
 
 
 def read_model(folder: Path, iteration: int, space: StepSpace, nominal: StepMap | None = None) -> Residual | None:
