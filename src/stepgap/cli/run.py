@@ -152,15 +152,16 @@ def run(
     if display.view:
         _check_address(display)
     changes = [*(overrides or []), *shorthand.overrides()]
-    if resume or extend is not None:
+    continued = resume or extend is not None
+    if continued:
         out = folder_to_continue("--resume" if resume else "--extend", experiment, out, changes)
     with run_folder(out) as folder:
-        ready = _prepare(experiment, folder, changes, resume, extend)
+        ready = _prepare(experiment, folder, changes, continued, extend)
         recorder, live = _watchers(ready, display)
         plants = _choose_plants(ready, arm, recorder, live, program or [])
         files = (ready.folder, ready.settings, ready.reference, ready.known, ready.nominal.surrogate)
         on_execution = partial(write_experiment, *files) if extend is not None else lambda: None
-        if not resume and extend is None:
+        if not continued:
             start_folder(*files)
         try:
             with terminated_as_interrupted(), live or nullcontext():
@@ -188,7 +189,7 @@ def _check_address(display: Display) -> None:
 
 
 def _prepare(
-    experiment: Path | None, folder: Path, changes: Sequence[tuple[str, str]], resume: bool, extend: int | None
+    experiment: Path | None, folder: Path, changes: Sequence[tuple[str, str]], continued: bool, extend: int | None
 ) -> Prepared:
     """Reads all inputs of a run and checks that the nominal map can track the reference; writes nothing."""
     from stepgap.experiment.inputs import load_known, load_reference
@@ -196,7 +197,7 @@ def _prepare(
     from stepgap.experiment.settings import read_experiment
     from stepgap.records.steps_csv import check_names
 
-    if resume or extend is not None:
+    if continued:
         settings = read_experiment(folder / "experiment.toml")
         settings = settings if extend is None else extended(folder, settings, extend)
     else:

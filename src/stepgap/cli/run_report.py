@@ -16,7 +16,6 @@ from stepgap.learning.residual import Residual
 from stepgap.learning.step_log import as_past
 from stepgap.plants.ticks.tick_table import TickTable
 from stepgap.records.missing import Missing
-from stepgap.records.model_files import model_path
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.steps_csv import RecordError
 from stepgap.report import RunContext, WrittenReport, comparison_html, write_report
@@ -106,13 +105,12 @@ def _nominal_of(settings: Experiment) -> StepMap | Missing:
 
 def _final_residual(record: RunRecord, settings: Experiment, nominal: StepMap) -> Residual | Missing:
     """Residual after deployment 0 if it learned from the nominal map on, as a next deployment would begin with it."""
-    last = record.shown_iterations[-1]
-    if last > 0 or record.residual_of(last) == "none" or model_path(record.folder, last).exists():
+    if not record.has_unsaved_residual:
         return Missing("the residual at the start of the last deployment is described")
     try:
         known = as_past(load_known(settings, nominal.space))
         with one_blas_thread():
-            return LoadedRun(record.folder, settings, nominal, record.steps, known).learner(last + 1).residual
+            return LoadedRun(record.folder, settings, nominal, record.steps, known).learner(1).residual
     except InputError as error:
         return Missing(str(error))
 

@@ -13,12 +13,6 @@ WINDOW: Final = 20
 """Number of consecutive steps over which an error is compared with the band."""
 
 
-def tracking_errors(steps: StepLog) -> Array:
-    """Next state − target of the tracking steps that ended with an apex; shape (k, n)."""
-    completed = steps.tracking().completed()
-    return completed.next_state - completed.target
-
-
 def hops_to_band(errors: Array, band: Array) -> int | None:
     """Number of steps after which the RMSE of 20 consecutive steps stays in a band.
 
@@ -49,7 +43,7 @@ def executed_hops_to_band(deployments: Sequence[StepLog], band: Array) -> int | 
     Returns:
         None as from `hops_to_band`.
     """
-    hops = hops_to_band(np.concatenate([tracking_errors(steps) for steps in deployments]), band)
+    hops = hops_to_band(np.concatenate([steps.tracking_errors() for steps in deployments]), band)
     if hops is None:
         return None
     executed = (logged for steps in deployments for logged in steps)

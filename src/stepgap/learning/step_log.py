@@ -70,6 +70,11 @@ class StepLog:
         """The steps that ended with an apex: those that can be learned from."""
         return StepLog(self.space, (logged for logged in self._steps if logged.record.status == StepStatus.OK))
 
+    def tracking_errors(self) -> Array:
+        """Next state − target of the completed steps that tracked the reference; shape (k, n)."""
+        tracked = self.tracking().completed()
+        return tracked.next_state - tracked.target
+
     @property
     def iterations(self) -> list[int]:
         """Numbers of the deployments in it, in ascending order."""

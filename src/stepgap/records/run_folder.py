@@ -16,6 +16,7 @@ from stepgap.base.json_data import LARGEST_NUMBER
 from stepgap.base.normal import std_interval_95
 from stepgap.base.settings_file import read_toml_text
 from stepgap.learning.step_log import StepLog
+from stepgap.records.model_files import model_path
 from stepgap.records.steps_csv import digest, ends_with_whole_row, read_step_log, space_of_header
 from stepgap.records.summary import Deployment, NoiseFloor, Summary, read_summary
 from stepgap.robots.published_result import PublishedResult
@@ -110,6 +111,12 @@ class RunRecord:
         return names.get(iteration, "none" if nominal else None)
 
     @property
+    def has_unsaved_residual(self) -> bool:
+        """Whether deployment 0 is the last one and learned from the nominal map on: no file has its residual."""
+        last = self.shown_iterations[-1]
+        return last == 0 and self.residual_of(0) != "none" and not model_path(self.folder, 0).exists()
+
+    @property
     def compared_result(self) -> PublishedResult | None:
         """The published result if the run has its reference, so that its errors can be compared; else None."""
         incomplete = {each.iteration for each in self.deployments if each.failed_steps} | set(self.unfinished)
@@ -185,10 +192,10 @@ def _check_same_run(summary: Summary, steps: StepLog, path: Path) -> None:
 
 def _check_rmse(deployment: Deployment, steps: StepLog, path: Path) -> None:
     """Raises ValueError unless the RMSE of a deployment is that of its steps; one that is not known is not checked."""
-    tracked = steps.of_iteration(deployment.iteration).completed().tracking()
-    if not len(tracked):
+    errors = steps.of_iteration(deployment.iteration).tracking_errors()
+    if not len(errors):
         return
-    found = np.sqrt(np.mean((tracked.next_state - tracked.target) ** 2, axis=0))
+    found = np.sqrt(np.mean(errors**2, axis=0))
     for name, error, computed in zip(steps.space.state_names, deployment.rmse, found, strict=True):
         if isfinite(error) and not isclose(error, computed, rel_tol=1e-6):
             raise ValueError(

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from stepgap.experiment.bands import WINDOW, executed_hops_to_band, tracking_errors, window_errors
+from stepgap.experiment.bands import WINDOW, executed_hops_to_band, window_errors
 from stepgap.learning.step_log import StepLog
 from stepgap.records.run_folder import RunRecord
 from stepgap.records.summary import MEASURED, MEASURES, Deployment
@@ -119,7 +119,7 @@ def hops_in_words(deployments: Sequence[StepLog], band: Array, end: str) -> str:
 
 def _best(deployments: Sequence[StepLog]) -> list[str]:
     """Smallest error of 20 consecutive tracking hops, coordinate by coordinate."""
-    errors = np.concatenate([tracking_errors(steps) for steps in deployments])
+    errors = np.concatenate([steps.tracking_errors() for steps in deployments])
     if len(errors) < WINDOW:
         return ["–"] * errors.shape[1]
     return [decimal(error) for error in window_errors(errors).min(axis=0)]

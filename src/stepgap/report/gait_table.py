@@ -66,10 +66,10 @@ def gait_table(gait: ReferenceGait) -> str:
         [*(f"{value:.4g}" for value in target), *(cell for each in gait.maps for cell in _cells(each, row))]
         for row, target in enumerate(gait.targets)
     ]
-    corrected = any(each.multipliers for each in gait.maps)
+    closed = ", and closed loop, with the step controller" if gait.has_closed_loop else ""
     caption = (
         "Limit cycle at each target: the constant command that holds it, and the magnitudes |λ| of its Floquet "
-        f"multipliers: open loop, at this constant command{', and closed loop, with the step controller' * corrected}"
+        f"multipliers: open loop, at this constant command{closed}"
     )
     return table(caption, heads, rows)
 

@@ -28,8 +28,7 @@ def rmse_interval(steps: StepLog) -> Array:
     Returns:
         Lower and upper ends [units of the state], NaN for fewer than `FEWEST_TRACKED` steps; shape (2, n).
     """
-    tracked = steps.tracking().completed()
-    squares = (tracked.next_state - tracked.target) ** 2
+    squares = steps.tracking_errors() ** 2
     count, size = squares.shape
     if count < FEWEST_TRACKED:
         return np.full((2, size), np.nan)

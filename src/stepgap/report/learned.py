@@ -55,13 +55,11 @@ def described_residual(record: RunRecord, final: Residual | Missing) -> LearnedR
         ValueError: The file is not a model of this run.
         OSError: It cannot be read.
     """
-    last = record.shown_iterations[-1]
-    found = read_learned_residual(record.folder, last, record.space)
-    if isinstance(found, LearnedResidual) or last > 0 or record.residual_of(last) == "none":
-        return found
+    if not record.has_unsaved_residual:
+        return read_learned_residual(record.folder, record.shown_iterations[-1], record.space)
     if isinstance(final, Missing):
         return Missing(f"deployment 0 learned while it ran, so no model was saved before it, and {final.reason}")
-    return LearnedResidual(last + 1, final)
+    return LearnedResidual(1, final)
 
 
 def read_learned_residual(folder: Path, last: int, space: StepSpace) -> LearnedResidual | Missing:

@@ -173,13 +173,12 @@ def _map_caption(record: RunRecord, row: int) -> str:
 
 
 def _gait_caption(gait: ReferenceGait) -> str:
-    corrected = any(each.multipliers for each in gait.maps)
     return (
         f"(a) The one-step reachable set within the command bounds, from the state {_central_target(gait)}, the target "
         "nearest to the median of all. (b) Magnitudes of the Floquet multipliers (eigenvalues of the derivative of the "
         "next state with respect to the state) of the limit cycle at each target; below 1, an error decays. Open loop: "
         "at a constant command; the step controller does not need this stability."
-        f"{CLOSED_LOOP if corrected else ''}"
+        f"{CLOSED_LOOP if gait.has_closed_loop else ''}"
     )
 
 

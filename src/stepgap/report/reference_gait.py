@@ -75,6 +75,11 @@ class ReferenceGait:
     centre: Array
     maps: tuple[MapGait, ...]
 
+    @property
+    def has_closed_loop(self) -> bool:
+        """Whether there is a corrected map, with whose step controller the closed loop was computed."""
+        return any(each.multipliers for each in self.maps)
+
 
 def reference_gait(record: RunRecord, nominal: StepMap, learned: LearnedResidual | Missing) -> ReferenceGait:
     """Computes the limit cycles at the targets of the last deployment.

@@ -1,4 +1,4 @@
-"""MuJoCo's global callbacks, which hold for the whole process: no log file, and no timing of each stage of a step."""
+"""MuJoCo's C library, and its callbacks, which hold for the whole process: no log file, no timing of stages."""
 
 # pyright: reportAttributeAccessIssue=false
 # (MuJoCo ships no types for its compiled part.)
@@ -9,6 +9,15 @@ from ctypes import CDLL, c_void_p
 import mujoco
 
 
+def c_library() -> CDLL:
+    """MuJoCo's C library, as Python has loaded it.
+
+    Raises:
+        OSError: It cannot be reached.
+    """
+    return CDLL(sys.modules[mujoco.mj_step.__module__].__file__)
+
+
 def set_mujoco_callbacks() -> None:
     """Sets the callbacks; to be called before a model is stepped.
 
@@ -16,13 +25,13 @@ def set_mujoco_callbacks() -> None:
     simulation gives a state that is not finite or too large, which the plants report as a failed step.
 
     MuJoCo's Python package installs a clock, which `mj_step` reads before and after each of its stages for
-    `mjData.timer`. For models as small as the hopper's, that takes a fifth of a step. MuJoCo's C library starts without
+    `mjData.timer`. For models as small as the hopper's, that takes a sixth of a step. MuJoCo's C library starts without
     a clock, and so does StepGap. A clock that the caller has installed by `mujoco.set_mjcb_time` is kept.
     """
     mujoco.set_mju_user_warning(lambda message: None)
     if mujoco.get_mjcb_time() is None:
         try:
-            clock = c_void_p.in_dll(CDLL(sys.modules[mujoco.mj_step.__module__].__file__), "mjcb_time")
+            clock = c_void_p.in_dll(c_library(), "mjcb_time")
         except (OSError, ValueError):
             return  # where the C library cannot be reached, steps only take longer
         clock.value = None

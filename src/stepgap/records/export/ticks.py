@@ -26,6 +26,7 @@ def copy_ticks(logs: Path, out: Path) -> Iterator[str]:
     Raises:
         OSError: A file cannot be read or written.
     """
+    out.parent.mkdir(parents=True, exist_ok=True)
     with new_folder(out):
         for log in sorted(logs.glob("*.mcap")):
             copy = out / log.name

@@ -3,8 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 # (Numba makes its types at run time.)
 
-import sys
-from ctypes import CDLL, c_void_p, cast
+from ctypes import c_void_p, cast
 
 import mujoco
 import numpy as np
@@ -17,6 +16,7 @@ from stepgap.robots.hopper.hop_tick import UNREADABLE, tick
 from stepgap.robots.hopper.tick import TICK_COLUMN
 from stepgap.robots.hopper.twin.devices import READ, drive, read_counts
 from stepgap.robots.hopper.twin.true_apex import update_apex
+from stepgap.robots.mujoco_callbacks import c_library
 
 NO_NUMBER, NO_TORQUE = 3, 4
 """How a tick ended, besides the outcomes of a reading: a sensor value or a torque is not finite."""
@@ -25,8 +25,7 @@ _ENDS_STEP = int(TickFlag.STEP_ENDED | TickFlag.FAILED)
 
 # Compiled code finds MuJoCo's C function by its name; its address is that in the library which Python has loaded.
 try:
-    _library = CDLL(sys.modules[mujoco.mj_step.__module__].__file__)
-    binding.add_symbol("mj_step", cast(_library.mj_step, c_void_p).value)
+    binding.add_symbol("mj_step", cast(c_library().mj_step, c_void_p).value)
 except (OSError, AttributeError) as error:
     raise ImportError(f"MuJoCo {mujoco.__version__} has no C function mj_step for the twin; install 3.17") from error
 _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
